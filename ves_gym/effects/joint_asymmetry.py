@@ -25,6 +25,7 @@ class JointAsymmetry(TorqueEffect):
     modes = ("ideal", "emulated")
     port = "joint"
     builds_up = True
+    creep = CREEP
     coulomb: Vector = parameter("N m", bounds=(-20.0, 20.0), shape=(None,), start=1.0)
     viscous: Vector = parameter("N m s/rad", bounds=(-50.0, 50.0), shape=(None,), start=0.5)
 

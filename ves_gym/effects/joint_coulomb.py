@@ -20,6 +20,7 @@ class JointCoulomb(TorqueEffect):
     modes = ("ideal", "emulated")
     port = "joint"
     builds_up = True
+    creep = CREEP
     torque: Vector = parameter("N m", bounds=(0.0, 50.0), shape=(None,), start=2.0)
 
     def check(self, system: System) -> None:

@@ -24,6 +24,7 @@ class JointLoadFriction(TorqueEffect):
     modes = ("ideal", "emulated")
     port = "joint"
     builds_up = True
+    creep = CREEP
     coefficient: Vector = parameter("1", bounds=(0.0, 0.5), shape=(None,), start=0.1)
 
     def check(self, system: System) -> None:

@@ -40,6 +40,11 @@ class JointStribeck(TorqueEffect):
         "rad/s", bounds=(1e-2, 2.0), null=None, default=0.2, start=(0.05, 0.2)
     )
 
+    @property
+    def creep(self) -> float:
+        """Rate over which it builds up from rest [rad/s]."""
+        return CREEP * self.fade_speed
+
     def check(self, system: System) -> None:
         """One number per joint."""
         self._require_per_joint(system, "coulomb", "stiction")
@@ -64,4 +69,4 @@ class JointStribeck(TorqueEffect):
         stiction: Any = self.stiction
         fade = xp.exp(-((v / self.fade_speed) ** 2))
         level = coulomb + (stiction - coulomb) * fade
-        return -level * xp.tanh(v / (CREEP * self.fade_speed))
+        return -level * xp.tanh(v / self.creep)

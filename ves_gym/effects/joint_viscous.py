@@ -20,9 +20,9 @@ def _cubed(friction: JointViscous) -> JointViscous:
 class JointViscous(TorqueEffect):
     """Friction in proportion to the joint's rate, and in part to its cube.
 
-    Grease thins or thickens with the rate; the cube is the next power that takes the same against
-    motion either way (derived here). A diagnosis takes it as a form that the friction may have
-    in part.
+    Grease thins or thickens with the rate; the cube is the next power that takes the same
+    against motion either way (derived here). A diagnosis takes it as a form that the friction
+    may have in part.
     """
 
     modes = ("ideal", "emulated")

@@ -65,7 +65,8 @@ def test_the_library_is_that_with_which_the_sealed_sets_were_answered():
     begun at smaller gaps, and had a form, since the second sealed set of trial 2; filters have
     begun on both sides of the described since the fourth, and a ripple has had a second
     harmonic as a form since the fifth. What the controller is given shows at the joints,
-    too, and play is looked for between stiff teeth, since the sixth.
+    too, and play is looked for between stiff teeth, since the sixth. Friction builds up over
+    two distances, and viscous friction may have a cube, since the seventh.
     """
     stored = json.loads((Path(__file__).parent / "library.json").read_text())
     found = emulated()

@@ -73,7 +73,7 @@ def test_a_name_with_other_numbers_in_another_run_is_withdrawn(first, logs, seco
 
 
 def test_grease_that_thins_is_viscous_friction_still():
-    """Claim: a damping that falls by a sixth at 0.75 rad/s is named, its number at rest found."""
+    """Claim: damping that falls by a sixth at 0.75 rad/s is named, with its number at rest."""
     thins = E.JointViscous(damping=(12.0, 0.0, 0.0), cubic=-0.3)
     logs = [recorded(DESCRIBED.replace(effects=(thins,)), seed) for seed in (1, 2)]
     inputs = system_inputs(logs, DESCRIBED, final=0)

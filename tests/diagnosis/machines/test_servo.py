@@ -26,6 +26,8 @@ OFFSET = E.JointTorqueOffset(torque=(0.0, 0.0, 0.04))
 def run():
     """10 s of an arm whose joint 3 has an offset a tenth of its torque sensor's noise."""
     return logged(RIGID.replace(effects=(OFFSET,)), SOFT)
+
+
 def by_log(run):
     return dataclasses.replace(run, by_log=True)
 
@@ -83,7 +85,7 @@ def test_what_the_controller_is_given_shows_at_the_joints():
 
 
 def test_gains_thought_unsure_take_no_noise_off():
-    """Stiff gains multiply the noise of angles: lower ones would leave less of it (attenuation).
+    """Stiff gains multiply the noise of angles: lower ones would leave less (attenuation).
 
     With errors a hundred times the usual, 6 %, kp of joint 1 came out a quarter too small, and
     such errors were 130 of deviance likelier than the exact description.

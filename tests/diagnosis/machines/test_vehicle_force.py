@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from ves_gym._util.signals import SpectralWindow, margin
 from ves_gym.diagnosis.diagnose import NOTHING, WEAK, diagnose
 from ves_gym.diagnosis.excitation import excitation_motions
 from ves_gym.diagnosis.inputs import system_inputs
@@ -30,6 +31,7 @@ class Tone:
         way = 1e-5 * np.array([1.0, -0.5, 0.2, 0.3, 0.8, -0.4])
         phase = np.exp(1j * w * t)[:, None] * way
         self.dt, self.t, self.way, self.w = dt, t, way, w
+        self.length, self.window = len(t), SpectralWindow(len(t), dt, 12.0, margin(dt, 12.0))
         self.base = tuple(x.real for x in (phase, 1j * w * phase, -(w**2) * phase))
 
     def derived(self, name, uses, make):

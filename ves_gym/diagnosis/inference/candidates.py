@@ -16,7 +16,7 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.diagnosis.machines.causes import apart, arm_friction
 from ves_gym.diagnosis.machines.drift import WAVES, SlowPath
-from ves_gym.diagnosis.machines.presliding import Presliding
+from ves_gym.diagnosis.machines.presliding import FORMS
 from ves_gym.system.candidate import Candidate as Candidate
 from ves_gym.system.candidate import Scope
 from ves_gym.system.effect import EFFECTS, PORTS, Effect
@@ -61,7 +61,7 @@ def library(
             if cls.wanders:
                 candidate = _course(candidate, i, runs)
             if cls.builds_up:
-                candidate = dataclasses.replace(candidate, blurs=(*cls.forms, Presliding))
+                candidate = dataclasses.replace(candidate, blurs=(*cls.forms, *FORMS))
             out.append(candidate)
     if "joint" in ports:
         causes = arm_friction([f"joint {i + 1}" for i in range(n)], builds_up=True)

@@ -9,16 +9,18 @@ so that any machine that computes them computes the cause.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.diagnosis.machines.presliding import Presliding
+from ves_gym.diagnosis.machines.presliding import FORMS, Presliding
 from ves_gym.effects import JointCoulomb, JointViscous
 from ves_gym.system.candidate import Candidate
+from ves_gym.system.effect import Effect
 
 ARM = 3  # joints from which friction of all of them is one cause
 FRICTION = "joint/friction"
@@ -79,7 +81,7 @@ def arm_friction(
         high=(*(_MOST["viscous"] / r**2), *(_MOST["coulomb"] / r)),
         make=make,
         factors=tuple(range(2 * n)),
-        blurs=(_building_up,) if builds_up else (),
+        blurs=tuple(partial(_building_up, form) for form in FORMS) if builds_up else (),
         sparse=True,
         parts=(
             *((JointViscous.kind, k) for k in places),
@@ -88,7 +90,7 @@ def arm_friction(
     )
 
 
-def _building_up(cause: Together) -> Together:
+def _building_up(form: Callable[[Effect], Presliding], cause: Together) -> Together:
     """Return a friction whose Coulomb part builds up over a distance."""
-    grown = (Presliding(e) if isinstance(e, JointCoulomb) else e for e in cause.effects)
+    grown = (form(e) if isinstance(e, JointCoulomb) else e for e in cause.effects)
     return dataclasses.replace(cause, effects=tuple(grown))

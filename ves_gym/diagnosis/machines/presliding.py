@@ -2,8 +2,9 @@
 
 The laws of the library know the speed alone. Real contacts give way elastically first, like
 bristles (Canudas de Wit et al., IEEE Trans. Automatic Control 40(3), 1995): the torque F then
-follows its law over the distance travelled, dF/dt = (law - F) |v| / length. How a friction
-does this is no other effect, so a fit may have some of it with every friction it tries.
+follows its law over the distance travelled, dF/dt = (law - F) |v| / length, however slowly. How
+a friction does this is no other effect, so a fit may have some of it with every friction it
+tries: over two distances, which make others together.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from ves_gym.effects import JointMemory
 from ves_gym.system.effect import Effect
 from ves_gym.system.rest_friction import contacts, friction
 
+_SLIDES = 3.0  # times the rate over which a law builds up from rest: there it has
 _NOISE = 3.0  # standard deviations of a rate's noise, about which it is no motion
 
 
@@ -29,11 +31,19 @@ class Presliding:
     effect: Effect
     length: float = 1e-3  # of geared joints (Armstrong-Helouvry et al., Automatica 30(7), 1994)
 
+    def sliding(self, v: Array) -> Array:
+        """Return rates (..., T, n) at which the law has built up, of the same sign [rad/s].
+
+        The bristles stand for what a law of the rate does about rest to have no corner.
+        """
+        creep = getattr(self.effect, "creep", 0.0)
+        return np.copysign(np.maximum(np.abs(v), _SLIDES * creep), v)
+
     def built_up(self, torque: Array, v: Array, dt: float) -> Array:
         """Return the law's torque as it builds up from sample to sample.
 
         Args:
-            torque: (..., T, n) of the law [N m].
+            torque: (..., T, n) of the law, at rates that slide [N m].
             v: (..., T, n) joint rates [rad/s].
             dt: between samples [s].
         """
@@ -43,6 +53,14 @@ class Presliding:
         flat = (-1, *torque.shape[-2:])
         rows = follow(torque.reshape(flat), np.broadcast_to(part, torque.shape).reshape(flat))
         return np.asarray(rows).reshape(torque.shape)
+
+
+def _sooner(effect: Effect) -> Presliding:
+    """Return a friction that builds up over less."""
+    return Presliding(effect, length=3e-4)
+
+
+FORMS = (Presliding, _sooner)  # in which a friction may be in part
 
 
 def remembered_friction(run: Run, effects: Iterable[Effect]) -> Array | float:

@@ -278,7 +278,7 @@ class SystemMachine:
         return tuple(
             Nuisance(
                 f"state {i + 1} of the internal modes where {run.name} begins",
-                ("base",),
+                ("base", "wrench"),
                 SystemVariant(self.system, starts=(InnerStart(run.name, i),)),
                 1.0,
                 float(size),
@@ -313,8 +313,12 @@ class SystemMachine:
             for path in model.paths if "wrench" in ports else ():
                 direction = self._to_wrench[:, path.channel]
                 out["wrench"][k] -= path.of(run)[:, None] * direction
-            for start in model.starts if "base" in ports else ():
-                out["base"][k] += start.force(run, model.system.actual.base)
+            for start in model.starts:
+                force = start.force(run, model.system.actual.base)
+                if "base" in ports:
+                    out["base"][k] += force
+                if "wrench" in ports:
+                    out["wrench"][k] -= self._seen_in_wrench(run, model.system, force)
         return out
 
     # ------------------------------------------------------------------- arm
@@ -332,7 +336,8 @@ class SystemMachine:
         def laws(tau: Array) -> Array:
             out = joint_torque(effects, q, v, tau, most) + remembered
             for p in model.presliding:
-                out = out + p.built_up(joint_torque([p.effect], q, v, tau, most), v, run.dt)
+                law = joint_torque([p.effect], q, p.sliding(v), tau, most)
+                out = out + p.built_up(law, v, run.dt)
             return out
 
         every = (*effects, *(p.effect for p in model.presliding))
@@ -356,12 +361,15 @@ class SystemMachine:
         """Sensor reading less the arm's wrench (..., T, 6)."""
         wrench = self._load(run, system)[1]
         if system.mode == "ideal":
-            actual = system.actual
-            moved = tuple(e for e in system.effects if isinstance(e, BaseEffect))
-            force = vehicle_gap(run, actual.base)
-            shown = self._pose_noise(run).in_wrench(actual.arm, moved, actual.base, force)
-            return np.asarray(run["w"] - wrench - shown)
+            force = vehicle_gap(run, system.actual.base)
+            return np.asarray(run["w"] - wrench - self._seen_in_wrench(run, system, force))
         return np.asarray(run["w"] - self._sensed(system, wrench, self._between(run), run.dt))
+
+    def _seen_in_wrench(self, run: Run, system: System, force: Array) -> Array:
+        """Return what the pose's noise does at port `wrench`, by a residual at port `base`."""
+        actual = system.actual
+        moved = tuple(e for e in system.effects if isinstance(e, BaseEffect))
+        return self._pose_noise(run).in_wrench(actual.arm, moved, actual.base, force)
 
     def _pose_noise(self, run: Run) -> PoseNoise:
         """Estimates of what the noise of the measured pose does in mode ideal."""

@@ -31,7 +31,7 @@ def vehicle_gap(run: Run, base: BaseModel) -> Array:
     if base.drag is not None:
         force = force - base.drag * np.abs(yd) * yd
     if base.internal is not None:
-        force = force + _internal_force(base.internal, yd, ydd, run.dt)
+        force = force + _force_of(base.internal, _driven(base.internal, run), yd)
     return np.asarray(force)
 
 
@@ -52,7 +52,7 @@ def dynamic_stiffness(base: BaseModel, turn: Array, w: Array) -> Array:
 
 
 def _internal(modes: InternalModes, w: Array) -> Array:
-    """Force of internal modes (K, 6, 6) per motion of the base; as `_internal_force`."""
+    """Force of internal modes (K, 6, 6) per motion of the base; as `vehicle_gap` has it."""
     m, P, C = modes.m, modes.coupling, modes.damping
     s = 1j * w[:, None, None]
     drive = -(s**2) * P.T - s * (C[6:, :6] + C[6:, 6:] @ P.T)
@@ -100,13 +100,20 @@ def inner_sizes(run: Run, modes: InternalModes) -> Array:
         run: with y.
         modes: of the vehicle.
     """
-    _, yd, ydd = (x.reshape(-1, *x.shape[-2:])[0] for x in run.base)
-    return np.asarray(np.sqrt(np.mean(_states(modes, yd, ydd, run.dt) ** 2, axis=0)))
+    states = _driven(modes, run)
+    return np.asarray(np.sqrt(np.mean(states.reshape(-1, *states.shape[-2:])[0] ** 2, axis=0)))
 
 
-def _internal_force(modes: InternalModes, yd: Array, ydd: Array, dt: float) -> Array:
-    """Force (..., T, 6) of internal modes on a base that moves as measured, from rest."""
-    return _force_of(modes, _states(modes, yd, ydd, dt), yd)
+def _driven(modes: InternalModes, run: Run) -> Array:
+    """States (..., T, 2 m) of internal modes on a base that moves as measured, from rest.
+
+    What is guessed at where a run begins would ring on through it: it is faded in, and
+    all there where the run begins to count.
+    """
+    _, yd, ydd = run.base
+    begun = np.clip(2 * np.arange(run.length) / max(run.window.skip, 1) - 1, 0.0, 1.0)
+    begun = np.sin(np.pi / 2 * begun)[:, None] ** 2
+    return _states(modes, yd * begun, ydd * begun, run.dt)
 
 
 def _force_of(modes: InternalModes, states: Array, yd: Array) -> Array:
