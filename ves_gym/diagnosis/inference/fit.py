@@ -115,22 +115,26 @@ def fit(
     def residuals_at(points: Sequence[Array]) -> Array:
         return evaluate_residuals(residuals, candidates, [np.split(x, edges) for x in points])
 
-    def blurs(x: Array, z: Array) -> Array:
-        return _changes_of_form(residuals, candidates, np.split(x, edges), z)
+    def blurs(x: Array, z: Array, before: Array | None = None) -> Array:
+        return _changes_of_form(residuals, candidates, np.split(x, edges), z, before)
 
     def judged(x: Array, z: Array, B: Array) -> Solution:
         return solve(products(residuals, z, B), p + B.shape[1])
 
     z = residuals_at([x])[0]
+    B = blurs(x, z)
+    current = judged(x, z, B)
     for turn in range(_ROUNDS):
-        if turn < 2:  # later x changes little
-            B = blurs(x, z)
-        current = judged(x, z, B)
         ways = np.where(x + step > high, -step, step)  # differences stay inside
         moved = residuals_at(
             [x + way * unit for way, unit in zip(ways, np.eye(len(x)), strict=True)]
         )
-        S = ((moved - z) / ways[:, None]).T
+        share = current.x[p:]
+        if share.any():  # a number acts through the forms that its effect has, too
+            points = x + np.diag(ways)
+            beside = [blurs(y, m, B) @ share for y, m in zip(points, moved, strict=True)]
+            moved = moved + np.stack(beside)
+        S = ((moved - z - B @ share) / ways[:, None]).T
         b = p + B.shape[1]
         solution = solve(products(residuals, z, np.hstack([B, S])), b, low - x, high - x)
         toward = solution.x[b:]
@@ -141,14 +145,15 @@ def fit(
         for halving in range(_HALVINGS):
             y = np.clip(x + toward / 2**halving, low, high)
             trial = residuals_at([y])[0]
-            proposed = judged(y, trial, B)
+            forms = blurs(y, trial, B if turn > 1 else None)
+            proposed = judged(y, trial, forms)
             if proposed.misfit < current.misfit:
-                better = y, trial, proposed
+                better = y, trial, proposed, forms
                 break
         if better is None:
             break
         gained = current.misfit - better[2].misfit
-        x, z, current = better
+        x, z, current, B = better
         if gained < _ENOUGH:
             break
     for y in _gentler(candidates, x, low) if current.deviance > current.misfit else ():
@@ -253,13 +258,22 @@ def _changes_of_form(
     candidates: Sequence[Candidate],
     values: Sequence[Array],
     z: Array,
+    before: Array | None = None,
 ) -> Array:
-    """Return (N, b) changes by another form of each effect; each may be there in part."""
+    """Return (N, b) changes by another form of each effect; each may be there in part.
+
+    Those of what sets in take long, and change little: they are as `before`, if it is given.
+    """
     forms = [(k, blur) for k, c in enumerate(candidates) for blur in c.blurs]
     if not forms:
         return np.zeros((len(z), 0))
-    others = [_residual_of_form(residuals, candidates, values, k, blur) for k, blur in forms]
-    return np.stack(others, axis=1) - z[:, None]
+    columns = [
+        before[:, j]
+        if before is not None and candidates[k].sets_in
+        else _residual_of_form(residuals, candidates, values, k, blur) - z
+        for j, (k, blur) in enumerate(forms)
+    ]
+    return np.stack(columns, axis=1)
 
 
 def _residual_of_form(

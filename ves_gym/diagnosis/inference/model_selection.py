@@ -309,22 +309,42 @@ def _candidate_fits(
     taken: set[str],
     count: int,
 ) -> list[Fit]:
-    """Return full fits of the best scores beside `reduced`, in place i, best score first."""
+    """Return full fits of the best scores beside `reduced`, in place i, best score first.
+
+    Of the best of them also what it is a case of: a score knows neither how a friction builds
+    up nor how it fades, and laws that differ in that alone may have very different ones.
+    """
     price = float(np.log(residuals.size))
     scores = signatures.scores(reduced.residual, reduced.tangents, reduced.size)
     costs = [s.deviance + signatures.candidates[s.candidate].price * price for s in scores]
     out: list[Fit] = []
     free = [j for j in np.argsort(costs).tolist() if signatures.candidates[j].name not in taken]
-    for j in free[:count]:
+
+    def try_out(j: int) -> None:
         candidate = signatures.candidates[j]
-        if out and costs[j] > min(cost(f, residuals) for f in out) + _HOPELESS:
-            break
         extended = (*reduced.candidates[:i], candidate, *reduced.candidates[i:])
         start = (*reduced.values[:i], scores[j].values, *reduced.values[i:])
         tried = fit(residuals, extended, start)
         if _is_told(residuals, tried, i) and _acts_long_enough(residuals, tried, i):
             out.append(tried)
+
+    seen = 0
+    for j in free[:count]:
+        if out and costs[j] > min(cost(f, residuals) for f in out) + _HOPELESS:
+            break
+        try_out(j)
+        seen += 1
+    if out:
+        best = min(out, key=lambda f: cost(f, residuals)).candidates[i]
+        for j in free[seen:]:
+            if _is_case_of(best, signatures.candidates[j]):
+                try_out(j)
     return out
+
+
+def _is_case_of(simple: Candidate, candidate: Candidate) -> bool:
+    """Return True if a candidate is a wider law in the same place."""
+    return candidate.within == simple.kind and candidate.slot == simple.slot
 
 
 def _is_told(residuals: WhitenedResiduals, f: Fit, i: int) -> bool:
@@ -408,11 +428,7 @@ def _is_overelaborate(
 ) -> bool:
     """Return True if a simpler kind in place i explains about as much as this one."""
     candidate = f.candidates[i]
-    simpler = [
-        g.deviance
-        for g in fits
-        if candidate.within == g.candidates[i].kind and candidate.slot == g.candidates[i].slot
-    ]
+    simpler = [g.deviance for g in fits if _is_case_of(g.candidates[i], candidate)]
     least = 1 + limits.echo
     return any(reduced.deviance - f.deviance < least * (reduced.deviance - d) for d in simpler)
 
