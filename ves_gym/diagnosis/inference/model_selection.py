@@ -320,10 +320,10 @@ def _candidate_fits(
     out: list[Fit] = []
     free = [j for j in np.argsort(costs).tolist() if signatures.candidates[j].name not in taken]
 
-    def try_out(j: int) -> None:
+    def try_out(j: int, begin: Array) -> None:
         candidate = signatures.candidates[j]
         extended = (*reduced.candidates[:i], candidate, *reduced.candidates[i:])
-        start = (*reduced.values[:i], scores[j].values, *reduced.values[i:])
+        start = (*reduced.values[:i], begin, *reduced.values[i:])
         tried = fit(residuals, extended, start)
         if _is_told(residuals, tried, i) and _acts_long_enough(residuals, tried, i):
             out.append(tried)
@@ -332,13 +332,16 @@ def _candidate_fits(
     for j in free[:count]:
         if out and costs[j] > min(cost(f, residuals) for f in out) + _HOPELESS:
             break
-        try_out(j)
+        try_out(j, scores[j].values)
         seen += 1
     if out:
-        best = min(out, key=lambda f: cost(f, residuals)).candidates[i]
+        best = min(out, key=lambda f: cost(f, residuals))
         for j in free[seen:]:
-            if _is_case_of(best, signatures.candidates[j]):
-                try_out(j)
+            wider = signatures.candidates[j]
+            if _is_case_of(best.candidates[i], wider):
+                begin = scores[j].values.copy()
+                begin[wider.factors[0]] = best.values[i][best.candidates[i].factors[0]]
+                try_out(j, begin)
     return out
 
 
