@@ -341,11 +341,9 @@ class SystemMachine:
             return out
 
         every = (*effects, *(p.effect for p in model.presliding))
-        needed, wrench = self._load(run, model.system)
-        needed = needed + self._between(run).torque
+        needed = self._load(run, model.system)[0] + self._between(run).torque
         if self.system.mode == "ideal" and "w" in run:
-            noise, arm = self._pose_noise(run), model.system.actual.arm
-            needed = needed + noise.in_torque(arm, run["w"] - wrench)
+            needed = needed + self._seen_in_torque(run, model.system)
         balance = torque_residual(run["tau"], needed, every, laws)
         gears = windings(model.system.actual.arm, run)
         if not run.by_log and all(k in run for k in _OF_THE_SERVO):
@@ -364,6 +362,17 @@ class SystemMachine:
             force = vehicle_gap(run, system.actual.base)
             return np.asarray(run["w"] - wrench - self._seen_in_wrench(run, system, force))
         return np.asarray(run["w"] - self._sensed(system, wrench, self._between(run), run.dt))
+
+    def _seen_in_torque(self, run: Run, system: System) -> Array:
+        """Return what the pose's noise does at port `joint`, by the residual at `wrench`."""
+        arm = system.actual.arm
+        key = arm, float(Delays.of(system).measurement[0])
+        seen = _memoized(run, "seen in torque", dict)
+        if key not in seen:
+            gap = run["w"] - self._load(run, system)[1]
+            seen[key] = self._pose_noise(run).in_torque(arm, gap)
+            _forget(seen)
+        return seen[key]  # type: ignore[no-any-return]
 
     def _seen_in_wrench(self, run: Run, system: System, force: Array) -> Array:
         """Return what the pose's noise does at port `wrench`, by a residual at port `base`."""
