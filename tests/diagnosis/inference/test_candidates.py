@@ -12,6 +12,7 @@ from tests.effects.values import VALUES, effect
 from ves_gym._util.params import ParameterError
 from ves_gym.diagnosis.inference.cache import source_digest
 from ves_gym.diagnosis.inference.candidates import left_out, library
+from ves_gym.diagnosis.inference.fit import Fit
 from ves_gym.diagnosis.machines.causes import FRICTION, apart
 from ves_gym.diagnosis.machines.drift import SlowPath
 from ves_gym.diagnosis.machines.joint_library import MjcfJoint
@@ -228,6 +229,24 @@ def test_an_effect_whose_places_do_not_fit_is_left_out_with_the_reason(registere
     assert "places `joint` must be one number or one per joint, got shapes (2, 2)" in reason
     with pytest.raises(ParameterError):
         list(cls.candidates(Scope(3)))
+
+
+@pytest.mark.parametrize(
+    ("values", "std", "edge"),
+    [
+        (
+            [0.003, 0.0, -0.1],
+            [1e-5, 1e-5, 5.0],
+            False,
+        ),  # a turn about the vertical tells nothing
+        ([0.1, 0.0, 0.0], [1e-5, 1e-5, 5.0], True),
+    ],
+)
+def test_an_axis_about_which_the_runs_say_nothing_is_no_edge(values, std, edge):
+    tilt = emulated()["gravity/tilt"]
+    none = np.zeros((0, 0))
+    found = Fit((tilt,), (np.array(values),), 0.0, (np.array(std),), none, none, none, none)
+    assert found.on_bound(0) == edge
 
 
 def test_friction_builds_up():

@@ -17,6 +17,7 @@ from ves_gym.system.effect import Effect
 
 _STEP = 1e-3  # of differences, in parts of a number's usual size
 _ROUNDS, _HALVINGS = 12, 4
+_TORQUES = ("joint",)  # ports of a law that is a torque at joints, and no more
 _REMEMBERED = 600  # residuals of a port
 _CLEAR = 3.0  # standard deviations from zero
 _SHARES = tuple(0.7**k for k in range(1, 9))  # of a size that fits best
@@ -62,9 +63,13 @@ class Fit:
     def on_bound(self, i: int) -> bool:
         """Return True if a size of the effect in place i ended at the edge of its range.
 
-        A part that a cause does not have is at zero, which is no edge of the cause.
+        A part that a cause does not have is at zero, which is no edge of the cause; and where
+        coordinates are chosen among several, those about which the runs say nothing are none
+        of it.
         """
         c, at = self.candidates[i], list(self.candidates[i].factors)
+        if c.sparse and not c.parts:
+            at = [k for k in at if self.clear(i)[k]]
         v, low, high = self.values[i][at], np.array(c.low)[at], np.array(c.high)[at]
         least = v <= low
         absent = least & (low == 0) if c.parts and not least.all() else np.zeros_like(least)
@@ -262,14 +267,15 @@ def _changes_of_form(
 ) -> Array:
     """Return (N, b) changes by another form of each effect; each may be there in part.
 
-    Those of what sets in take long, and change little: they are as `before`, if it is given.
+    Those of what sets in or moves links take long, and change little: they are as `before`, if
+    it is given.
     """
     forms = [(k, blur) for k, c in enumerate(candidates) for blur in c.blurs]
     if not forms:
         return np.zeros((len(z), 0))
     columns = [
         before[:, j]
-        if before is not None and candidates[k].sets_in
+        if before is not None and (candidates[k].sets_in or candidates[k].ports != _TORQUES)
         else _residual_of_form(residuals, candidates, values, k, blur) - z
         for j, (k, blur) in enumerate(forms)
     ]
