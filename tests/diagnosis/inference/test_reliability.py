@@ -120,6 +120,15 @@ def test_names_of_the_seventh_set_can_be_believed():
     assert (len(withheld), sum(withheld)) == (1, 1)
 
 
+def test_names_of_the_eighth_set_can_be_believed():
+    """Of the diagnosis that fits through the forms of its laws, by its sealed code."""
+    p, right, exact, withheld, alarms = told_of("eighth")
+    assert (len(p), right.sum(), alarms) == (43, 41, 0)
+    assert np.quantile(exact, 0.05) < calibration_error(p, right) < np.median(exact)
+    assert (right[p > 0.95].sum(), (p > 0.95).sum()) == (31, 32)
+    assert (len(withheld), sum(withheld)) == (4, 3)
+
+
 def test_what_names_are_not_trusted_with_goes_to_none_of_these():
     believed = {NOTHING: 0.1, "a + c": 0.5, "b + c": 0.2, NONE_OF_THESE: 0.2}
     found = doubting(believed, 0.6)

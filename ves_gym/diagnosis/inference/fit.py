@@ -17,6 +17,7 @@ from ves_gym.system.effect import Effect
 
 _STEP = 1e-3  # of differences, in parts of a number's usual size
 _ROUNDS, _HALVINGS = 12, 4
+_UNSEEN = 1e-3  # of a whitened residual, by all of a number's range
 _TORQUES = ("joint",)  # ports of a law that is a torque at joints, and no more
 _REMEMBERED = 600  # residuals of a port
 _CLEAR = 3.0  # standard deviations from zero
@@ -113,6 +114,7 @@ def fit(
     usual = np.concatenate([np.abs(c.starts[0]) for c in candidates])
     step = _STEP * np.maximum(usual, 1e-12)
     edges = np.cumsum([c.k for c in candidates])[:-1]
+    chosen = np.concatenate([np.full(c.k, c.sparse) for c in candidates])
     x = np.clip(np.concatenate(list(start)), low, high)
     spread: Array = np.diag(np.maximum(usual, 1e-12) ** 2)
     x = _feasible(candidates, x, spread)
@@ -143,6 +145,9 @@ def fit(
         b = p + B.shape[1]
         solution = solve(products(residuals, z, np.hstack([B, S])), b, low - x, high - x)
         toward = solution.x[b:]
+        # directions that change nothing stay as described
+        idle = chosen & (np.linalg.norm(S, axis=0) * np.abs(high - low) < _UNSEEN)
+        toward = np.where(idle, np.clip(0.0, low, high) - x, toward)
         if any(c.feasible for c in candidates):
             goal = np.clip(x + toward, low, high)
             toward = _feasible(candidates, goal, solution.covariance[b:, b:]) - x
