@@ -365,12 +365,12 @@ class SystemMachine:
 
     def _seen_in_torque(self, run: Run, system: System) -> Array:
         """Return what the pose's noise does at port `joint`, by the residual at `wrench`."""
-        arm = system.actual.arm
-        key = arm, float(Delays.of(system).measurement[0])
+        arm, noise = system.actual.arm, self._pose_noise(run)
+        key = noise, arm, float(Delays.of(system).measurement[0])
         seen = _memoized(run, "seen in torque", dict)
         if key not in seen:
             gap = run["w"] - self._load(run, system)[1]
-            seen[key] = self._pose_noise(run).in_torque(arm, gap)
+            seen[key] = noise.in_torque(arm, gap)
             _forget(seen)
         return seen[key]  # type: ignore[no-any-return]
 
