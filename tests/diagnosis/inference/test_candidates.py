@@ -234,11 +234,7 @@ def test_an_effect_whose_places_do_not_fit_is_left_out_with_the_reason(registere
 @pytest.mark.parametrize(
     ("values", "std", "edge"),
     [
-        (
-            [0.003, 0.0, -0.1],
-            [1e-5, 1e-5, 5.0],
-            False,
-        ),  # a turn about the vertical tells nothing
+        ([0.003, 0.0, -0.1], [1e-5, 1e-5, 5.0], False),  # no turn about the vertical tells
         ([0.1, 0.0, 0.0], [1e-5, 1e-5, 5.0], True),
     ],
 )

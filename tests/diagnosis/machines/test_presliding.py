@@ -18,7 +18,6 @@ from ves_gym.effects import JointAsymmetry, JointCoulomb, JointLoadFriction, Joi
 from ves_gym.system.effect import joint_torque
 
 LEVEL = 4.0  # N m
-HELD = "friction of joint *", "damping of joint *", "zero of joint *"
 
 
 def dahl(run, distance):

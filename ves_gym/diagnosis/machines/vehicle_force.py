@@ -13,6 +13,7 @@ from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix
 from ves_gym.mechanics.vehicle import BaseModel, InternalModes
 
+_FADES = 0.4  # of the samples at a run's ends that derivatives guess at
 _LINE = 1.6e-3  # s, the longest straight line: 0.1 % of a tone of 12 Hz
 
 
@@ -107,11 +108,10 @@ def inner_sizes(run: Run, modes: InternalModes) -> Array:
 def _driven(modes: InternalModes, run: Run) -> Array:
     """States (..., T, 2 m) of internal modes on a base that moves as measured, from rest.
 
-    What is guessed at where a run begins would ring on through it: it is faded in, and
-    all there where the run begins to count.
+    What is guessed at where a run begins would ring on through it: it is faded in.
     """
     _, yd, ydd = run.base
-    begun = np.clip(2 * np.arange(run.length) / max(run.window.skip, 1) - 1, 0.0, 1.0)
+    begun = np.clip(np.arange(run.length) / max(_FADES * run.window.skip, 1), 0.0, 1.0)
     begun = np.sin(np.pi / 2 * begun)[:, None] ** 2
     return _states(modes, yd * begun, ydd * begun, run.dt)
 
