@@ -17,6 +17,7 @@ from ves_gym._util.params import Array
 from ves_gym.engine.kernel.maps import evaluate, points
 from ves_gym.engine.kernel.trace import geometry, regressor
 from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.body_numbers import numbers_of_body
 
 
 def inertial_parameters(arm: Arm) -> Array:
@@ -25,12 +26,8 @@ def inertial_parameters(arm: Arm) -> Array:
     Base first, of each body m [kg], m c (3) [kg m] and its inertia about the origin of its
     frame xx, xy, yy, xz, yz, zz [kg m^2] (Pinocchio's order); then the rotor inertias.
     """
-    out = []
-    for body in (arm.base, *(link.inertial for link in arm.links)):
-        c = np.array(body.com)
-        I = np.array(body.inertia) + body.mass * (c @ c * np.eye(3) - np.outer(c, c))
-        out += [body.mass, *(body.mass * c), *I[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
-    return np.array([*out, *arm.column("rotor_inertia")])
+    bodies = (arm.base, *(link.inertial for link in arm.links))
+    return np.concatenate([*map(numbers_of_body, bodies), arm.column("rotor_inertia")])
 
 
 def weight_parameters(arm: Arm) -> Array:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import scipy
 
 from ves_gym._util.params import Array
+from ves_gym.mechanics.serial_chain import Inertial
 
 PARAMETERS = (  # about the origin of the body's frame
     "mass",
@@ -38,6 +39,13 @@ def inertia_matrix(numbers: npt.ArrayLike) -> Array:
     for (i, j), value in zip(PLACES, np.asarray(numbers, float)[4:], strict=True):
         out[i, j] = out[j, i] = value
     return out
+
+
+def numbers_of_body(body: Inertial) -> Array:
+    """Return (10,) numbers of a body in the order of `PARAMETERS`."""
+    c = np.array(body.com)
+    about = np.array(body.inertia) + body.mass * (c @ c * np.eye(3) - np.outer(c, c))
+    return np.array([body.mass, *(body.mass * c), *(about[i, j] for i, j in PLACES)])
 
 
 def pseudo_inertia(numbers: npt.ArrayLike) -> Array:

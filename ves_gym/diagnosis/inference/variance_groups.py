@@ -138,14 +138,14 @@ def solve(
     for _ in range(_PASSES):
         weight = np.where(size > 1, 1 / np.maximum(size, 1.0), p.n / expected)
         share = weight * np.minimum(size, 1.0)  # of the noise expected that is there
-        A = np.einsum("g,gij->ij", weight, p.xx) + np.diag(prior)
-        noisy = _correctable(np.einsum("g,gij->ij", share, noise_xx), A)
+        A = _weighted(weight, p.xx) + np.diag(prior)
+        noisy = _correctable(_weighted(share, noise_xx), A)
         A = A - _SAFE * noisy
         A = A + _RIDGE * np.diag(np.diag(A) + 1e-30)
         b = share @ noise_xz - weight @ p.xz + (1 - _SAFE) * noisy @ x
         x = _within(A, b, np.linalg.solve(A, b), lows, highs)
-        remaining = p.zz + 2 * p.xz @ x + np.einsum("i,gij,j->g", x, p.xx, x)
-        expected = noise + 2 * noise_xz @ x + np.einsum("i,gij,j->g", x, noise_xx, x)
+        remaining = p.zz + 2 * p.xz @ x + p.xx @ x @ x
+        expected = noise + 2 * noise_xz @ x + noise_xx @ x @ x
         expected = np.maximum(expected, _QUIET * p.n)
         size = sizes(p.n, remaining, expected)
     penalty = float(prior @ x**2)
@@ -156,6 +156,11 @@ def solve(
         size,
         np.asarray(np.linalg.inv(A), float),
     )
+
+
+def _weighted(weight: Array, products: Array) -> Array:
+    """Return (c, c) the sum of matrices (G, c, c) times weights (G,)."""
+    return np.asarray(np.tensordot(weight, products, 1), float)
 
 
 def _correctable(noisy: Array, full: Array) -> Array:

@@ -380,7 +380,7 @@ class WhitenedResiduals:
             self.runs, self._rows, self._whiten, by_run, strict=True
         ):
             x = run.window.spectrum(residual)  # (m, K, c)
-            z = np.sqrt(2) * np.einsum("kij,mkj->mki", whiten[port], x)
+            z = np.sqrt(2) * np.moveaxis(whiten[port] @ np.moveaxis(x, 0, -1), -1, 0)
             for take, part, channel in rows[port]:
                 selected = z[:, take, channel]
                 at = slice(part.start - span.start, part.stop - span.start)

@@ -18,6 +18,14 @@ from ves_gym._util.params import Array
 from ves_gym._util.signals import differentiated
 from ves_gym.diagnosis.data.measured_run import COMMANDED, NEAR, Derived, Kinematics, Run
 from ves_gym.diagnosis.machines.admittance import force_gap
+from ves_gym.diagnosis.machines.arm_load import (
+    Load,
+    MeasuredMotion,
+    base_motion,
+    motion_load,
+    weight_torque,
+    with_last,
+)
 from ves_gym.diagnosis.machines.base import WRENCH, Nuisance, Port
 from ves_gym.diagnosis.machines.between_samples import (
     BetweenSamples,
@@ -44,9 +52,9 @@ from ves_gym.diagnosis.machines.torque_balance import (
 from ves_gym.diagnosis.machines.vehicle_force import InnerStart, inner_sizes, vehicle_gap
 from ves_gym.effects import JointMemory
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import newton_euler
+from ves_gym.mechanics.body_numbers import numbers_of_body
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
-from ves_gym.mechanics.spatial import AXES, twist, twist_rate
+from ves_gym.mechanics.spatial import AXES
 from ves_gym.system.deviations import Delays, LoopParameters
 from ves_gym.system.effect import BaseEffect, Effect, TorqueEffect, joint_torque
 from ves_gym.system.system import System
@@ -63,6 +71,7 @@ _AT_REST = TorqueEffect, JointMemory  # frictions among them: they turn with noi
 _LOADS = (
     40  # remembered of each kind: both ports of an arm ask, with one friction after another
 )
+_MOTIONS = 3  # remembered, each of another delay of the joints' sensors
 _SEEN = {  # port -> the signal that its residual is a part of
     "joint": "tau",
     "servo": "tau",
@@ -392,49 +401,68 @@ class SystemMachine:
             return near[key]  # type: ignore[no-any-return]
         return run.derived(*key, lambda: between_samples(run, self.system))
 
-    def _load(self, run: Run, system: System) -> tuple[Array, Array]:
+    def _load(self, run: Run, system: System) -> Load:
         """Torque that the motors must give (..., T, n), and wrench of the arm (..., T, 6)."""
-        arm = system.actual.arm
+        return self._load_of(run, system, system.actual.arm)
+
+    def _load_of(self, run: Run, system: System, arm: Arm) -> Load:
         old = float(Delays.of(system).measurement[0])
         loads = _memoized(run, "loads", dict)
-        if (arm, old) in loads:
-            return loads[arm, old]  # type: ignore[no-any-return]
-        q, v, a = run.joints
-        if old:
-            q, v, a = run.joints_ahead(old)
-        rotors = arm.column("rotor_inertia")
-        weighty = system.mode == "emulated"
-        balanced = weighty and system.emulator_settings.joint_balance
-        links = Kinematics(q, v, a)
-        base = _memoized(run, "base", lambda: _base_motion(run.base))
-        tau, wrench = _dynamics(arm, links, run.base.x, base, weighty)
+        if (arm, old) not in loads:
+            motions = _memoized(run, "motions", dict)
+            if old not in motions:
+                motions[old] = self._motion(run, old)
+                _forget(motions, _MOTIONS)
+            described = self.system.actual.arm.links[-1].inertial
+            if any(link.gear is not None for link in arm.links):
+                loads[arm, old] = self._load_of_geared(run, arm, motions[old])
+            elif arm.links[-1].inertial == described:
+                loads[arm, old] = motions[old].load(arm)
+            else:  # forces are linear in a body's numbers
+                plain = self._load_of(run, system, with_last(arm, described))
+                here, said = map(numbers_of_body, (arm.links[-1].inertial, described))
+                more = motions[old].load_of_last(arm, here - said)
+                loads[arm, old] = plain[0] + more[0], plain[1] + more[1]
+            _forget(loads)
+        return loads[arm, old]  # type: ignore[no-any-return]
+
+    def _motion(self, run: Run, old: float) -> MeasuredMotion:
+        """Return the motion of a run whose joint measurements are this old [s]."""
+        joints = run.joints_ahead(old) if old else run.joints
+        base = _memoized(run, "base", lambda: base_motion(run.base))
+        weighty = self.system.mode == "emulated"
+        balanced = weighty and self.system.emulator_settings.joint_balance
+        return MeasuredMotion(joints, run.base.x, base, weighty, balanced)
+
+    def _load_of_geared(self, run: Run, arm: Arm, motion: MeasuredMotion) -> Load:
+        """As `_load`, where links lag their motors."""
+        tau, _ = motion.load(arm)
+        rotors, links = arm.column("rotor_inertia"), motion.joints
+        torque = tau  # what rigid links would take, where no torque is logged
+        if "tau" in run:
+            torque = run["tau"]
+        winding = torque - rotors * links.a
         # what carries the weight at the links themselves carries that of the arm as it is
-        carried = _weight(arm, q, run.base.x) if balanced else np.zeros(())
-        tau = tau - carried
-        if any(link.gear is not None for link in arm.links):  # links lag their motors
-            torque = tau  # what rigid links would take, where no torque is logged
-            if "tau" in run:
-                torque = run["tau"]
-            winding = torque - rotors * a
+        carried = np.zeros(())
+        if motion.balanced:
+            carried = weight_torque(arm, links.x, run.base.x)
 
-            def lagging(winding: Array) -> tuple[Array, Array]:
-                bent = _deflections(arm, winding, run)
-                late = differentiated(bent, run.dt, run.band)
-                behind = Kinematics(*(x - d for x, d in zip(links, late, strict=True)))
-                tau, wrench = _dynamics(arm, behind, run.base.x, base, weighty)
-                # rotors move with the motors
-                return tau - carried + rotors * (a - behind.a), wrench
+        def lagging(winding: Array) -> Load:
+            bent = _deflections(arm, winding, run)
+            late = differentiated(bent, run.dt, run.band)
+            behind = Kinematics(*(x - d for x, d in zip(links, late, strict=True)))
+            tau, wrench = motion_load(arm, behind, motion.base, motion.fall)
+            # rotors move with the motors
+            return tau - carried + rotors * (links.a - behind.a), wrench
 
-            tau, wrench = lagging(winding)
-            gears = windings(arm, run) if "tau" in run else []
-            if gears:  # others feel what the link feels, not what else the torque logged has
-                through = through_gears(winding, torque - tau, gears, run)
-                others, wrench = lagging(through)
-                own = [g.joint for g in gears]
-                others[..., own] = tau[..., own]
-                tau = others
-        loads[arm, old] = tau, wrench
-        _forget(loads)
+        tau, wrench = lagging(winding)
+        gears = windings(arm, run) if "tau" in run else []
+        if gears:  # others feel what the link feels, not what else the torque logged has
+            through = through_gears(winding, torque - tau, gears, run)
+            others, wrench = lagging(through)
+            own = [g.joint for g in gears]
+            others[..., own] = tau[..., own]
+            tau = others
         return tau, wrench
 
     def _servo(self, run: Run, model: SystemVariant) -> Array:
@@ -493,57 +521,15 @@ def _memoized(run: Run, key: Any, make: Callable[[], Any]) -> Any:
     return run.memory[key]
 
 
-def _forget(remembered: dict[Any, Any]) -> None:
+def _forget(remembered: dict[Any, Any], most: int = _LOADS) -> None:
     """Drop the oldest of what is remembered but for the first, the description's own."""
-    if len(remembered) > _LOADS:
+    if len(remembered) > most:
         del remembered[list(remembered)[1]]
 
 
 def _compensates(system: System) -> bool:
     """Return True if the loop of a system predicts what the arm's inertia does."""
     return system.emulator_settings.payload_compensation
-
-
-def _base_motion(base: Kinematics) -> tuple[Array, Array, Array]:
-    """Spin, its rate, and acceleration of the platform's origin, platform axes; (..., T, 3)."""
-    y, yd, ydd = base
-    v, vd = twist(y, yd), twist_rate(y, yd, ydd)
-    spin, turn = v[..., 3:], vd[..., 3:]
-    return spin, turn, vd[..., :3] + np.cross(spin, v[..., :3])
-
-
-def _columns(x: Array) -> Any:
-    return tuple(np.moveaxis(x, -1, 0))
-
-
-def _dynamics(
-    arm: Arm, joints: Kinematics, pose: Array, base: tuple[Array, ...], weighty: bool
-) -> Any:
-    """Torque (..., T, n) and wrench on the base (..., T, 6) of a measured motion."""
-    spin, turn, accel = base
-    if weighty:
-        accel = accel - gravity_vector(pose)
-    tau, force, moment = newton_euler(
-        arm,
-        *(list(_columns(part)) for part in joints),
-        spin=_columns(spin),
-        turn=_columns(turn),
-        accel=_columns(accel),
-    )
-    shape = joints.x.shape[:-1]
-    stack = [
-        np.stack([np.broadcast_to(k, shape) for k in part], -1)
-        for part in (tau, (*force, *moment))
-    ]
-    return stack[0], -stack[1]
-
-
-def _weight(arm: Arm, q: Array, pose: Array) -> Array:
-    """Joint torque (..., T, n) that carries the links."""
-    still = Kinematics(q, np.zeros_like(q), np.zeros_like(q))
-    zeros = np.zeros((*pose.shape[:-1], 3))
-    out: Array = _dynamics(arm, still, pose, (zeros, zeros, zeros), True)[0]
-    return out
 
 
 def _deflections(arm: Arm, torque: Array, run: Run) -> Array:

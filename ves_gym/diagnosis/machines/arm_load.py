@@ -1,0 +1,156 @@
+"""What a measured motion takes: torque at the joints, and the wrench of the arm on its base.
+
+Both are linear in the ten numbers of a body. A diagnosis asks for a payload again and again,
+at many masses and places, on every run and on its copies with noise: so what one unit of each
+number of the last link's body takes is computed once per run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym.diagnosis.data.measured_run import Kinematics
+from ves_gym.mechanics.arm import Arm, Inertial
+from ves_gym.mechanics.body_numbers import numbers_of_body
+from ves_gym.mechanics.dynamics import newton_euler
+from ves_gym.mechanics.gravity import gravity_vector, mass_parameters, moment_regressor
+from ves_gym.mechanics.spatial import twist, twist_rate
+
+_NONE = ((0.0,) * 3,) * 3
+# Masses of 1 kg, far and near along the axes and between them: their numbers span all ten.
+_PLACES = (*np.vstack([np.zeros(3), np.eye(3), -np.eye(3), 1 - np.eye(3)]).tolist(),)
+_POINTS = tuple(Inertial(mass=1.0, com=tuple(place), inertia=_NONE) for place in _PLACES)
+_NOTHING = Inertial(mass=0.0, com=(0.0,) * 3, inertia=_NONE)
+
+BaseMotion = tuple[Array, Array, Array]
+Load = tuple[Array, Array]
+
+
+def base_motion(base: Kinematics) -> BaseMotion:
+    """Spin, its rate, and acceleration of the platform's origin, platform axes; (..., T, 3)."""
+    y, yd, ydd = base
+    v, vd = twist(y, yd), twist_rate(y, yd, ydd)
+    spin, turn = v[..., 3:], vd[..., 3:]
+    return spin, turn, vd[..., :3] + np.cross(spin, v[..., :3])
+
+
+def motion_load(
+    arm: Arm, joints: Kinematics, base: BaseMotion, fall: Array | None = None
+) -> Load:
+    """Torque (..., T, n) and wrench on the base (..., T, 6) of a measured motion.
+
+    Args:
+        arm: the arm; its links follow its motors.
+        joints: of its links, (..., T, n).
+        base: of `base_motion`.
+        fall: (..., T, 3) free fall in platform axes [m/s^2]; none in space.
+    """
+    spin, turn, accel = base
+    if fall is not None:
+        accel = accel - fall
+    tau, force, moment = newton_euler(
+        arm,
+        *(list(_columns(part)) for part in joints),
+        spin=_columns(spin),
+        turn=_columns(turn),
+        accel=_columns(accel),
+    )
+    shape = joints.x.shape[:-1]
+    stack = [
+        np.stack([np.broadcast_to(k, shape) for k in part], -1)
+        for part in (tau, (*force, *moment))
+    ]
+    return stack[0], -stack[1]
+
+
+def weight_torque(arm: Arm, q: Array, pose: Array) -> Array:
+    """Joint torque (..., T, n) that carries the links."""
+    still = Kinematics(q, np.zeros_like(q), np.zeros_like(q))
+    zeros = np.zeros((*pose.shape[:-1], 3))
+    return motion_load(arm, still, (zeros, zeros, zeros), gravity_vector(pose))[0]
+
+
+def weight_wrench(arm: Arm, moments: Array, fall: Array) -> Array:
+    """Wrench of the weight on the base (..., T, 6) (thesis eq. 3.8).
+
+    Args:
+        arm: the arm.
+        moments: (..., T, 3, k) of `moment_regressor`.
+        fall: (..., T, 3) free fall in platform axes [m/s^2].
+    """
+    mass = arm.base.mass + sum(link.inertial.mass for link in arm.links)
+    moment = np.cross(moments @ mass_parameters(arm), fall)
+    return np.concatenate([mass * fall, moment], axis=-1)
+
+
+class MeasuredMotion:
+    """A motion of joints and base, and what rigid links take in it.
+
+    Args:
+        joints: (..., T, n).
+        pose: (..., T, 6) of the base.
+        base: its motion.
+        weighty: on Earth.
+        balanced: what carries the weight is at the links themselves, not in the motors.
+    """
+
+    def __init__(
+        self, joints: Kinematics, pose: Array, base: BaseMotion, weighty: bool, balanced: bool
+    ) -> None:
+        self.joints, self.base = joints, base
+        self.fall = gravity_vector(pose) if weighty else None
+        self.balanced = balanced and weighty
+        self._moments: dict[Any, Array] = {}
+        self._last: dict[Any, Array] = {}  # per number of the last body, by lengths
+
+    def load(self, arm: Arm) -> Load:
+        """Torque that the motors give (..., T, n), and wrench of the arm (..., T, 6)."""
+        if not self.balanced or self.fall is None:
+            return motion_load(arm, self.joints, self.base, self.fall)
+        key = _lengths(arm)
+        if key not in self._moments:
+            self._moments[key] = moment_regressor(arm, self.joints.x)
+        tau, wrench = motion_load(arm, self.joints, self.base)
+        return tau, wrench + weight_wrench(arm, self._moments[key], self.fall)
+
+    def load_of_last(self, arm: Arm, more: Array) -> Load:
+        """Return what more of the last link's body takes.
+
+        Args:
+            arm: the arm.
+            more: (10,) numbers of the body, in the order of `body_numbers.PARAMETERS`.
+        """
+        key = _lengths(arm)
+        if key not in self._last:
+            empty = replace(
+                arm,
+                base=_NOTHING,
+                links=tuple(
+                    replace(k, inertial=_NOTHING, rotor_inertia=0.0) for k in arm.links
+                ),
+            )
+            loads = [
+                np.concatenate(self.load(with_last(empty, point)), axis=-1) for point in _POINTS
+            ]
+            numbers = np.stack([numbers_of_body(point) for point in _POINTS])
+            self._last[key] = np.tensordot(np.linalg.inv(numbers), np.stack(loads), 1)
+        both = np.tensordot(more, self._last[key], 1)
+        return both[..., : arm.n], both[..., arm.n :]
+
+
+def with_last(arm: Arm, body: Inertial) -> Arm:
+    """Return the arm with another body as its last link."""
+    return replace(arm, links=(*arm.links[:-1], replace(arm.links[-1], inertial=body)))
+
+
+def _lengths(arm: Arm) -> Any:
+    """What the numbers of bodies are multiplied by, beside the motion."""
+    return arm.mount, tuple((k.d, k.a, k.alpha, k.beta, k.offset) for k in arm.links)
+
+
+def _columns(x: Array) -> Any:
+    return tuple(np.moveaxis(x, -1, 0))
