@@ -22,7 +22,7 @@ from ves_gym.effects import (
     PayloadMass,
     SensorBias,
 )
-from ves_gym.mechanics.body_numbers import is_body
+from ves_gym.mechanics.body_numbers import PLACES, is_body
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore::ves_gym.simulation.loop_linearisation.EmulationWarning"
@@ -68,6 +68,20 @@ TOOL = PayloadBody(
     mass=2.0, moment=(0.2, 0.1, 0.3), inertia=(0.08, -0.01, 0.115, -0.03, -0.015, 0.065)
 )
 UNWEIGHED = GravityTool(mass=1.2, moment=(0.06, -0.03, 0.18))
+
+
+def test_a_payload_that_sits_a_little_elsewhere_and_extends_is_named_by_its_mass():
+    """3 cm off along two axes and 2 cm wide, where a body of ten numbers explains no more."""
+    place, wide = np.array([0.03, 0.02, -0.03]), 0.02
+    about = (place @ place + 2 * wide**2) * np.eye(3) - np.outer(place, place)
+    hidden = PayloadBody(
+        mass=2.0,
+        moment=tuple(2.0 * place),
+        inertia=tuple(2.0 * about[i, j] for i, j in PLACES),
+    )
+    found = told(hidden)
+    assert named(found) == ["payload/mass"], found.sentence
+    assert found.explanations[0].values == pytest.approx([2.0], rel=0.02)
 
 
 @pytest.mark.slow

@@ -38,6 +38,7 @@ class PayloadBody(ArmEffect):
 
     modes = ("ideal", "emulated")
     port = "joint"
+    within = "payload/mass"
     mass: float = parameter("kg", bounds=(0.0, 50.0))
     moment: Vector = parameter("kg m", bounds=(-20.0, 20.0), shape=(3,))  # mass x centre
     # xx xy yy xz yz zz about the frame's origin

@@ -54,9 +54,9 @@ def test_a_name_that_holds_is_kept(logs):
     assert found.explanations[0].values == pytest.approx(12.0, rel=0.02)
 
 
-@pytest.mark.parametrize(("turns", "kept"), [(1.1, True), (0.9, False)])
-def test_what_repeats_is_named_after_a_period(logs, turns, kept):
-    """Of less of it any curve over the angle is a part: a cable is no ripple."""
+@pytest.mark.parametrize(("turns", "kept"), [(0.7, True), (0.6, False)])
+def test_what_repeats_is_named_after_two_thirds_of_a_period(logs, turns, kept):
+    """Within less neither need turn nor change its curvature: a cable is no ripple."""
     inputs = system_inputs([logs["rubbing", 1], logs["rubbing", 2]], DESCRIBED, final=1)
     residuals = WhitenedResiduals(inputs.machine, inputs.runs)
     coulomb = next(c for c in inputs.candidates if c.name == "joint/coulomb at joint 1")

@@ -21,6 +21,9 @@ _UNSEEN = 1e-3  # of a whitened residual, by all of a number's range
 _TORQUES = ("joint",)  # ports of a law that is a torque at joints, and no more
 _REMEMBERED = 600  # residuals of a port
 _CLEAR = 3.0  # standard deviations from zero
+# What repeats turns and changes its curvature within any half a period: with a margin, so much
+# of one tells it from curves that do neither, such as a spring that hardens.
+_PERIODS = 2 / 3
 _SHARES = tuple(0.7**k for k in range(1, 9))  # of a size that fits best
 _ENOUGH = 0.05  # gain in deviance that is not worth another round
 
@@ -79,11 +82,17 @@ class Fit:
     def is_told(self, i: int) -> bool:
         """Return True if the runs can tell the numbers of the effect in place i.
 
-        No size ended at the edge of its range, and what repeats has been through a period: of
-        less of it any curve is a part.
+        No size ended at the edge of its range, and what repeats has been through so much of a
+        period that it is not a part of any curve.
         """
         seen = self.candidates[i].periods
-        return not self.on_bound(i) and (seen is None or seen(self.values[i]) >= 1)
+        return not self.on_bound(i) and (seen is None or seen(self.values[i]) >= _PERIODS)
+
+    def is_usual(self, i: int) -> bool:
+        """Return True if the effect in place i has its law's usual form, or nearly so."""
+        first = sum(len(c.blurs) for c in self.candidates[:i])
+        shares = self.forms[first : first + len(self.candidates[i].blurs)]
+        return bool((np.abs(shares) <= _CLEAR).all())
 
     def clear(self, i: int) -> Array:
         """Return (k,) which numbers of the effect in place i are clearly not zero."""

@@ -311,8 +311,9 @@ def _candidate_fits(
 ) -> list[Fit]:
     """Return full fits of the best scores beside `reduced`, in place i, best score first.
 
-    Of the best of them also what it is a case of: a score knows neither how a friction builds
-    up nor how it fades, and laws that differ in that alone may have very different ones.
+    Of the best of them also what it is a case of, and what is a case of it: a score knows no
+    other forms of a law (how a friction builds up, where a mass sits), and laws that differ in
+    that alone may have very different ones.
     """
     price = float(np.log(residuals.size))
     scores = signatures.scores(reduced.residual, reduced.tangents, reduced.size)
@@ -337,12 +338,19 @@ def _candidate_fits(
     if out:
         best = min(out, key=lambda f: cost(f, residuals))
         for j in free[seen:]:
-            wider = signatures.candidates[j]
-            if _is_case_of(best.candidates[i], wider):
+            other, found = signatures.candidates[j], best.candidates[i]
+            if _is_case_of(found, other) or _is_case_of(other, found):
                 begin = scores[j].values.copy()
-                begin[wider.factors[0]] = best.values[i][best.candidates[i].factors[0]]
+                begin[other.factors[0]] = best.values[i][found.factors[0]]
                 try_out(j, begin)
-    return out
+    return [f for f in out if not _is_strange_case(f, out, i)]
+
+
+def _is_strange_case(f: Fit, fits: list[Fit], i: int) -> bool:
+    """Return True if a law in place i has an unusual form, and a wider one a usual form."""
+    return not f.is_usual(i) and any(
+        _is_case_of(f.candidates[i], g.candidates[i]) and g.is_usual(i) for g in fits
+    )
 
 
 def _is_case_of(simple: Candidate, candidate: Candidate) -> bool:

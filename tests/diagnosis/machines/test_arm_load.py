@@ -1,0 +1,68 @@
+"""What a measured motion takes, with payloads by columns: Newton-Euler's and Pinocchio's."""
+
+import numpy as np
+import pytest
+
+from tests.arms import planar_arm, six_joint_arm
+from tests.simulation.test_emulation_loop import rnea
+from ves_gym.diagnosis.data.measured_run import Kinematics
+from ves_gym.diagnosis.machines.arm_load import (
+    MeasuredMotion,
+    base_motion,
+    motion_load,
+    weight_torque,
+)
+from ves_gym.effects import PayloadBody, PayloadMass
+from ves_gym.mechanics.body_numbers import numbers_of_body
+from ves_gym.mechanics.gravity import gravity_vector
+from ves_gym.mechanics.puma import PUMA_560
+
+PAYLOADS = {
+    "mass": PayloadMass(mass=2.0, position=(0.1, -0.2, 0.3)),
+    "body": PayloadBody(mass=1.5, moment=(0.1, 0.0, 0.2), inertia=(0.2, 0, 0.3, 0, 0, 0.25)),
+    "extent": PayloadMass.forms[5](PayloadMass(mass=2.0)),
+}
+
+
+def motion(arm, seed=0):
+    """Joints (3, 40, n), and a base (3, 40, 6) that turns fast."""
+    rng = np.random.default_rng(seed)
+    joints = Kinematics(*rng.normal(size=(3, 3, 40, arm.n)))
+    return joints, Kinematics(*(0.3 * rng.normal(size=(3, 3, 40, 6))))
+
+
+@pytest.mark.parametrize("balanced", [True, False], ids=["balanced", "unbalanced"])
+@pytest.mark.parametrize("payload", PAYLOADS.values(), ids=PAYLOADS.keys())
+@pytest.mark.parametrize(
+    "arm", [PUMA_560, planar_arm(), six_joint_arm()], ids=["puma", "planar", "wrist"]
+)
+def test_a_payload_takes_what_the_arm_with_it_takes_more(arm, payload, balanced):
+    joints, base = motion(arm)
+    measured = MeasuredMotion(joints, base.x, base_motion(base), True, balanced)
+    loaded = payload.arm(arm)
+    said, here = (numbers_of_body(k.links[-1].inertial) for k in (arm, loaded))
+    found = [
+        plain + more
+        for plain, more in zip(
+            measured.load(arm), measured.load_of_last(arm, here - said), strict=True
+        )
+    ]
+    tau, wrench = motion_load(loaded, joints, base_motion(base), gravity_vector(base.x))
+    if balanced:
+        tau = tau - weight_torque(loaded, joints.x, base.x)
+    np.testing.assert_allclose(found[0], tau, rtol=0, atol=1e-12 * np.abs(tau).max())
+    np.testing.assert_allclose(found[1], wrench, rtol=0, atol=1e-12 * np.abs(wrench).max())
+    for i in (0, 17, 39):
+        at = (0, i)
+        theirs = rnea(loaded, *(x[at] for x in base), *(x[at] for x in joints))
+        np.testing.assert_allclose(found[1][at], theirs, rtol=0, atol=1e-9)
+
+
+def test_in_space_nothing_weighs():
+    joints, base = motion(PUMA_560, 1)
+    moves = base_motion(base)
+    measured = MeasuredMotion(joints, base.x, moves, False, True)
+    for found, want in zip(
+        measured.load(PUMA_560), motion_load(PUMA_560, joints, moves), strict=True
+    ):
+        np.testing.assert_array_equal(found, want)
