@@ -143,7 +143,7 @@ def solve(
         A = A - _SAFE * noisy
         A = A + _RIDGE * np.diag(np.diag(A) + 1e-30)
         b = share @ noise_xz - weight @ p.xz + (1 - _SAFE) * noisy @ x
-        x = _within(A, b, np.linalg.solve(A, b), lows, highs)
+        x = _within(A, b, np.asarray(np.linalg.solve(A, b), float), lows, highs)
         remaining = p.zz + 2 * p.xz @ x + p.xx @ x @ x
         expected = noise + 2 * noise_xz @ x + noise_xx @ x @ x
         expected = np.maximum(expected, _QUIET * p.n)
