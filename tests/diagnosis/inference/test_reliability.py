@@ -129,6 +129,15 @@ def test_names_of_the_eighth_set_can_be_believed():
     assert (len(withheld), sum(withheld)) == (4, 3)
 
 
+def test_names_of_the_ninth_set_can_be_believed():
+    """Of the diagnosis whose payloads may extend, by its sealed code: no name is wrong."""
+    p, right, exact, withheld, alarms = told_of("ninth")
+    assert (len(p), right.sum(), alarms) == (55, 55, 0)
+    assert np.quantile(exact, 0.05) < calibration_error(p, right) < np.quantile(exact, 0.95)
+    assert (right[p > 0.95].sum(), (p > 0.95).sum()) == (35, 35)
+    assert (len(withheld), sum(withheld)) == (4, 2)
+
+
 def test_what_names_are_not_trusted_with_goes_to_none_of_these():
     believed = {NOTHING: 0.1, "a + c": 0.5, "b + c": 0.2, NONE_OF_THESE: 0.2}
     found = doubting(believed, 0.6)
