@@ -209,6 +209,12 @@ def test_friction_of_a_joint_that_turns_round_quickly_is_that_described(seed):
     assert all(0.9 < g.floor <= 1 + 1e-9 for g in groups)  # logs without noise
 
 
+@pytest.mark.parametrize("seed", [51, pytest.param(87, marks=pytest.mark.slow)])
+def test_joints_rub_by_the_mean_of_a_swing(seed):
+    """A platform that answers steps swings joints within each period, as fast as a creep."""
+    assert told(*case(seed)).verdict == NOTHING
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [409, 412])
 def test_nothing_is_missing_where_it_turns_round_quickly(seed):

@@ -23,6 +23,8 @@ from ves_gym.mechanics.spatial import matvec, rate_matrix
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.system import System
 
+_STEADY = 1e-3  # rad/s: a swing that turns no friction round, a tenth of its creep
+_EVERY = 2  # nodes of a period at which rates are told
 _TERMS, _NOTHING = 30, 1e-16  # of a series, at most; a term that adds nothing
 
 
@@ -33,6 +35,7 @@ class BetweenSamples:
     torque: Array  # (T, n) that motors give [N m]
     rate: Array  # (T, n) of the joints [rad/s]
     reading: Array  # (T, 6) of the wrench on the base, behind the sensor's filter [N, N m]
+    swings: tuple[Array, ...] = ()  # (T, n) each, of the rate inside the period that ends there
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class _Joints:
     """Joints that a servo holds, driven by the platform."""
 
     angle: Array  # (N, n) at the ends of the periods [rad]
-    rate: Array  # (N, n)
+    rates: Array  # (N, k + 1, n) at the nodes
     acceleration: Array  # (N, k + 1, n) at the nodes
 
 
@@ -66,19 +69,25 @@ def between_samples(run: Run, described: System) -> BetweenSamples:
     swing = shaken - _at_nodes(differentiated(pose, run.dt, run.band)[2], shaken.shape[1])
     force, reaction = matvec(mass[:, None], swing), np.zeros_like(pose)
     torque, rate = np.zeros(n), np.zeros(n)
+    swings: tuple[Array, ...] = ()
     if described.drive == "motor":
         push = matvec(coupling[:, None], swing)
         joints = _driven(inner, kp, kd, push, described.physics_dt)
         _, measured_rate, measured = differentiated(joints.angle, run.dt, run.band)
-        torque = -kp * joints.angle - kd * joints.rate - matvec(inner, measured)
-        rate = joints.rate - measured_rate
+        last = joints.rates[:, -1]
+        torque = -kp * joints.angle - kd * last - matvec(inner, measured)
+        rate = last - measured_rate
+        inside = joints.rates - _at_nodes(measured_rate, swing.shape[1])
+        if np.abs(inside).max() > _STEADY:
+            swings = tuple(inside[:, :-1:_EVERY].swapaxes(0, 1))
         force = force + matvec(across[:, None], joints.acceleration)
         reaction = matvec(across, measured)
     settings = described.emulator_settings
     p = LoopParameters.nominal(described.arm, settings, 1).edited(described)
     cutoff = float(p.sensor.cutoff[0])
     true = _filtered(force, cutoff, described.physics_dt)
-    return BetweenSamples(torque, rate, butterworth(reaction, cutoff, run.dt) - true)
+    reading = butterworth(reaction, cutoff, run.dt) - true
+    return BetweenSamples(torque, rate, reading, swings)
 
 
 def _at_nodes(x: Array, nodes: int) -> Array:
@@ -118,7 +127,7 @@ def _driven(inner: Array, kp: Array, kd: Array, push: Array, h: float) -> _Joint
             out[k, j + 1] = state = hold @ state + forced[j]
     angle, rate = out[..., :n], out[..., n:]
     acceleration: Array = drive - matvec(inverse[:, None], kp * angle + kd * rate)
-    return _Joints(angle[:, -1], rate[:, -1], acceleration)
+    return _Joints(angle[:, -1], rate, acceleration)
 
 
 def _exponential(A: Array) -> Array:

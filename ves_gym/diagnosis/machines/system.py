@@ -64,6 +64,7 @@ _N, _M = ("N",) * 3 + ("N m",) * 3, ("m",) * 3 + ("rad",) * 3
 # coordinates, and what the computer takes in and gives out is known to the last digit.
 _FLOOR = {"admittance": 8e-3}
 _LEAST = 1e-3
+_SWUNG = 0.3  # of what a platform that swings within each period takes from joints: not known
 _TURNS_OVER = 0.4  # of the band: what of a torque decides on which side teeth lie
 _OF_THE_SERVO = (*COMMANDED, "q", "tau", "controller")  # what its port needs
 _NO_TURN = 3.0  # standard deviations of noise about which a torque moves no teeth
@@ -211,7 +212,10 @@ class SystemMachine:
         size = np.asarray(signal.std(axis=-2))
         kinds = np.array_split(size, max(1, len(size) // 3))  # forces and moments apart
         share = _FLOOR.get(port, _LEAST)
-        return share * np.concatenate([np.full(len(k), max(k.max(), 1e-12)) for k in kinds])
+        least = share * np.concatenate([np.full(len(k), max(k.max(), 1e-12)) for k in kinds])
+        if port != "joint":
+            return least
+        return np.hypot(least, _SWUNG * self._between(run).torque.std(axis=0))
 
     def rings(self, runs: Sequence[Run], frequency: float) -> bool:
         """Return True if the system as described rings at a frequency."""
@@ -340,17 +344,24 @@ class SystemMachine:
         """
         q, v = run.joints.x, run.turning_rate
         effects, most = model.system.effects, self.system.arm.column("tau_max")
+        between = self._between(run)
         remembered = remembered_friction(run, effects)
 
+        def law(effects: Sequence[Effect], v: Array, tau: Array) -> Array:
+            # joints that swing within a period rub by the mean of it
+            rates = [v + swing for swing in between.swings] or [v]
+            each = (joint_torque(effects, q, rate, tau, most) for rate in rates)
+            return np.asarray(sum(each) / len(rates))
+
         def laws(tau: Array) -> Array:
-            out = joint_torque(effects, q, v, tau, most) + remembered
+            out = law(effects, v, tau) + remembered
             for p in model.presliding:
-                law = joint_torque([p.effect], q, p.sliding(v), tau, most)
-                out = out + p.built_up(law, v, run.dt)
+                built_up = p.built_up(law([p.effect], p.sliding(v), tau), v, run.dt)
+                out = out + built_up
             return out
 
         every = (*effects, *(p.effect for p in model.presliding))
-        needed = self._load(run, model.system)[0] + self._between(run).torque
+        needed = self._load(run, model.system)[0] + between.torque
         if self.system.mode == "ideal" and "w" in run:
             needed = needed + self._seen_in_torque(run, model.system)
         balance = torque_residual(run["tau"], needed, every, laws)
