@@ -102,40 +102,27 @@ def test_names_of_the_fifth_set_are_about_as_probable_as_they_say():
     assert (right[p > 0.95].sum(), (p > 0.95).sum()) == (9, 10)
 
 
-def test_names_of_the_sixth_set_can_be_believed():
-    """Of the diagnosis whose cases state what is exact, by its sealed code."""
-    p, right, exact, withheld, alarms = told_of("sixth")
-    assert (len(p), right.sum(), alarms) == (35, 32, 0)
-    assert np.quantile(exact, 0.05) < calibration_error(p, right) < np.median(exact)
-    assert right[p > 0.95].all() and (p > 0.95).sum() == 15
-    assert (len(withheld), sum(withheld)) == (7, 1)
+@pytest.mark.parametrize(
+    ("which", "counts", "most", "above", "held"),
+    [
+        ("sixth", (35, 32, 0), 0.5, (15, 15), (7, 1)),
+        ("seventh", (43, 40, 1), 0.5, (27, 28), (1, 1)),
+        ("eighth", (43, 41, 0), 0.5, (31, 32), (4, 3)),
+        ("ninth", (55, 55, 0), 0.95, (35, 35), (4, 2)),
+    ],
+)
+def test_names_of_later_sets_can_be_believed(which, counts, most, above, held):
+    """By the code sealed with each.
 
-
-def test_names_of_the_seventh_set_can_be_believed():
-    """Of the diagnosis that knows what the controller asked, by its sealed code."""
-    p, right, exact, withheld, alarms = told_of("seventh")
-    assert (len(p), right.sum(), alarms) == (43, 40, 1)
-    assert np.quantile(exact, 0.05) < calibration_error(p, right) < np.median(exact)
-    assert (right[p > 0.95].sum(), (p > 0.95).sum()) == (27, 28)
-    assert (len(withheld), sum(withheld)) == (1, 1)
-
-
-def test_names_of_the_eighth_set_can_be_believed():
-    """Of the diagnosis that fits through the forms of its laws, by its sealed code."""
-    p, right, exact, withheld, alarms = told_of("eighth")
-    assert (len(p), right.sum(), alarms) == (43, 41, 0)
-    assert np.quantile(exact, 0.05) < calibration_error(p, right) < np.median(exact)
-    assert (right[p > 0.95].sum(), (p > 0.95).sum()) == (31, 32)
-    assert (len(withheld), sum(withheld)) == (4, 3)
-
-
-def test_names_of_the_ninth_set_can_be_believed():
-    """Of the diagnosis whose payloads may extend, by its sealed code: no name is wrong."""
-    p, right, exact, withheld, alarms = told_of("ninth")
-    assert (len(p), right.sum(), alarms) == (55, 55, 0)
-    assert np.quantile(exact, 0.05) < calibration_error(p, right) < np.quantile(exact, 0.95)
-    assert (right[p > 0.95].sum(), (p > 0.95).sum()) == (35, 35)
-    assert (len(withheld), sum(withheld)) == (4, 2)
+    Names, right ones and alarms; right of those above 0.95, and those; withheld, and right ones
+    of these. `most` is a quantile of the error that exact probabilities would have.
+    """
+    p, right, exact, withheld, alarms = told_of(which)
+    assert (len(p), right.sum(), alarms) == counts
+    low, high = np.quantile(exact, (0.05, most))
+    assert low < calibration_error(p, right) < high
+    assert (right[p > 0.95].sum(), (p > 0.95).sum()) == above
+    assert (len(withheld), sum(withheld)) == held
 
 
 def test_what_names_are_not_trusted_with_goes_to_none_of_these():
