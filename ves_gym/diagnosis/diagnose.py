@@ -136,7 +136,7 @@ class Diagnosis(Viewable):
     beliefs: dict[str, float] = field(default_factory=dict)  # of all hypotheses; their sum is 1
     unnamed: Fit | None = None  # regression of what has no name, where one holds
     tolerances: float = 1.0  # most probable size of the description's errors, in those stated
-    withheld: tuple[Explanation, ...] = ()  # names that are more often wrong than right
+    withheld: tuple[Explanation, ...] = ()  # names that are not right often enough
 
     def __repr__(self) -> str:
         return f"<Diagnosis: {self.sentence}>"
@@ -193,9 +193,11 @@ class Diagnosis(Viewable):
     def _verdict_in_words(self) -> str:
         names = " and ".join(_named(f) for f in self.explanations)
         why = "".join(f"; {f.sentence}" for f in self.faults)
-        withheld = [f.candidate.name for f in self.withheld]
+        withheld = [
+            f"{f.candidate.name} ({100 * f.reliability:.0f} %)" for f in self.withheld
+        ]
         doubt = (
-            f" Not named, as evidence like that for it is more often wrong than right:"
+            " Not named, as of names with such evidence too few are right:"
             f" {_abbreviated(withheld)}."
         )
         doubt = doubt if withheld else ""

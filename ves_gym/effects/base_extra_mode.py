@@ -64,18 +64,22 @@ class BaseExtraMode(BaseEffect):
 
             yield placed(cls, axis, numbers, fields)
 
-    def base(self, base: BaseModel) -> BaseModel:
-        """One oscillator more."""
-        if not self.mass:
-            return base
+    @property
+    def oscillator(self) -> Oscillator:
+        """The mass on its spring."""
         rate = 2 * np.pi * self.frequency
         way: Array = np.array(self.direction) / np.linalg.norm(self.direction)
-        oscillator = Oscillator(
+        return Oscillator(
             mass=self.mass,
             stiffness=self.mass * rate**2,
             damping=2 * self.damping_ratio * self.mass * rate,
             direction=tuple(way.tolist()),
         )
-        mode = InternalModes.of((oscillator,))
+
+    def base(self, base: BaseModel) -> BaseModel:
+        """One oscillator more."""
+        if not self.mass:
+            return base
+        mode = InternalModes.of((self.oscillator,))
         internal = mode if base.internal is None else base.internal.joined(mode)
         return replace(base, internal=internal)

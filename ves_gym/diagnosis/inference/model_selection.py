@@ -26,6 +26,7 @@ _OTHERS, _EXCHANGES = 3, 4  # tried in a place on the way; exchanges at the end
 _COMPUTED = ("base/stiffness", "base/virtual_mass", "base/damping")
 _EVALUATED = ("admittance",)  # ports that compare a computer's law with what it gave out
 _HOPELESS = 30.0  # cost by which a screen's runner-up is not worth a full fit
+_VALLEYS = 4  # of the starts of a law that its vehicle answers to, the first left out
 Report = Callable[[str], None]
 
 
@@ -326,6 +327,9 @@ def _candidate_fits(
         extended = (*reduced.candidates[:i], candidate, *reduced.candidates[i:])
         start = (*reduced.values[:i], begin, *reduced.values[i:])
         tried = fit(residuals, extended, start)
+        for other in _other_valleys(candidate, tried.values[i]):
+            again = fit(residuals, extended, (*tried.values[:i], other, *tried.values[i + 1 :]))
+            tried = min(tried, again, key=lambda f: f.deviance)
         if _is_told(residuals, tried, i) and _acts_long_enough(residuals, tried, i):
             out.append(tried)
 
@@ -344,6 +348,20 @@ def _candidate_fits(
                 begin[other.factors[0]] = best.values[i][found.factors[0]]
                 try_out(j, begin)
     return [f for f in out if not _is_strange_case(f, out, i)]
+
+
+def _other_valleys(candidate: Candidate, values: Array) -> list[Array]:
+    """Return other numbers from which a law whose vehicle answers to it is to be fitted.
+
+    A heavy mode splits a vehicle's own in two, and either half may be taken for the new one:
+    which it is a score of a light one does not tell.
+    """
+    if "base" not in candidate.ports or len(candidate.starts) < _VALLEYS:
+        return []
+    every = np.array(candidate.starts)
+    out = every[np.linspace(0, len(every) - 1, _VALLEYS).round().astype(int)[1:]]
+    out[:, candidate.factors] = values[list(candidate.factors)]
+    return list(out)
 
 
 def _is_strange_case(f: Fit, fits: list[Fit], i: int) -> bool:

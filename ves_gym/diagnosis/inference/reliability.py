@@ -24,10 +24,10 @@ from ves_gym.diagnosis.inference.model_selection import (
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 
 NEEDED = 35.0  # deviance at which names begin to be given
-COMPUTED = 18 / 19  # of names of what a computer evaluates: 17 of 17 (rule of succession)
-DOUBT = 0.5  # reliability below which a name is withheld
+COMPUTED = 19 / 20  # of names of what a computer evaluates: 18 of 18 (rule of succession)
+DOUBT = 0.65  # reliability below which a name is withheld
 USUAL = 20.0  # strain of a description that is right
-EVEN, GAIN, STRAIN = -1.10, 1.26, -1.02  # log odds: there; per e-fold of either
+EVEN, GAIN, STRAIN = 0.36, 0.91, -0.50  # log odds: there; per e-fold of either
 
 
 def gain(residuals: WhitenedResiduals, f: Fit, i: int) -> float:
@@ -75,7 +75,7 @@ def without(
     Args:
         selection: the answer.
         residuals: of the runs fitted.
-        places: of names that are more often wrong than right.
+        places: of names that are not right often enough.
         right: reliability of the name in every place.
     """
     for i in sorted(places, reverse=True):

@@ -53,6 +53,23 @@ def _deflection(torque: Array, k: float, c: float, half: float) -> Array:
 
 
 @njit(cache=True)
+def stepped(step: Array, pushes: Array, begin: Array) -> Array:
+    """Return the states (m, T, n) of x[t + 1] = step x[t] + pushes[t].
+
+    Args:
+        step: (n, n).
+        pushes: (m, T, n).
+        begin: (m, n) the first states.
+    """
+    out = np.empty_like(pushes)
+    for row in range(pushes.shape[0]):
+        out[row, 0] = begin[row]
+        for t in range(pushes.shape[1] - 1):
+            out[row, t + 1] = step @ out[row, t] + pushes[row, t]
+    return out
+
+
+@njit(cache=True)
 def follow(law: Array, part: Array) -> Array:
     """Return rows that go a part of the way to their law in every sample.
 

@@ -49,12 +49,14 @@ from ves_gym.diagnosis.machines.torque_balance import (
     winding_noise,
     windings,
 )
+from ves_gym.diagnosis.machines.vehicle_answer import answering_force
 from ves_gym.diagnosis.machines.vehicle_force import InnerStart, inner_sizes, vehicle_gap
-from ves_gym.effects import JointMemory
+from ves_gym.effects import BaseExtraMode, JointMemory
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.body_numbers import numbers_of_body
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
 from ves_gym.mechanics.spatial import AXES
+from ves_gym.mechanics.vehicle import InternalModes
 from ves_gym.system.deviations import Delays, LoopParameters
 from ves_gym.system.effect import BaseEffect, Effect, TorqueEffect, joint_torque
 from ves_gym.system.system import System
@@ -307,7 +309,7 @@ class SystemMachine:
         residual_of = {
             "wrench": self._wrench,
             "gravity": self._gravity,
-            "base": lambda run, system: vehicle_gap(run, system.actual.base),
+            "base": lambda run, system: self._base(run, system)[0],
         }
         out = {
             name: np.stack([residual_of[name](run, system) for system in systems])
@@ -327,11 +329,12 @@ class SystemMachine:
                 direction = self._to_wrench[:, path.channel]
                 out["wrench"][k] -= path.of(run)[:, None] * direction
             for start in model.starts:
-                force = start.force(run, model.system.actual.base)
+                known = _without_new_modes(model.system)[0]
+                force = start.force(run, known.actual.base)
                 if "base" in ports:
                     out["base"][k] += force
                 if "wrench" in ports:
-                    out["wrench"][k] -= self._seen_in_wrench(run, model.system, force)
+                    out["wrench"][k] -= self._seen_in_wrench(run, known, force)
         return out
 
     # ------------------------------------------------------------------- arm
@@ -379,8 +382,8 @@ class SystemMachine:
         """Sensor reading less the arm's wrench (..., T, 6)."""
         wrench = self._load(run, system)[1]
         if system.mode == "ideal":
-            force = vehicle_gap(run, system.actual.base)
-            return np.asarray(run["w"] - wrench - self._seen_in_wrench(run, system, force))
+            force, known = self._base(run, system)
+            return np.asarray(run["w"] - wrench - self._seen_in_wrench(run, known, force))
         return np.asarray(run["w"] - self._sensed(system, wrench, self._between(run), run.dt))
 
     def _seen_in_torque(self, run: Run, system: System) -> Array:
@@ -394,11 +397,26 @@ class SystemMachine:
             _forget(seen)
         return seen[key]  # type: ignore[no-any-return]
 
+    def _base(self, run: Run, system: System) -> tuple[Array, System]:
+        """Return the arm's wrench less what moves the vehicle (..., T, 6).
+
+        Modes that are no part of a vehicle's own model answer to the wrench; the rest moves as
+        measured. That is returned, too: the pose's noise shows through it alone.
+        """
+        known, new = _without_new_modes(system)
+        base = known.actual.base
+        if new is None:
+            return vehicle_gap(run, base), known
+        gaps, key = _memoized(run, "beside new modes", dict), _moved(system)
+        if key not in gaps:
+            gaps[key] = vehicle_gap(run, base) + answering_force(run, base, new)
+            _forget(gaps)
+        return gaps[key], known
+
     def _seen_in_wrench(self, run: Run, system: System, force: Array) -> Array:
         """Return what the pose's noise does at port `wrench`, by a residual at port `base`."""
         actual = system.actual
-        moved = tuple(e for e in system.effects if isinstance(e, BaseEffect))
-        return self._pose_noise(run).in_wrench(actual.arm, moved, actual.base, force)
+        return self._pose_noise(run).in_wrench(actual.arm, _moved(system), actual.base, force)
 
     def _pose_noise(self, run: Run) -> PoseNoise:
         """Estimates of what the noise of the measured pose does in mode ideal."""
@@ -536,6 +554,20 @@ def _forget(remembered: dict[Any, Any], most: int = _LOADS) -> None:
     """Drop the oldest of what is remembered but for the first, the description's own."""
     if len(remembered) > most:
         del remembered[list(remembered)[1]]
+
+
+def _moved(system: System) -> tuple[BaseEffect, ...]:
+    """Effects of a system that make its base another."""
+    return tuple(e for e in system.effects if isinstance(e, BaseEffect))
+
+
+def _without_new_modes(system: System) -> tuple[System, InternalModes | None]:
+    """Return a system without modes that are no part of its vehicle's own model, and those."""
+    new = [e for e in system.effects if isinstance(e, BaseExtraMode) and e.mass]
+    if not new:
+        return system, None
+    rest = tuple(e for e in system.effects if not isinstance(e, BaseExtraMode))
+    return system.replace(effects=rest), InternalModes.of(tuple(e.oscillator for e in new))
 
 
 def _compensates(system: System) -> bool:

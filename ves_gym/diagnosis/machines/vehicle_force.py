@@ -24,7 +24,7 @@ def vehicle_gap(run: Run, base: BaseModel) -> Array:
         run: with y and w.
         base: the vehicle.
     """
-    turn, force = run.derived("along rates", ("y", "w"), lambda: _along_rates(run))
+    turn, force = along_rates(run)
     y, yd, ydd = run.base
     force = force - (ydd @ base.M.T + yd @ base.D.T + y @ base.K.T)
     if base.body is not None:
@@ -32,7 +32,7 @@ def vehicle_gap(run: Run, base: BaseModel) -> Array:
     if base.drag is not None:
         force = force - base.drag * np.abs(yd) * yd
     if base.internal is not None:
-        force = force + _force_of(base.internal, _driven(base.internal, run), yd)
+        force = force + force_of_states(base.internal, _driven(base.internal, run), yd)
     return np.asarray(force)
 
 
@@ -62,10 +62,21 @@ def _internal(modes: InternalModes, w: Array) -> Array:
     return np.asarray((P * modes.omega**2) @ e - lost)
 
 
-def _along_rates(run: Run) -> tuple[Array, Array]:
-    """Return the map from wrenches to forces along rates, and the measured force."""
-    turn = np.swapaxes(rate_matrix(run.base.x), -1, -2)
-    return turn, matvec(turn, run["w"])
+def along_rates(run: Run) -> tuple[Array, Array]:
+    """Return the map from wrenches to forces along rates, and the measured force.
+
+    Args:
+        run: with y and w.
+
+    Returns:
+        (..., T, 6, 6) and (..., T, 6).
+    """
+
+    def make() -> tuple[Array, Array]:
+        turn = np.swapaxes(rate_matrix(run.base.x), -1, -2)
+        return turn, matvec(turn, run["w"])
+
+    return run.derived("along rates", ("y", "w"), make)
 
 
 @dataclass(frozen=True)
@@ -91,7 +102,7 @@ class InnerStart:
         value, vector = np.linalg.eig(_free(modes) * run.dt)
         share = np.linalg.inv(vector)[:, self.state]
         states = (np.exp(value * np.arange(len(still))[:, None]) * share) @ vector.T
-        return _force_of(modes, states.real, still)
+        return force_of_states(modes, states.real, still)
 
 
 def inner_sizes(run: Run, modes: InternalModes) -> Array:
@@ -116,8 +127,14 @@ def _driven(modes: InternalModes, run: Run) -> Array:
     return _states(modes, yd * begun, ydd * begun, run.dt)
 
 
-def _force_of(modes: InternalModes, states: Array, yd: Array) -> Array:
-    """Force (..., T, 6) of internal modes in states (..., T, 2 m)."""
+def force_of_states(modes: InternalModes, states: Array, yd: Array) -> Array:
+    """Return the force (..., T, 6) of internal modes on their base.
+
+    Args:
+        modes: m of them.
+        states: (..., T, 2 m) their ways against the base, then their rates.
+        yd: (..., T, 6) rates of the base.
+    """
     m, P, C = modes.m, modes.coupling, modes.damping
     rate = states[..., m:] + yd @ P
     lost = yd @ C[:6, :6].T + rate @ C[:6, 6:].T
