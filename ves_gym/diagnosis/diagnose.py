@@ -193,9 +193,7 @@ class Diagnosis(Viewable):
     def _verdict_in_words(self) -> str:
         names = " and ".join(_named(f) for f in self.explanations)
         why = "".join(f"; {f.sentence}" for f in self.faults)
-        withheld = [
-            f"{f.candidate.name} ({100 * f.reliability:.0f} %)" for f in self.withheld
-        ]
+        withheld = [f"{f.candidate.name} ({100 * f.reliability:.0f} %)" for f in self.withheld]
         doubt = (
             " Not named, as of names with such evidence too few are right:"
             f" {_abbreviated(withheld)}."

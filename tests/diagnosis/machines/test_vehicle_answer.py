@@ -1,4 +1,4 @@
-"""An unknown mode answers the wrench measured: against SciPy, under noise, and in a diagnosis."""
+"""An unknown mode answers the wrench measured: against SciPy, in noise, and in a diagnosis."""
 
 import dataclasses
 
@@ -22,7 +22,12 @@ M = np.diag([420.0, 420.0, 420.0, 160.0, 160.0, 120.0])
 K = np.diag([90e3, 120e3, 240e3, 90e3, 110e3, 60e3])
 D = 0.05 * 2 * np.sqrt(K * M)
 BASE = BaseModel(M, D, K)
-RIDER = dict(mass=300.0, frequency=3.27, damping_ratio=0.02, direction=(0.0, 1.0, 0.0))
+RIDER = {
+    "mass": 300.0,
+    "frequency": 3.27,
+    "damping_ratio": 0.02,
+    "direction": (0.0, 1.0, 0.0),
+}
 NOISE = 5e-5  # m and rad, of the pose
 STD = {"q": 1.5e-4, "v": 2e-3, "tau": 0.4, "y": NOISE, "w": 0.3}
 TONES = ((0.7, 60.0, 0.3), (1.9, 25.0, 1.1), (3.1, 15.0, 2.0))  # Hz, N, rad
