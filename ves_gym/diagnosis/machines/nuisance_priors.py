@@ -29,6 +29,7 @@ from ves_gym.effects import (
     SensorLag,
 )
 from ves_gym.mechanics.gravity import GravityModel, minimal_model
+from ves_gym.mechanics.vehicle import altered
 from ves_gym.system.effect import Effect
 from ves_gym.system.system import System
 
@@ -120,7 +121,11 @@ def _nuisances(system: System) -> Iterator[Nuisance | None]:
         for rate in _INNER:
             mode = BaseExtraMode(mass=1.0, frequency=rate, direction=way)
             name = f"inner mode along {axis} near {rate:g} Hz"
-            yield effect(name, _at_base(system), 1.0, _RESIDUAL, mode)
+            tolerance = effect(name, _at_base(system), 1.0, _RESIDUAL, mode)
+            if tolerance is not None and system.mode == "ideal":
+                own = altered(system.vehicle, mode.base(system.base))
+                tolerance = dataclasses.replace(tolerance, model=system.replace(vehicle=own))
+            yield tolerance
     for what, kind in (
         ("stiffness", BaseStiffness),
         ("mass", BaseVirtualMass),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -556,9 +556,9 @@ def _forget(remembered: dict[Any, Any], most: int = _LOADS) -> None:
         del remembered[list(remembered)[1]]
 
 
-def _moved(system: System) -> tuple[BaseEffect, ...]:
-    """Effects of a system that make its base another."""
-    return tuple(e for e in system.effects if isinstance(e, BaseEffect))
+def _moved(system: System) -> Hashable:
+    """What makes a system's base the one that it is."""
+    return system.vehicle, tuple(e for e in system.effects if isinstance(e, BaseEffect))
 
 
 def _without_new_modes(system: System) -> tuple[System, InternalModes | None]:
