@@ -12,11 +12,11 @@ from ves_gym.diagnosis.diagnose import NAMED, NOTHING, UNKNOWN, diagnose
 from ves_gym.diagnosis.excitation import excitation_motions
 from ves_gym.diagnosis.inference import held_back
 from ves_gym.diagnosis.inference.fit import fit, fit_residual
-from ves_gym.diagnosis.inference.held_back import losses
+from ves_gym.diagnosis.inference.held_back import gaps, losses
 from ves_gym.diagnosis.inference.model_selection import Selection, without_untold
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.inputs import system_inputs
-from ves_gym.mechanics.vehicle import DECOUPLED
+from ves_gym.mechanics.vehicle import DECOUPLED, MatrixVehicle
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.system import System
 
@@ -173,3 +173,39 @@ def test_noise_that_draws_foretell_contradicts_no_name(
     monkeypatch.setattr(held_back, "limits_of", lambda groups: (np.array([np.inf]), None))
     last = SimpleNamespace(groups=())
     assert (held_back._contradiction(last, 0, 1) > held_back.LOSS) == contradicts
+
+
+@pytest.mark.parametrize(
+    ("pose", "times", "worse"), [(2e-4, 1, False), (5e-5, 1, False), (5e-5, 3, True)]
+)
+def test_noise_that_an_effect_passes_on_makes_no_channel_worse(pose, times, worse):
+    """Seven times the damping multiplies the noise of a pose: more is left, all of it noise.
+
+    Three times as large as it is the same effect leaves more than its noise.
+    """
+    M, K = np.diag([420.0] * 3 + [160.0] * 3), np.diag([120e3] * 3 + [90e3] * 3)
+    D = 0.05 * 2 * np.sqrt(K * M)
+    vehicle = MatrixVehicle(M=M.tolist(), D=D.tolist(), K=K.tolist(), source="this test")
+    described = System(vehicle=vehicle)
+    damped = described.replace(effects=(E.BaseDamping(error=6.0),))
+    noise = {"y": pose, "w": 0.3, "q": 1e-4, "tau": 0.3}
+    noisy_logs = []
+    for seed in (1, 2):
+        log, rng = recorded(damped, seed), np.random.default_rng(seed)
+        read = {k: getattr(log, k) for k in noise}
+        parts = {k: x + noise[k] * rng.standard_normal(x.shape) for k, x in read.items()}
+        stated = {k: [s] * read[k].shape[1] for k, s in noise.items()}
+        meta = {**log.meta, "system": described.to_dict(), "noise_std": stated}
+        noisy_logs.append(replace(log, meta=meta, **parts))
+    inputs = system_inputs(noisy_logs, described, final=1)
+    candidate = next(c for c in inputs.candidates if c.kind == "base/damping")
+    fitted, last = (WhitenedResiduals(inputs.machine, k) for k in (inputs.runs, inputs.final))
+    null = fit(fitted, (), ())
+    found = fit(fitted, (candidate,), (np.array([6.0]),))
+    assert found.values[0][0] > 3
+    found = replace(found, values=(times * found.values[0],))
+    there = [g for g in gaps(last, found, null, False) if g.port == "base"]
+    print([tuple(np.round((g.before, g.after, g.noise), 2)) for g in there])
+    more = any(g.after > 1.05 * max(g.before, 1.0) for g in there)
+    assert more == (pose > 1e-4 or worse)
+    assert any(g.surely_worse for g in there) == worse

@@ -8,6 +8,7 @@ length, and one that is not there, or has numbers of its own in every run, loses
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,7 @@ from ves_gym.diagnosis.inference.variance_groups import (
     limits_of,
     sizes,
 )
-from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
+from ves_gym.diagnosis.inference.whitened_residuals import VarianceGroup, WhitenedResiduals
 
 CLEAR = (
     100.0  # gain on the runs fitted that is no chance, though runs held back have none of it
@@ -43,11 +44,12 @@ class Gap:
     before_interval: tuple[float, float] = (0.0, np.inf)  # 95 %
     after_interval: tuple[float, float] = (0.0, np.inf)
     ratio_interval: tuple[float, float] = (0.0, np.inf)  # of after over before, or over noise
+    noise: float = 1.0  # that is expected after: what the effects pass on of it may be more
 
     @property
     def ratio(self) -> float:
         """After over before, or over noise where that is more."""
-        return self.after / max(self.before, 1.0)
+        return self.after / max(self.before, self.noise)
 
     @property
     def worse(self) -> bool:
@@ -79,7 +81,10 @@ def gaps(
             count = sum(g.n for g in groups)
             sums = [np.concatenate(stretches(residuals, groups, x)) for x in remainders]
             rms = [float(np.sqrt(s.sum() / count)) for s in sums]
-            out.append(Gap(port.name, channel, rms[0], rms[1], *intervals(count, sums)))
+            passed_on = float(group_squares(residuals, remainders[1], groups)[2].sum())
+            noise = max(float(np.sqrt(passed_on / count)), 1.0)
+            old, new, ratio = intervals(count, sums, noise)
+            out.append(Gap(port.name, channel, rms[0], rms[1], old, new, ratio, noise))
     return tuple(out)
 
 
@@ -189,17 +194,23 @@ def likeliness(last: WhitenedResiduals, remainders: Array) -> float:
     return deviance(n, likely_sizes(n, squares, noise, *limits_of(last.groups)))
 
 
-def group_squares(last: WhitenedResiduals, remainders: Array) -> tuple[Array, Array, Array]:
+def group_squares(
+    last: WhitenedResiduals,
+    remainders: Array,
+    groups: Sequence[VarianceGroup] | None = None,
+) -> tuple[Array, Array, Array]:
     """Return counts, squares and the squares that noise alone would have (G,) of the groups.
 
     Args:
         last: residuals of runs held back.
         remainders: (N,) what is left of them.
+        groups: some of theirs; all by default.
     """
-    n = np.array([g.n for g in last.groups], float)
-    squares = np.array([remainders[g.part] @ remainders[g.part] for g in last.groups])
+    groups = last.groups if groups is None else groups
+    n = np.array([g.n for g in groups], float)
+    squares = np.array([remainders[g.part] @ remainders[g.part] for g in groups])
     noise = n.copy()
-    for k, g in enumerate(last.groups):
+    for k, g in enumerate(groups):
         for part in g.copies:
             usual = last.null[part]
             noise[k] += float(remainders[part] @ remainders[part] - usual @ usual) / len(

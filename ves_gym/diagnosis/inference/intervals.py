@@ -46,13 +46,14 @@ def stretches(
 
 
 def intervals(
-    count: int, sums: Sequence[Array], seed: int = 0
+    count: int, sums: Sequence[Array], least: float = 1.0, seed: int = 0
 ) -> tuple[tuple[float, float], ...]:
     """Return 95 % intervals of root mean squares, and of the last over the first.
 
     Args:
         count: numbers in all.
         sums: (b,) sums of squares of the same stretches, of each quantity.
+        least: that the last is compared with, be the first as small as it may.
         seed: of the draws.
 
     Returns:
@@ -61,7 +62,7 @@ def intervals(
     b = len(sums[0])
     draws = np.random.default_rng(seed).integers(0, b, (_DRAWS, b))
     identity = np.arange(b)[None]
-    estimates, resampled = (_sizes(count, sums, rows) for rows in (identity, draws))
+    estimates, resampled = (_sizes(count, sums, rows, least) for rows in (identity, draws))
     wide = scipy.stats.t.ppf((1 + _SURE) / 2, b - 1) * np.sqrt(b / (b - 1))
     out = []
     for size, replicates in zip(estimates, resampled, strict=True):
@@ -71,7 +72,7 @@ def intervals(
     return tuple(out)
 
 
-def _sizes(count: int, sums: Sequence[Array], rows: Index) -> list[Array]:
+def _sizes(count: int, sums: Sequence[Array], rows: Index, least: float) -> list[Array]:
     """(d,) root mean squares of stretches drawn (d, b), and the last over the first."""
     sizes = [np.sqrt(s[rows].sum(axis=1) / count) for s in sums]
-    return [*sizes, sizes[-1] / np.maximum(sizes[0], 1.0)]
+    return [*sizes, sizes[-1] / np.maximum(sizes[0], least)]
