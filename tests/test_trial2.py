@@ -353,3 +353,24 @@ def test_play_is_named_under_noise(index: int, tmp_path: Path) -> None:
     print(label["effects"], given["verdict"], given.get("names"))
     assert label["kinds"] == ("joint/backlash",)
     assert scoring.judge(label, given) == "right"
+
+
+def test_modes_of_the_tenth_set_are_all_that_it_has_and_named() -> None:
+    """Those on vehicles that are held, of numbers not answered otherwise; drawn by its salt."""
+    found = json.loads((HERE / "docs" / "diagnosis-trial2-modes.json").read_text("utf-8"))
+    salt = (HERE / "docs" / "trial2-salt-10.txt").read_text("utf-8").strip()
+    drawn = [cases.draw(salt, k) for k in range(84, 600)]
+    expected = [
+        c
+        for c in drawn
+        if "base/extra_mode" in c.kinds and machines.VEHICLES[c.vehicle]["kind"] != "satellite"
+    ]
+    assert [c.index for c in expected] == [k["index"] for k in found["labels"]]
+    named = {}
+    for code in ("before", "sealed"):
+        given = [found[code][f"{k['index']:03d}"] for k in found["labels"]]
+        for label, answer in zip(found["labels"], given, strict=True):
+            assert scoring.judge(label, answer) == answer["judged"]
+        kinds = [{n["kind"] for n in answer["names"]} for answer in given]
+        named[code] = sum("base/extra_mode" in k for k in kinds)
+    assert named == {"before": 5, "sealed": 9}

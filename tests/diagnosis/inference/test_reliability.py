@@ -109,6 +109,7 @@ def test_names_of_the_fifth_set_are_about_as_probable_as_they_say():
         ("seventh", (43, 40, 1), 0.5, (27, 28), (1, 1)),
         ("eighth", (43, 41, 0), 0.5, (31, 32), (4, 3)),
         ("ninth", (55, 55, 0), 0.95, (35, 35), (4, 2)),
+        ("tenth", (53, 51, 0), 0.95, (25, 25), (2, 1)),
     ],
 )
 def test_names_of_later_sets_can_be_believed(which, counts, most, above, held):
