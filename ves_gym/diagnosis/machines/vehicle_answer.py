@@ -11,6 +11,8 @@ docs/diagnosis.md).
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import scipy
 
@@ -28,16 +30,12 @@ def answering_force(run: Run, known: BaseModel, new: InternalModes) -> Array:
 
     Args:
         run: with y and w.
-        known: the vehicle without them.
+        known: the vehicle without them, which is no body that turns.
         new: the modes.
     """
     internal = new if known.internal is None else known.internal.joined(new)
-    whole = BaseModel(known.M, known.D, known.K, known.body, internal=internal)
-    turn, force = along_rates(run)
-    M, D, K = whole.full()
-    if known.body is not None:
-        lever = turn.reshape(-1, 6, 6).mean(axis=0)
-        M[:6, :6] += lever @ known.body.spatial() @ lever.T - whole.rigid()
+    _, force = along_rates(run)
+    M, D, K = replace(known, internal=internal).full()
     states = _answer(run, M, D, K, internal.coupling, force)
     n, m = len(M), new.m
     yd, way = states[..., n : n + 6], states[..., n - m : n] - states[..., :6] @ new.coupling
