@@ -409,7 +409,7 @@ class SystemMachine:
             return vehicle_gap(run, base), known
         gaps, key = _memoized(run, "beside new modes", dict), _moved(system)
         if key not in gaps:
-            gaps[key] = vehicle_gap(run, base) + answering_force(run, base, new)
+            gaps[key] = vehicle_gap(run, base) + answering_force(run, system.actual.base, new)
             _forget(gaps)
         return gaps[key], known
 

@@ -11,8 +11,6 @@ docs/diagnosis.md).
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import scipy
 
@@ -25,31 +23,32 @@ _ORDER = 4  # coefficients of a cubic
 _SURE = 1e-9  # of a coordinate's size: noise is no less
 
 
-def answering_force(run: Run, known: BaseModel, new: InternalModes) -> Array:
+def answering_force(run: Run, whole: BaseModel, new: InternalModes) -> Array:
     """Return the force of unknown modes on a vehicle that answers the wrench (..., T, 6).
 
     Args:
         run: with y and w.
-        known: the vehicle without them, which is no body that turns.
+        whole: the vehicle with them, last of its modes, and no body that turns. A drag that
+            grows with the rate is left out of its answer.
         new: the modes.
     """
-    internal = new if known.internal is None else known.internal.joined(new)
     _, force = along_rates(run)
-    M, D, K = replace(known, internal=internal).full()
-    states = _answer(run, M, D, K, internal.coupling, force)
-    n, m = len(M), new.m
+    states = _answer(run, whole, force)
+    n, m = states.shape[-1] // 2, new.m
     yd, way = states[..., n : n + 6], states[..., n - m : n] - states[..., :6] @ new.coupling
     rate = states[..., 2 * n - m :] - yd @ new.coupling
     return force_of_states(new, np.concatenate([way, rate], axis=-1), yd)
 
 
-def _answer(run: Run, M: Array, D: Array, K: Array, coupling: Array, force: Array) -> Array:
+def _answer(run: Run, whole: BaseModel, force: Array) -> Array:
     """Return the states (..., T, 2 n) of M x'' + D x' + K x = force on the first six.
 
     The vehicle begins as is nearest to the pose measured, its modes at rest beside it.
     """
     from ves_gym.diagnosis.machines.recursions import stepped  # numba takes a second to load
 
+    M, D, K = whole.full()
+    coupling = np.zeros((6, 0)) if whole.internal is None else whole.internal.coupling
     n, size = len(M), run.length
     inverse = np.linalg.inv(M)
     # exact for the spline through the force: its derivatives are states that nothing drives
