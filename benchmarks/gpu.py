@@ -1,12 +1,15 @@
 """Physics and environment steps a second on a GPU, n = 1,024 to 65,536, and PPO fed from them.
 
-`python -m benchmarks.gpu` on a machine with a GPU: our kernel against MuJoCo Warp. Without one
-it says so and runs few simulations on Warp's CPU device, against the kernel.
+`python -m benchmarks.gpu` on a machine with a GPU: our kernel against MuJoCo Warp and MJX where
+they are installed, on the base of one body that those can simulate, and alone on `bent` with
+its internal modes. Without a GPU it says so and runs few simulations on Warp's CPU device,
+against the kernel.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import math
 import time
@@ -25,12 +28,14 @@ from ves_gym.engine.backends.base import BackendWarning
 from ves_gym.engine.backends.registry import make_backend
 from ves_gym.engine.kernel.warp_code import load_warp
 from ves_gym.envs.device import DeviceVectorEnv
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
 
 SIZES = (1_024, 4_096, 16_384, 65_536)
 FEW = (64, 256)  # without a GPU
 PERIODS = 20  # control periods that are timed at once
 RUNS = 5
+FIRST = 10  # periods whose copies are counted
 
 
 def engine(name: str, system: System, n: int) -> Any:
@@ -64,24 +69,41 @@ def ours(name: str, system: System, n: int) -> Callable[[], None]:
 
 
 def mujoco_warp(system: System, n: int) -> Callable[[], None]:
-    """The same steps of MuJoCo Warp, captured as a CUDA graph."""
+    """The same steps of MuJoCo Warp, one captured as a CUDA graph.
+
+    A graph of a whole period is refused by a driver of CUDA 13.0: "invalid argument".
+    """
     backend = engine("warp", system, n)
     backend._load()
     wp, package = backend._warp, backend._engine
     device = wp.get_device()
-
-    def period() -> None:
-        for _ in range(system.substeps):
-            package.step(backend._model, backend._data)
-
-    period()  # compiles
+    for _ in range(3):
+        package.step(backend._model, backend._data)  # compiles
     with wp.ScopedCapture() as capture:
-        period()
+        package.step(backend._model, backend._data)
 
     def work() -> None:
-        for _ in range(PERIODS):
+        for _ in range(PERIODS * system.substeps):
             wp.capture_launch(capture.graph)
         wp.synchronize_device(device)
+
+    return work
+
+
+def mjx(system: System, n: int) -> Callable[[], None]:
+    """The same steps of MJX, a control period a launch, states kept on the device."""
+    backend = engine("mjx", system, n)
+    jax = importlib.import_module("jax")
+    put = jax.numpy.asarray
+    bias, push = put(backend._bias), put(backend._push)
+    slopes = put(np.zeros((n, system.substeps, backend.host.nu)))
+    start = tuple(put(part) for part in (backend._q, backend._v, backend._act))
+
+    def work() -> None:
+        state = start
+        for _ in range(PERIODS):
+            state = backend._rollout(bias, *state, push, slopes)
+        jax.block_until_ready(state)
 
     return work
 
@@ -113,8 +135,9 @@ def steps_per_second(work: Callable[[], None], system: System, n: int) -> tuple[
 def environment(n: int, device: str) -> tuple[float, float]:
     """Steps a second of PumaRestToRest, and how often a step copies to the host.
 
-    Random actions; a whole episode and more, so that ends and beginnings are in it. Counted
-    by torch's profiler, on a GPU only; expected: one, the number of episodes that ended.
+    Random actions; a whole episode and more, so that ends and beginnings are in it. Copies
+    are counted in the first periods, where none ends, by torch's profiler, on a GPU only;
+    expected: one, the number of episodes that ended. Where some did there are two more.
     """
     env = DeviceVectorEnv(n, "rest_to_rest", device=device, starts=2)
     env.reset(seed=0)
@@ -135,11 +158,14 @@ def environment(n: int, device: str) -> tuple[float, float]:
     if not gpu:
         return rate, math.nan
     activities = [torch.profiler.ProfilerActivity.CUDA]
+    env.reset(seed=0)
     with torch.profiler.profile(activities=activities) as profile:
-        work()
-    copied = [e for e in profile.events() if "Memcpy DtoH" in e.name]
-    print(f"           {len(copied) / steps:.1f} copies to the host per step")
-    return rate, len(copied) / steps
+        for _ in range(FIRST):
+            env.step(actions)
+        torch.cuda.synchronize()
+    copied = sum("Memcpy DtoH" in e.name for e in profile.events()) / FIRST
+    print(f"           {copied:.1f} copies to the host per step in which no episode ends")
+    return rate, copied
 
 
 def training(n: int, device: str, updates: int) -> Progress:
@@ -151,29 +177,33 @@ def training(n: int, device: str, updates: int) -> Progress:
 
 def report(sizes: tuple[int, ...]) -> dict[str, Any]:
     """Measure and print."""
-    system, results = System(), {}
+    system, whole, results = System(vehicle=BENT_THESIS), System(), {}
     wp = load_warp()
     device = wp.get_device()
     print(f"Warp {wp.config.version}, {device.name if device.is_cuda else 'CPU device'}")
-    missing = lacking("the comparison", "mujoco_warp")
     where = str(wp.device_to_torch(device))
-    compared = device.is_cuda and not missing
-    if device.is_cuda and missing:
-        print(missing)
+    others = {"mujoco warp": (mujoco_warp, "mujoco_warp"), "mjx": (mjx, "mujoco.mjx")}
+    for name, (_, module) in list(others.items()):
+        missing = lacking("the comparison", module)
+        if missing or not device.is_cuda:
+            del others[name]
+        if missing and device.is_cuda:
+            print(missing)
     for n in sizes:
         row: dict[str, float] = {}
         for name in ("gpu-kernel", "gpu-kernel-float32"):
             row[name], first = steps_per_second(ours(name, system, n), system, n)
             row[f"{name} first"] = first
-        if compared:
-            row["mujoco warp"], _ = steps_per_second(mujoco_warp(system, n), system, n)
+        row["gpu-kernel, bent"], _ = steps_per_second(ours("gpu-kernel", whole, n), whole, n)
+        for name, (make, _) in others.items():
+            row[name], row[f"{name} first"] = steps_per_second(make(system, n), system, n)
         if not device.is_cuda:
             row["kernel"], _ = steps_per_second(kernel(system, n), system, n)
         rates = ", ".join(f"{k} {v:,.0f}" for k, v in row.items() if "first" not in k)
         print(f"n = {n:<6} physics steps/s: {rates}")
-        if compared:
-            ratio = row["gpu-kernel"] / row["mujoco warp"]
-            print(f"           {ratio:.1f} x MuJoCo Warp, in double precision")
+        for name in others:
+            double, single = (row[k] / row[name] for k in ("gpu-kernel", "gpu-kernel-float32"))
+            print(f"           {double:.1f} x {name} in float64, {single:.1f} x in float32")
         row["environment"], row["copies"] = environment(n, where)
         print(f"           {row['environment']:,.0f} environment steps/s (PumaRestToRest)")
         results[f"n{n}"] = row

@@ -1,4 +1,4 @@
-"""`DeviceVectorEnv` on Warp's CPU device against `VesVectorEnv`: the same episodes."""
+"""`DeviceVectorEnv` against `VesVectorEnv`: the same episodes, on a GPU where there is one."""
 
 import numpy as np
 import pytest
@@ -15,6 +15,9 @@ import torch
 from ves_gym.envs.device import DeviceVectorEnv
 
 N = 6
+DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
+ROUNDED = 5e-7  # an observation rounds to float32, by one unit of which two devices may differ
+SAME = 0.0 if DEVICE == "cpu" else ROUNDED
 CASES = {
     "rest_to_rest": {"duration": 0.5},
     "reach": {"duration": 1.0},
@@ -29,25 +32,32 @@ CASES = {
 
 def pair(task, precision="float64", **settings):
     """The same task on the device, and in NumPy and the kernel."""
-    ours = DeviceVectorEnv(N, task, device="cpu", starts=12, precision=precision, **settings)
+    ours = DeviceVectorEnv(N, task, device=DEVICE, starts=12, precision=precision, **settings)
     theirs = VesVectorEnv(N, task, autoreset_mode="SameStep", threads=1, **settings)
     return ours, theirs
+
+
+def on_host(told):
+    """What a step tells, as tensors of the host; its dictionary too."""
+    *tensors, info = told
+    return *(k.cpu() for k in tensors), {
+        k: v.cpu() if torch.is_tensor(v) else v for k, v in info.items()
+    }
 
 
 def compare(ours, theirs, tolerance=1e-9, seed=5):
     """Two episodes and a bit under the same actions, some out of bounds; how many ended."""
     seen, _ = ours.reset(seed=seed)
     wanted, _ = theirs.reset(seed=seed)
-    np.testing.assert_array_equal(seen, wanted)
+    np.testing.assert_allclose(seen.cpu(), wanted, rtol=0, atol=SAME)
     rng, ended = np.random.default_rng(0), 0
     for k in range(2 * ours.task.steps + 5):
         action = rng.uniform(-1.3, 1.3, (N, ours.single_action_space.shape[0]))
         if k > ours.task.steps:
             action[:2] = 1.0  # pushes on, to a joint limit if there is time
-        seen, reward, *over, info = ours.step(torch.from_numpy(action))
+        seen, reward, *over, info = on_host(ours.step(torch.from_numpy(action).to(DEVICE)))
         wanted, reference, *ends, known = theirs.step(action)
-        # an observation rounds to float32, by one unit of which two engines may differ
-        np.testing.assert_allclose(seen, wanted, rtol=0, atol=max(tolerance, 5e-7))
+        np.testing.assert_allclose(seen, wanted, rtol=0, atol=max(tolerance, ROUNDED))
         np.testing.assert_allclose(reward, reference, rtol=tolerance, atol=tolerance)
         np.testing.assert_array_equal(over, ends)
         np.testing.assert_array_equal(info["success"], known["success"])
@@ -55,7 +65,7 @@ def compare(ours, theirs, tolerance=1e-9, seed=5):
             rows = known["_final_obs"]
             np.testing.assert_array_equal(info["_final_obs"], rows)
             final = info["final_obs"][rows], known["final_obs"][rows]
-            np.testing.assert_allclose(*final, rtol=0, atol=max(tolerance, 5e-7))
+            np.testing.assert_allclose(*final, rtol=0, atol=max(tolerance, ROUNDED))
             energies = (k["energy/E_mean"][rows] for k in (info, known))
             np.testing.assert_allclose(*energies, rtol=max(tolerance, 1e-8))
             ended += rows.sum()
@@ -68,7 +78,7 @@ def test_episodes_are_those_of_the_vector_environment():
     assert compare(ours, theirs) >= 2 * N
     first, _ = ours.reset(seed=5)
     again, _ = theirs.reset(seed=5)
-    np.testing.assert_array_equal(first, again)
+    np.testing.assert_allclose(first.cpu(), again, rtol=0, atol=SAME)
 
 
 @pytest.mark.slow
@@ -107,14 +117,14 @@ def test_single_precision():
 
 def test_tensors_are_the_device_s_memory():
     """No copy between Warp and torch; what was handed out is the caller's."""
-    env = DeviceVectorEnv(3, "rest_to_rest", device="cpu", starts=3, duration=0.5)
+    env = DeviceVectorEnv(3, "rest_to_rest", device=DEVICE, starts=3, duration=0.5)
     rows = env.rows
     assert rows.view(rows.simulations.x).data_ptr() == rows.simulations.x.ptr
     first, _ = env.reset(seed=1)
     kept = first.clone()
-    seen, reward, *_ = env.step(torch.ones((3, 3)))
+    seen, reward, *_ = env.step(torch.ones((3, 3), device=DEVICE))
     after = seen.clone(), reward.clone()
-    env.step(torch.ones((3, 3)))
+    env.step(torch.ones((3, 3), device=DEVICE))
     assert torch.equal(first, kept)
     assert torch.equal(seen, after[0])
     assert torch.equal(reward, after[1])
@@ -122,7 +132,7 @@ def test_tensors_are_the_device_s_memory():
 
 def test_beginnings_go_round():
     """With one each, simulation i then begins as i + 1 did, and in the end as at first."""
-    env = DeviceVectorEnv(3, "rest_to_rest", device="cpu", starts=1, duration=0.5)
+    env = DeviceVectorEnv(3, "rest_to_rest", device=DEVICE, starts=1, duration=0.5)
     first, _ = env.reset(seed=1)
     second, _ = env.reset()
     assert torch.equal(second, first.roll(-1, 0))
@@ -144,16 +154,16 @@ def test_beginnings_go_round():
 )
 def test_what_it_cannot_do_is_refused(settings, message):
     with pytest.raises(ParameterError, match=message):
-        DeviceVectorEnv(2, "rest_to_rest", device="cpu", **settings)
+        DeviceVectorEnv(2, "rest_to_rest", device=DEVICE, **settings)
 
 
 def test_misuse_is_refused():
-    env = DeviceVectorEnv(2, "rest_to_rest", device="cpu", starts=2, duration=0.5)
+    env = DeviceVectorEnv(2, "rest_to_rest", device=DEVICE, starts=2, duration=0.5)
     with pytest.raises(Exception, match="call reset before step"):
-        env.step(torch.zeros((2, 3)))
+        env.step(torch.zeros((2, 3), device=DEVICE))
     env.reset(seed=0)
     with pytest.raises(ParameterError, match=r"actions must have shape \(2, 3\), got \(2, 4\)"):
-        env.step(torch.zeros((2, 4)))
+        env.step(torch.zeros((2, 4), device=DEVICE))
     with pytest.raises(ParameterError, match="no options"):
         env.reset(options={"q": 0})
 
@@ -167,7 +177,7 @@ def test_a_policy_learns_on_the_device():
     torch.set_num_threads(1)  # small matrices: more threads wait for each other
     try:
         settings = {"starts": 4, "precision": "float32", "duration": 1.0}
-        env = DeviceVectorEnv(64, "lqr", device="cpu", **settings)
+        env = DeviceVectorEnv(64, "lqr", device=DEVICE, **settings)
         _, progress = train(env, 40, settings=Settings(horizon=40))
     finally:
         torch.set_num_threads(threads)
