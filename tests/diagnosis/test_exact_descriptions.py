@@ -216,6 +216,12 @@ def test_joints_rub_by_the_mean_of_a_swing(seed):
 
 
 @pytest.mark.slow
+def test_legs_are_where_they_stand_when_the_vehicle_rings():
+    """phi_z swings by 0.04 rad at 2.4 Hz, of which bending rods read 0.5 % less."""
+    assert told(*case(183)).verdict == NOTHING
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [409, 412])
 def test_nothing_is_missing_where_it_turns_round_quickly(seed):
     assert told(*case(seed)).verdict == NOTHING
