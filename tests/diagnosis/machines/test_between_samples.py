@@ -98,12 +98,12 @@ def test_joints_follow_a_push_as_their_equation_says():
         rate, (0, 40 * h), np.zeros(4), rtol=1e-10, atol=1e-14, max_step=h / 4,
         t_eval=h * np.arange(1, 41),
     )  # fmt: skip
-    np.testing.assert_allclose(found.angle, at.y[:2, 3::4].T, rtol=0, atol=1e-10)
-    rates = found.rates[:, 1:].reshape(40, 2)
+    np.testing.assert_allclose(found.x[:, -1], at.y[:2, 3::4].T, rtol=0, atol=1e-10)
+    rates = found.v[:, 1:].reshape(40, 2)
     np.testing.assert_allclose(rates, at.y[2:].T, rtol=0, atol=1e-8)
-    np.testing.assert_array_equal(found.rates[1:, 0], found.rates[:-1, -1])
+    np.testing.assert_array_equal(found.v[1:, 0], found.v[:-1, -1])
     np.testing.assert_allclose(
-        found.acceleration[-1, -1], rate(40 * h, at.y[:, -1])[2:], rtol=0, atol=1e-5
+        found.a[-1, -1], rate(40 * h, at.y[:, -1])[2:], rtol=0, atol=1e-5
     )
 
 

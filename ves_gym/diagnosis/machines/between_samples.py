@@ -15,15 +15,17 @@ import scipy
 
 from ves_gym._util.params import Array
 from ves_gym._util.signals import differentiated
-from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.data.measured_run import Kinematics, Run
+from ves_gym.diagnosis.machines.arm_load import Load, MeasuredMotion, base_motion
 from ves_gym.diagnosis.machines.platform import ridden
 from ves_gym.hardware.force_sensor import low_pass
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.spatial import matvec, rate_matrix
+from ves_gym.mechanics.spatial import matvec
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.system import System
 
 _STEADY = 1e-3  # rad/s: a swing that turns no friction round, a tenth of its creep
+_ROUNDS = 3  # of what the swing itself changes
 _EVERY = 2  # nodes of a period at which rates are told
 _TERMS, _NOTHING = 30, 1e-16  # of a series, at most; a term that adds nothing
 
@@ -38,15 +40,6 @@ class BetweenSamples:
     swings: tuple[Array, ...] = ()  # (T, n) each, of the rate inside the period that ends there
 
 
-@dataclass(frozen=True)
-class _Joints:
-    """Joints that a servo holds, driven by the platform."""
-
-    angle: Array  # (N, n) at the ends of the periods [rad]
-    rates: Array  # (N, k + 1, n) at the nodes
-    acceleration: Array  # (N, k + 1, n) at the nodes
-
-
 def between_samples(run: Run, described: System) -> BetweenSamples:
     """Return what the platform's swing does between the samples of a log; zeros if unknown.
 
@@ -58,36 +51,69 @@ def between_samples(run: Run, described: System) -> BetweenSamples:
     path = ridden(run, described) if described.mode == "emulated" and "y_cmd" in run else None
     if path is None:
         return BetweenSamples(np.zeros(n), np.zeros(n), np.zeros(6))
-    pose, shaken = path
-    H = inertia(described.arm, run["q"].reshape(-1, run.length, n)[0])
-    turn = rate_matrix(pose)
-    mass, across, inner = H[:, :6, :6] @ turn, H[:, :6, 6:], H[:, 6:, 6:]
-    coupling = np.swapaxes(across, -1, -2) @ turn
+    at_samples = path.x[:, -1], run["q"].reshape(-1, run.length, n)[0]
+    smooth, joints = (_smooth(x, run, path.x.shape[1]) for x in at_samples)
+    torque, swing = np.zeros(n), Kinematics(*(np.zeros_like(x) for x in joints))
+    swings: tuple[Array, ...] = ()
+    if described.drive == "motor":
+        torque, swing = _giving_way(run, described, joints, (smooth, path))
+        if np.abs(swing.v).max() > _STEADY:
+            swings = tuple(swing.v[:, :-1:_EVERY].swapaxes(0, 1))
+    swung = _load(described, _sum(joints, swing), path)[1]
+    wrench = swung - _load(described, joints, smooth)[1]
+    settings = described.emulator_settings
+    p = LoopParameters.nominal(described.arm, settings, 1).edited(described)
+    reading = _filtered(wrench, float(p.sensor.cutoff[0]), described.physics_dt)
+    return BetweenSamples(torque, swing.v[:, -1], reading, swings)
+
+
+def _giving_way(
+    run: Run, described: System, joints: Kinematics, bases: tuple[Kinematics, Kinematics]
+) -> tuple[Array, Kinematics]:
+    """Return the servos' answer to the platform's swing (T, n), and the swing of the joints.
+
+    The equation of `_driven` has the mean inertia of each period. What inertia changes within
+    it, and what joints do that swing, follow in rounds.
+
+    Args:
+        run, described: see `between_samples`.
+        joints: their smooth motion at the nodes.
+        bases: the platform's smooth motion at the nodes, and the true one.
+    """
+    n, nodes = described.arm.n, joints.x.shape[1]
     kp, kd = (np.zeros(n) for _ in range(2))
     if "controller" in run:
         kp, kd = (np.array(run.meta["controller"][k], float) for k in ("kp", "kd"))
-    swing = shaken - _at_nodes(differentiated(pose, run.dt, run.band)[2], shaken.shape[1])
-    force, reaction = matvec(mass[:, None], swing), np.zeros_like(pose)
-    torque, rate = np.zeros(n), np.zeros(n)
-    swings: tuple[Array, ...] = ()
-    if described.drive == "motor":
-        push = matvec(coupling[:, None], swing)
-        joints = _driven(inner, kp, kd, push, described.physics_dt)
-        _, measured_rate, measured = differentiated(joints.angle, run.dt, run.band)
-        last = joints.rates[:, -1]
-        torque = -kp * joints.angle - kd * last - matvec(inner, measured)
-        rate = last - measured_rate
-        inside = joints.rates - _at_nodes(measured_rate, swing.shape[1])
-        if np.abs(inside).max() > _STEADY:
-            swings = tuple(inside[:, :-1:_EVERY].swapaxes(0, 1))
-        force = force + matvec(across[:, None], joints.acceleration)
-        reaction = matvec(across, measured)
-    settings = described.emulator_settings
-    p = LoopParameters.nominal(described.arm, settings, 1).edited(described)
-    cutoff = float(p.sensor.cutoff[0])
-    true = _filtered(force, cutoff, described.physics_dt)
-    reading = butterworth(reaction, cutoff, run.dt) - true
-    return BetweenSamples(torque, rate, reading, swings)
+    inner = inertia(described.arm, joints.x)[..., 6:, 6:]
+    mean = inner.mean(axis=1)
+    smooth, true = bases
+    still, moved = _load(described, joints, smooth)[0], joints
+    rest = np.zeros(())
+    for _ in range(_ROUNDS):
+        push = _load(described, moved, true)[0] - still + rest
+        given = _driven(mean, kp, kd, push, described.physics_dt)
+        slow = _smooth(given.x[:, -1], run, nodes)
+        swing = Kinematics(*(x - y for x, y in zip(given, slow, strict=True)))
+        moved = Kinematics(joints.x + swing.x, joints.v + swing.v, joints.a)
+        rest = matvec(inner - mean[:, None], given.a)
+    torque = -kp * given.x[:, -1] - kd * given.v[:, -1] - matvec(inner, slow.a)[:, -1]
+    return torque, swing
+
+
+def _load(described: System, joints: Kinematics, base: Kinematics) -> Load:
+    """Torque (T, k + 1, n) and wrench (T, k + 1, 6) of a motion at the nodes."""
+    balanced = described.emulator_settings.joint_balance
+    motion = MeasuredMotion(joints, base.x, base_motion(base), True, balanced)
+    return motion.load(described.arm)
+
+
+def _sum(first: Kinematics, second: Kinematics) -> Kinematics:
+    return Kinematics(*(x + y for x, y in zip(first, second, strict=True)))
+
+
+def _smooth(x: Array, run: Run, nodes: int) -> Kinematics:
+    """Return the smooth motion through samples (T, c) at the nodes of each period."""
+    return Kinematics(*(_at_nodes(k, nodes) for k in differentiated(x, run.dt, run.band)))
 
 
 def _at_nodes(x: Array, nodes: int) -> Array:
@@ -100,7 +126,7 @@ def _at_nodes(x: Array, nodes: int) -> Array:
     return np.asarray(spline(np.maximum(instants, 0)), dtype=np.float64)
 
 
-def _driven(inner: Array, kp: Array, kd: Array, push: Array, h: float) -> _Joints:
+def _driven(inner: Array, kp: Array, kd: Array, push: Array, h: float) -> Kinematics:
     """Return how joints move that start from rest: inner r'' + kd r' + kp r = -push.
 
     Args:
@@ -127,7 +153,7 @@ def _driven(inner: Array, kp: Array, kd: Array, push: Array, h: float) -> _Joint
             out[k, j + 1] = state = hold @ state + forced[j]
     angle, rate = out[..., :n], out[..., n:]
     acceleration: Array = drive - matvec(inverse[:, None], kp * angle + kd * rate)
-    return _Joints(angle[:, -1], rate, acceleration)
+    return Kinematics(angle, rate, acceleration)
 
 
 def _exponential(A: Array) -> Array:

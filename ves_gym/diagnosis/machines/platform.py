@@ -9,7 +9,7 @@ import numpy as np
 from ves_gym._util.array_functions import NUMPY
 from ves_gym._util.params import Array
 from ves_gym._util.signals import differentiated
-from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.data.measured_run import Kinematics, Run
 from ves_gym.diagnosis.machines.admittance import sent_rates
 from ves_gym.diagnosis.machines.controller_signals import on_its_clock
 from ves_gym.diagnosis.machines.platform_response import (
@@ -55,7 +55,7 @@ def followed(run: Run, described: System) -> set[str]:
     return {"y", "y_cmd", *(("w", "weight", "q") if _knows_rates(run, described) else ())}
 
 
-def ridden(run: Run, described: System) -> tuple[Array, Array] | None:
+def ridden(run: Run, described: System) -> Kinematics | None:
     """Return how the platform as described follows a log's commands; None on another clock.
 
     Args:
@@ -63,15 +63,15 @@ def ridden(run: Run, described: System) -> tuple[Array, Array] | None:
         described: the system.
 
     Returns:
-        Pose (T, 6) at the samples, and acceleration (T, k + 1, 6) at the nodes of the period
-        that ends at each, such that lines between them lead from pose to pose.
+        (T, k + 1, 6) at the nodes of the period that ends at each sample; lines between the
+        accelerations lead from pose to pose.
     """
     if not on_its_clock(run, described):
         return None
     return run.derived("ridden", followed(run, described), lambda: _ridden(run, described))
 
 
-def _ridden(run: Run, described: System) -> tuple[Array, Array]:
+def _ridden(run: Run, described: System) -> Kinematics:
     settings = described.emulator_settings
     p = LoopParameters.nominal(described.arm, settings, 1).edited(described)
     first = Run(
@@ -92,7 +92,7 @@ def _ridden(run: Run, described: System) -> tuple[Array, Array]:
     path = {k: np.stack([part[k] for part in parts]) for k in ("y", "yd", "ydd")}
     begin_of = {f"{k}_engine": path[k][:, 0] for k in ("y", "yd")}
     moved = EngineInput(platforms.shape).step(NUMPY, {}, {}, {**path, **begin_of})[1]
-    return path["y"][:, -1], moved["acceleration"]
+    return Kinematics(path["y"], path["yd"], moved["acceleration"])
 
 
 def _start(run: Run, p: LoopParameters, system: System, m: int) -> tuple[Array, Array, Array]:
