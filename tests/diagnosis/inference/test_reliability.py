@@ -111,6 +111,7 @@ def test_names_of_the_fifth_set_are_about_as_probable_as_they_say():
         ("eighth", (43, 41, 0), 0.5, (31, 32), (4, 3)),
         ("ninth", (55, 55, 0), 0.95, (35, 35), (4, 2)),
         ("tenth", (53, 51, 0), 0.95, (25, 25), (2, 1)),
+        ("eleventh", (35, 34, 0), 0.95, (22, 22), (0, 0)),
     ],
 )
 def test_names_of_later_sets_can_be_believed(which, counts, most, above, held):
