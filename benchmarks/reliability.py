@@ -9,7 +9,7 @@ cases that have one are left alone. `fit` prints the constants of the diagnosis
 (`inference/reliability.py`), and how well such constants do on cases left out, one after the
 other. The names that those are from are in docs/diagnosis-reliability.jsonl: of the fourth and
 fifth set of trial 2 by the code of the sixth, most before a name cost its choice, of the
-seventh to tenth by the code sealed with them.
+seventh to ninth by the code sealed with them.
 """
 
 from __future__ import annotations

@@ -149,7 +149,7 @@ def test_names_given_are_mostly_right_and_none_is_an_alarm():
     names = read_names(COUNTED)
     right = np.array([n["right"] for n in names])
     withheld = left_out(names) < DOUBT
-    assert (right & withheld).sum() <= 10 < 255 == right.sum()
+    assert (right & withheld).sum() <= 9 < 203 == right.sum()
     assert right[~withheld].mean() > 0.95 > 0.6 > right[withheld].mean()
     cases = [n["case"].split("/") for n in names]
     nulls = [categories_of(which)[int(number)] == "null" for which, number in cases]
