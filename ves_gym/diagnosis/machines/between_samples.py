@@ -53,14 +53,15 @@ def between_samples(run: Run, described: System) -> BetweenSamples:
         return BetweenSamples(np.zeros(n), np.zeros(n), np.zeros(6))
     at_samples = path.x[:, -1], run["q"].reshape(-1, run.length, n)[0]
     smooth, joints = (_smooth(x, run, path.x.shape[1]) for x in at_samples)
+    still = _load(described, joints, smooth)
     torque, swing = np.zeros(n), Kinematics(*(np.zeros_like(x) for x in joints))
     swings: tuple[Array, ...] = ()
     if described.drive == "motor":
-        torque, swing = _giving_way(run, described, joints, (smooth, path))
+        torque, swing = _giving_way(run, described, joints, path, still[0])
         if np.abs(swing.v).max() > _STEADY:
             swings = tuple(swing.v[:, :-1:_EVERY].swapaxes(0, 1))
-    swung = _load(described, _sum(joints, swing), path)[1]
-    wrench = swung - _load(described, joints, smooth)[1]
+    whole = Kinematics(*(x + y for x, y in zip(joints, swing, strict=True)))
+    wrench = _load(described, whole, path)[1] - still[1]
     settings = described.emulator_settings
     p = LoopParameters.nominal(described.arm, settings, 1).edited(described)
     reading = _filtered(wrench, float(p.sensor.cutoff[0]), described.physics_dt)
@@ -68,7 +69,7 @@ def between_samples(run: Run, described: System) -> BetweenSamples:
 
 
 def _giving_way(
-    run: Run, described: System, joints: Kinematics, bases: tuple[Kinematics, Kinematics]
+    run: Run, described: System, joints: Kinematics, path: Kinematics, still: Array
 ) -> tuple[Array, Kinematics]:
     """Return the servos' answer to the platform's swing (T, n), and the swing of the joints.
 
@@ -78,7 +79,8 @@ def _giving_way(
     Args:
         run, described: see `between_samples`.
         joints: their smooth motion at the nodes.
-        bases: the platform's smooth motion at the nodes, and the true one.
+        path: the platform's true motion there.
+        still: (T, k + 1, n) torque along its smooth one [N m].
     """
     n, nodes = described.arm.n, joints.x.shape[1]
     kp, kd = (np.zeros(n) for _ in range(2))
@@ -86,11 +88,9 @@ def _giving_way(
         kp, kd = (np.array(run.meta["controller"][k], float) for k in ("kp", "kd"))
     inner = inertia(described.arm, joints.x)[..., 6:, 6:]
     mean = inner.mean(axis=1)
-    smooth, true = bases
-    still, moved = _load(described, joints, smooth)[0], joints
-    rest = np.zeros(())
+    moved, rest = joints, np.zeros(())
     for _ in range(_ROUNDS):
-        push = _load(described, moved, true)[0] - still + rest
+        push = _load(described, moved, path)[0] - still + rest
         given = _driven(mean, kp, kd, push, described.physics_dt)
         slow = _smooth(given.x[:, -1], run, nodes)
         swing = Kinematics(*(x - y for x, y in zip(given, slow, strict=True)))
@@ -105,10 +105,6 @@ def _load(described: System, joints: Kinematics, base: Kinematics) -> Load:
     balanced = described.emulator_settings.joint_balance
     motion = MeasuredMotion(joints, base.x, base_motion(base), True, balanced)
     return motion.load(described.arm)
-
-
-def _sum(first: Kinematics, second: Kinematics) -> Kinematics:
-    return Kinematics(*(x + y for x, y in zip(first, second, strict=True)))
 
 
 def _smooth(x: Array, run: Run, nodes: int) -> Kinematics:
