@@ -355,6 +355,29 @@ def test_play_is_named_under_noise(index: int, tmp_path: Path) -> None:
     assert scoring.judge(label, given) == "right"
 
 
+@pytest.mark.slow
+def test_a_spring_that_hardens_is_named_with_its_stiffness(tmp_path: Path) -> None:
+    """Case 67 of the tenth set, whose sealed code answered `joint/backlash`."""
+    salt = (HERE / "docs" / "trial2-salt-10.txt").read_text("utf-8").strip()
+    label = write.write_case(salt, 67, tmp_path / "case")
+    given = scoring.answer(tmp_path / "case", tmp_path / "answer")
+    found = json.loads((tmp_path / "answer" / "answer.json").read_text("utf-8"))["effects"]
+    print(label["effects"], found)
+    assert scoring.judge(label, given) == "right"
+    true = label["effects"][0]["size"]  # rad/(N m), where it is hardly wound up
+    assert found[0]["value"]["compliance"] == pytest.approx(true, rel=0.03)  # 8 % if linear
+
+
+@pytest.mark.slow
+def test_pressed_teeth_have_one_name(tmp_path: Path) -> None:
+    """Case 26 of the eleventh set; answered with Coulomb friction beside that of the load."""
+    salt = (HERE / "docs" / "trial2-salt-11.txt").read_text("utf-8").strip()
+    label = write.write_case(salt, 26, tmp_path / "case")
+    given = scoring.answer(tmp_path / "case", tmp_path / "answer")
+    print(label["effects"], given["names"])
+    assert scoring.judge(label, given) == "right"
+
+
 def test_modes_of_the_tenth_set_are_all_that_it_has_and_named() -> None:
     """Those on vehicles that are held, of numbers not answered otherwise; drawn by its salt."""
     found = json.loads((HERE / "docs" / "diagnosis-trial2-modes.json").read_text("utf-8"))

@@ -22,7 +22,10 @@ _DRAWN = 6  # motions for each that is chosen
 _MARGIN = 0.9  # of every limit
 _TEMPI = (0.2, 0.45, 0.8)  # of the speed limit, in turn along a motion
 _REST = (0.15, 0.5)  # s between two moves
-_SHORTEST, _LONGEST = 0.6, 2.5  # s, of a move
+_SPANS = (0.6, 2.5)  # s, of a move
+_BRISK, _BRISK_SPANS = (0.9,), (0.15, 0.6)  # tempo and spans of moves that bring out torque
+_PUSH, _BRISK_PUSH = 0.6, 0.9  # of the joint's largest acceleration
+_CONTROLS, _BRISK_CONTROLS = 8, 16  # of a motion, per second
 _REACH = 0.6  # of the joint's range that way-points are drawn from
 _SAMPLES = 101  # of a motion where its information is computed
 _STICTION = 0.05  # rad/s over which the column of Coulomb friction changes sign
@@ -72,17 +75,20 @@ def excitation_motions(
     return chosen
 
 
-def drawn_motion(arm: Arm, duration: float, rng: np.random.Generator) -> Motion:
+def drawn_motion(
+    arm: Arm, duration: float, rng: np.random.Generator, brisk: bool = False
+) -> Motion:
     """Draw one sequence of moves and rests inside 0.9 of all limits.
 
     Args:
         arm: with its limits.
         duration: [s].
         rng: of the draw.
+        brisk: short moves, as sharp as the joints allow: they bring out the motors' limits.
     """
     t = _clock(duration)
-    q = np.stack([_moves(arm, j, t, rng) for j in range(arm.n)], axis=1)
-    return within_limits(arm, q, duration)
+    q = np.stack([_moves(arm, j, t, rng, brisk) for j in range(arm.n)], axis=1)
+    return within_limits(arm, q, duration, _BRISK_CONTROLS if brisk else _CONTROLS)
 
 
 def drawn_series(arm: Arm, duration: float, rng: np.random.Generator) -> Motion:
@@ -109,18 +115,21 @@ def _clock(duration: float) -> Array:
     return np.linspace(0.0, duration, round(40 * duration) + 1)
 
 
-def within_limits(arm: Arm, q: Array, duration: float) -> Motion:
+def within_limits(
+    arm: Arm, q: Array, duration: float, controls_per_second: int = _CONTROLS
+) -> Motion:
     """Return the motion through angles, made smaller until it keeps 0.9 of all limits.
 
     Args:
         arm: with its limits.
         q: (N, n) angles at even times [rad].
         duration: [s].
+        controls_per_second: of the motion.
 
     Raises:
         ParameterError: no size keeps them.
     """
-    controls = max(12, round(8 * duration))
+    controls = max(12, round(controls_per_second * duration))
     for _ in range(60):
         motion = Motion.fit(q, duration, controls=controls)
         ratios = limit_ratios(arm, motion, samples=round(80 * duration) + 1)
@@ -135,21 +144,23 @@ def within_limits(arm: Arm, q: Array, duration: float) -> Motion:
     raise ParameterError(f"{arm.name} allows no excitation of {duration:g} s within its limits")
 
 
-def _moves(arm: Arm, j: int, t: Array, rng: np.random.Generator) -> Array:
+def _moves(arm: Arm, j: int, t: Array, rng: np.random.Generator, brisk: bool = False) -> Array:
     """Draw angles (N,) [rad] of a joint: moves of changing tempo with rests between them."""
+    tempi, push = (_BRISK, _BRISK_PUSH) if brisk else (_TEMPI, _PUSH)
+    shortest, most_span = _BRISK_SPANS if brisk else _SPANS
     link = arm.links[j]
     middle, half = (link.q_min + link.q_max) / 2, (link.q_max - link.q_min) / 2
     place = middle + _REACH * half * rng.uniform(-1, 1)
     out = np.full(len(t), place)
-    clock, k = rng.uniform(*_REST), int(rng.integers(len(_TEMPI)))
-    while (room := t[-1] - _REST[0] - clock) > _SHORTEST:
+    clock, k = rng.uniform(*_REST), int(rng.integers(len(tempi)))
+    while (room := t[-1] - _REST[0] - clock) > shortest:
         goal = middle + _REACH * half * rng.uniform(-1, 1)
-        longest = rng.uniform(_SHORTEST, min(room, _LONGEST))
-        speed = _TEMPI[k % len(_TEMPI)] * link.v_max
+        longest = rng.uniform(shortest, min(room, most_span))
+        speed = tempi[k % len(tempi)] * link.v_max
         # a quintic peaks at 15/8 of its mean speed and 5.8 of distance over time squared
-        most = min(longest * speed / 1.875, longest**2 * 0.6 * link.a_max / 5.8)
+        most = min(longest * speed / 1.875, longest**2 * push * link.a_max / 5.8)
         step = np.clip(goal - place, -most, most)
-        span = longest * abs(step) / most
+        span = longest if brisk else longest * abs(step) / most
         out += step * quintic((t - clock) / span)
         place, k = place + step, k + 1
         clock += span + rng.uniform(*_REST)

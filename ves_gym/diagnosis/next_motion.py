@@ -13,7 +13,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -156,6 +156,8 @@ def next_motion(
     arm, duration = search.system.arm, search.duration
     hand = search.at_hand()
     drawn = [m(arm, duration, rng) for _ in range(pool) for m in (drawn_motion, drawn_series)]
+    brisk = pool // 2 if search.faint else 0  # rivals are of what shows already
+    drawn += [drawn_motion(arm, duration, rng, brisk=True) for _ in range(brisk)]
     total = len(hand) + len(drawn) + rounds * _CHILDREN + 1
     done = 0
 
@@ -165,8 +167,9 @@ def next_motion(
         progress(done / total)
 
     repeated = search.ranked(hand, advance, strict=False)
-    options = repeated + search.ranked(drawn, advance)
-    options = [r for r in options if max(r.played.limits.values()) <= _MARGIN]
+    search.allow_again(repeated)
+    options = [r for r in repeated if search.allowed(r.played)]
+    options += search.ranked(drawn, advance)
     if not options:
         raise ParameterError(
             f"no motion of {duration:g} s keeps {_MARGIN:g} of the limits of the machine"
@@ -187,16 +190,20 @@ class _Search:
     """Plays candidates for the next motion and judges them."""
 
     def __init__(
-        self, diagnosis: Diagnosis, rivals: Sequence[Hypothesis], faint: Sequence[Candidate]
+        self,
+        diagnosis: Diagnosis,
+        rivals: Sequence[Hypothesis],
+        faint: Sequence[Candidate],
+        beside: Sequence[Candidate] = (),
     ) -> None:
         machine = diagnosis.residuals.machine
         if not isinstance(machine, SystemMachine):
             raise ParameterError(
                 f"{machine.name} is no System: its next motion cannot be simulated"
             )
-        self.rivals, self.faint = rivals, faint
+        self.rivals, self.faint, self.beside = rivals, faint, beside
         effects = [c for h in rivals for c in h.fit.candidates]
-        ports = {p for c in (*effects, *faint) for p in c.ports}
+        ports = {p for c in (*effects, *faint, *beside) for p in c.ports}
         self.machine = copy.copy(machine)  # nothing shows at the other ports
         self.machine.ports = tuple(p for p in diagnosis.residuals.ports if p.name in ports)
         self.runs = diagnosis.residuals.runs
@@ -204,6 +211,8 @@ class _Search:
         spans = [(run.length - 1) * run.dt for run in self.runs]
         self.duration = float(np.clip(np.median(spans), _SHORTEST, _LONGEST))
         self._old = diagnosis.residuals
+        self._most: dict[str, float] = {}  # share of a limit that is allowed, if not _MARGIN
+        self._covered = self._reach([dict(run.signals) for run in self.runs])
 
     def at_hand(self) -> list[Motion]:
         """Return what the runs at hand were told, cut or held to the duration."""
@@ -227,10 +236,26 @@ class _Search:
         """
         out = []
         for played in self.played(self.rivals[0], motions):
-            if not strict or max(played.limits.values()) <= _MARGIN:
+            if not strict or self.allowed(played):
                 out.append(self._judged(played))
             advance()
         return out
+
+    def allowed(self, played: _Played) -> bool:
+        """Return True for a motion that keeps the limits."""
+        return all(x <= self._most.get(k, _MARGIN) for k, x in played.limits.items())
+
+    def allow_again(self, hand: Sequence[_Ranked]) -> None:
+        """Let a motion come as close to a limit as every one at hand did.
+
+        A drive that is weaker than said is at its limit in any motion.
+
+        Args:
+            hand: the motions at hand.
+        """
+        for kind in hand[0].played.limits if hand else ():
+            least = min(r.played.limits[kind] for r in hand)
+            self._most[kind] = max(_MARGIN, least)
 
     def played(self, truth: Hypothesis, motions: Sequence[Motion]) -> list[_Played]:
         """Return the runs of a machine with a hypothesis in it; none of a safety stop."""
@@ -261,14 +286,33 @@ class _Search:
     def _judged(self, played: _Played) -> _Ranked:
         new = WhitenedResiduals(self.machine, [played.run], self._old.seed, self._old.slow)
         if self.faint:
-            table = visibility(new, self.rivals[0], self.faint)
+            every = (*self.faint, *self.beside)
+            table = visibility(new, self.rivals[0], every)
             worth = float(np.linalg.slogdet(np.eye(len(table)) + table)[1])
+            table = table[: len(self.faint), : len(self.faint)]
+            farther = np.maximum(self._reach([played.run.signals]) / self._covered, 1.0)
+            worth += 2 * float(np.log(farther).sum())  # of squares, as the information is
             sigma = np.sqrt(np.maximum(np.diag(table), 0.0))
             return _Ranked(worth, float(sigma.min()), played, sigma[None])
         table = np.maximum(separations(new, self.rivals), 0.0)
         pairs = ~np.eye(len(table), dtype=bool)
         worth = float(np.log1p(table[pairs]).mean())
         return _Ranked(worth, math.sqrt(table[pairs].min()), played, np.sqrt(table))
+
+    def _reach(self, runs: Sequence[Mapping[str, Array]]) -> Array:
+        """Return what is asked of each joint [N m], and of each leg of a platform [m].
+
+        A limit shows in no motion that stays below it, whatever its size is thought to be.
+        """
+        n = self.system.arm.n
+        most = [np.abs(np.reshape(s["tau"], (-1, n))).max(axis=0) for s in runs if "tau" in s]
+        out = [np.max(most, axis=0)] if most else []
+        commands = [np.reshape(s["y_cmd"], (-1, 6)) for s in runs if "y_cmd" in s]
+        if self.system.mode == "emulated" and commands:
+            stewart = self.system.emulator_settings.stewart
+            lengths = stewart.leg_lengths(np.concatenate(commands))
+            out.append(np.abs(lengths - stewart.home_lengths).max(axis=0))
+        return np.maximum(np.concatenate([*out, np.zeros(0)]), 1e-9)
 
     def result(self, best: _Ranked, hand: Sequence[_Ranked], tried: int) -> NextMotion:
         """Return the best motion, played by every rival."""
@@ -294,10 +338,10 @@ class _Search:
 def _search_of(diagnosis: Diagnosis) -> _Search | None:
     residuals, selection = diagnosis.residuals, diagnosis.selection
     if diagnosis.verdict == WEAK:
-        faint = [c for c in diagnosis.signatures.candidates if c.name in diagnosis.weak]
-        return _Search(
-            diagnosis, [hypothesis(residuals, selection.fit, "")], faint[:_MOST_FAINT]
-        )
+        every = [c for c in diagnosis.signatures.candidates if c.counts is None]
+        faint = [c for c in every if c.name in diagnosis.weak][:_MOST_FAINT]
+        beside = [c for c in every if c not in faint]  # may be missing, too, or taken for it
+        return _Search(diagnosis, [hypothesis(residuals, selection.fit, "")], faint, beside)
     if diagnosis.verdict not in (NOTHING, *NAMING_VERDICTS):
         return None
     for place, explanation in enumerate(diagnosis.explanations):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy
 
 from ves_gym.diagnosis.machines.presliding import Presliding
 from ves_gym.diagnosis.machines.recursions import deflection
@@ -30,6 +31,24 @@ def test_a_spring_gives_in_proportion_and_a_damper_takes_its_time():
     t = DT / 50 * np.arange(2001)
     slow = deflection(torque, 1e4, 500.0, 0.0, DT / 50)
     assert slow == pytest.approx(12e-4 * -np.expm1(-t / 0.05), abs=2e-6)
+
+
+def test_a_spring_hardens_with_the_cube():
+    x = np.linspace(-0.03, 0.03, 61)
+    torque = 4e3 * x * (1 + (x / 0.01) ** 2)
+    assert deflection(torque, 4e3, 0.0, 0.0, DT, 0.01) == pytest.approx(x, abs=1e-15)
+    t = DT / 50 * np.arange(4001)
+    push = 60.0 * np.sin(2 * np.pi * t / 0.2)
+    found = scipy.integrate.solve_ivp(
+        lambda s, x: (np.interp(s, t, push) - 4e3 * x * (1 + (x / 0.01) ** 2)) / 30.0,
+        (0.0, t[-1]),
+        [0.0],
+        t_eval=t,
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    slow = deflection(push, 4e3, 30.0, 0.0, DT / 50, 0.01)
+    assert slow == pytest.approx(found.y[0], abs=5e-5)  # of 9 mrad; one implicit step each
 
 
 def test_teeth_touch_beyond_half_the_gap():

@@ -68,6 +68,23 @@ def test_the_same_where_what_was_asked_tells_the_torque_too(run):
         assert found[1].deviance - pair.deviance < 35
 
 
+@pytest.mark.parametrize("by_log", [True, False])
+def test_noise_of_a_rotor_behind_a_soft_gear_shakes_no_other_joint(monkeypatch, by_log):
+    """Where rates are noisy, what the rotor seems to take is noise, and no torque of a gear."""
+    monkeypatch.setitem(NOISE, "v", np.full(3, 2e-2))
+    run = dataclasses.replace(logged(RIGID), by_log=by_log)
+    noisy = run.with_noise(np.random.default_rng(5), 6)
+    power = []
+    for system in (RIGID, RIGID.replace(effects=(SOFT,))):
+        machine = SystemMachine(system)
+        with_it, without = (
+            machine.residuals(r, [machine.nominal], ["joint"])["joint"][0] for r in (noisy, run)
+        )
+        spectrum = run.window.spectrum(with_it - without)
+        power.append(np.square(np.abs(spectrum)).mean(axis=(0, 1)))
+    assert power[1][2] < 1.2 * power[0][2]  # 5.4 times by what the torque's own noise says
+
+
 def test_noise_of_the_torque_through_a_gear_is_that_of_log_and_rotor(run):
     """Reference: noise drawn as it was added, differentiated as the port does."""
     quiet = run.with_signals({k: np.zeros_like(run[k]) for k in ("q", "v", "tau")})

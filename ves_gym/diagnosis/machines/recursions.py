@@ -7,13 +7,21 @@ from numba import njit
 
 from ves_gym._util.params import Array
 
+_NEWTON, _NEAR = 40, 1e-15  # steps at most to where a spring that hardens stands; rad, the last
+
 
 def deflection(
-    torque: Array, stiffness: float, damping: float, half: float, dt: float
+    torque: Array,
+    stiffness: float,
+    damping: float,
+    half: float,
+    dt: float,
+    hard: float = np.inf,
 ) -> Array:
     """Return the angle x by which a rotor leads its link: d x' + k free(x) = torque.
 
-    free(x) is what x has beyond half the gap on either side. The torque is the one that goes
+    free(x) is what x has beyond half the gap on either side. A spring without a gap may harden:
+    its free(x) is x (1 + (x / hard)^2). The torque is the one that goes
     through the gear, which the log holds; driven by the motion instead, a light link would
     ring, and make much of noise (derived in docs/diagnosis.md).
 
@@ -21,16 +29,16 @@ def deflection(
         torque: (..., T) through the gear [N m].
         stiffness, damping, half: k [N m/rad], d [N m s/rad], half the gap [rad].
         dt: between samples [s].
+        hard: [rad].
 
     Returns:
         (..., T) rad.
     """
-    rows = _deflection(
-        np.ascontiguousarray(torque).reshape(-1, torque.shape[-1]),
-        stiffness,
-        damping / dt,
-        half,
-    )
+    rows = np.ascontiguousarray(torque).reshape(-1, torque.shape[-1])
+    if hard < np.inf:
+        rows = _wound(rows, stiffness, damping / dt, hard)
+    else:
+        rows = _deflection(rows, stiffness, damping / dt, half)
     return np.asarray(rows).reshape(torque.shape)
 
 
@@ -48,6 +56,25 @@ def _deflection(torque: Array, k: float, c: float, half: float) -> Array:
                 x = above
             elif below < -half:
                 x = below
+            out[row, t] = x
+    return out
+
+
+@njit(cache=True)
+def _wound(torque: Array, k: float, c: float, hard: float) -> Array:
+    out = np.empty_like(torque)
+    for row in range(torque.shape[0]):
+        x = 0.0
+        for t in range(torque.shape[1]):
+            thick = c if t else 0.0  # it begins at rest
+            push = torque[row, t] + thick * x
+            for _ in range(_NEWTON):
+                square = (x / hard) ** 2
+                left = k * x * (1 + square) + thick * x - push
+                more = left / (k * (1 + 3 * square) + thick)
+                x -= more
+                if abs(more) < _NEAR:
+                    break
             out[row, t] = x
     return out
 

@@ -42,7 +42,6 @@ from ves_gym.diagnosis.machines.ringing import loop_rings
 from ves_gym.diagnosis.machines.servo import servo_gap, share_of_the_asked
 from ves_gym.diagnosis.machines.tolerances import StatedErrors, with_known
 from ves_gym.diagnosis.machines.torque_balance import (
-    in_balance,
     in_torque_logged,
     through_gears,
     torque_residual,
@@ -52,6 +51,7 @@ from ves_gym.diagnosis.machines.torque_balance import (
 from ves_gym.diagnosis.machines.vehicle_answer import answering_force
 from ves_gym.diagnosis.machines.vehicle_force import InnerStart, inner_sizes, vehicle_gap
 from ves_gym.effects import BaseExtraMode, JointMemory
+from ves_gym.effects.joint_elasticity import HARD, Hardened
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.body_numbers import numbers_of_body
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
@@ -369,12 +369,21 @@ class SystemMachine:
             needed = needed + self._seen_in_torque(run, model.system)
         balance = torque_residual(run["tau"], needed, every, laws)
         gears = windings(model.system.actual.arm, run)
-        if not run.by_log and all(k in run for k in _OF_THE_SERVO):
-            error = self._share_of_the_asked(run) * self._servo(run, model)
-            balance = balance - in_balance(error, gears)
+        balance = balance - self._told_too_much(run, model)
         return in_torque_logged(balance, gears)
 
+    def _told_too_much(self, run: Run, model: SystemVariant) -> Array:
+        """Return what a log's torques are above the best estimate of them (..., T, n) [N m].
+
+        A controller that is known tells them, too.
+        """
+        share = self._share_of_the_asked(run)
+        return share * self._servo(run, model) if share.any() else np.zeros(())
+
     def _share_of_the_asked(self, run: Run) -> Array:
+        """Return (n,) what the asked counts for beside the log; none where it is not known."""
+        if run.by_log or not all(k in run for k in _OF_THE_SERVO):
+            return np.zeros(self.system.arm.n)
         key = Derived("share of the asked", frozenset[str]())
         return run.derived(*key, lambda: share_of_the_asked(run))
 
@@ -437,23 +446,29 @@ class SystemMachine:
     def _load_of(self, run: Run, system: System, arm: Arm) -> Load:
         old = float(Delays.of(system).measurement[0])
         loads = _memoized(run, "loads", dict)
-        if (arm, old) not in loads:
+        geared = any(link.gear is not None for link in arm.links)
+        delays = Delays.of(system)
+        asked: tuple[Any, ...] = ()  # what tells the torques that wind gears up
+        if geared and not run.by_log:
+            asked = float(delays.command[0]), tuple(delays.lag[0].tolist())
+        key = arm, old, asked, _hardening(system)
+        if key not in loads:
             motions = _memoized(run, "motions", dict)
             if old not in motions:
                 motions[old] = self._motion(run, old)
                 _forget(motions, _MOTIONS)
             described = self.system.actual.arm.links[-1].inertial
-            if any(link.gear is not None for link in arm.links):
-                loads[arm, old] = self._load_of_geared(run, arm, motions[old])
+            if geared:
+                loads[key] = self._load_of_geared(run, system, arm, motions[old])
             elif arm.links[-1].inertial == described:
-                loads[arm, old] = motions[old].load(arm)
+                loads[key] = motions[old].load(arm)
             else:  # forces are linear in a body's numbers
                 plain = self._load_of(run, system, with_last(arm, described))
                 here, said = map(numbers_of_body, (arm.links[-1].inertial, described))
                 more = motions[old].load_of_last(arm, here - said)
-                loads[arm, old] = plain[0] + more[0], plain[1] + more[1]
+                loads[key] = plain[0] + more[0], plain[1] + more[1]
             _forget(loads)
-        return loads[arm, old]  # type: ignore[no-any-return]
+        return loads[key]  # type: ignore[no-any-return]
 
     def _motion(self, run: Run, old: float) -> MeasuredMotion:
         """Return the motion of a run whose joint measurements are this old [s]."""
@@ -463,13 +478,15 @@ class SystemMachine:
         balanced = weighty and self.system.emulator_settings.joint_balance
         return MeasuredMotion(joints, run.base.x, base, weighty, balanced)
 
-    def _load_of_geared(self, run: Run, arm: Arm, motion: MeasuredMotion) -> Load:
+    def _load_of_geared(
+        self, run: Run, system: System, arm: Arm, motion: MeasuredMotion
+    ) -> Load:
         """As `_load`, where links lag their motors."""
         tau, _ = motion.load(arm)
         rotors, links = arm.column("rotor_inertia"), motion.joints
         torque = tau  # what rigid links would take, where no torque is logged
         if "tau" in run:
-            torque = run["tau"]
+            torque = run["tau"] - self._told_too_much(run, SystemVariant(system))
         winding = torque - rotors * links.a
         # what carries the weight at the links themselves carries that of the arm as it is
         carried = np.zeros(())
@@ -477,7 +494,7 @@ class SystemMachine:
             carried = weight_torque(arm, links.x, run.base.x)
 
         def lagging(winding: Array) -> Load:
-            bent = _deflections(arm, winding, run)
+            bent = _deflections(arm, winding, run, _hardening(system))
             late = differentiated(bent, run.dt, run.band)
             behind = Kinematics(*(x - d for x, d in zip(links, late, strict=True)))
             tau, wrench = motion_load(arm, behind, motion.base, motion.fall)
@@ -487,7 +504,8 @@ class SystemMachine:
         tau, wrench = lagging(winding)
         gears = windings(arm, run) if "tau" in run else []
         if gears:  # others feel what the link feels, not what else the torque logged has
-            through = through_gears(winding, torque - tau, gears, run)
+            own_share = 1 - self._share_of_the_asked(run)
+            through = through_gears(winding, torque - tau, gears, run, own_share)
             others, wrench = lagging(through)
             own = [g.joint for g in gears]
             others[..., own] = tau[..., own]
@@ -575,7 +593,13 @@ def _compensates(system: System) -> bool:
     return system.emulator_settings.payload_compensation
 
 
-def _deflections(arm: Arm, torque: Array, run: Run) -> Array:
+def _hardening(system: System) -> tuple[int, ...]:
+    """Return the joints whose springs harden."""
+    found = [e.compliance for e in system.effects if isinstance(e, Hardened)]
+    return tuple({i for soft in found for i, x in enumerate(soft) if x})
+
+
+def _deflections(arm: Arm, torque: Array, run: Run, hardening: Sequence[int] = ()) -> Array:
     """Angle by which gears give (..., T, n) under the torque through them.
 
     Play turns over with the sign of the torque: noise that turns it over at random would be
@@ -596,8 +620,9 @@ def _deflections(arm: Arm, torque: Array, run: Run) -> Array:
             if "tau" in run:
                 least = np.maximum(_NO_TURN * _noise_through(arm, run, top)[i], 1e-12)
                 through = -through * np.expm1(-np.square(through / least))
+        hard = HARD if i in hardening and not gear.gap else np.inf
         out[..., i] = deflection(
-            through, 1 / gear.compliance, gear.damping, gear.gap / 2, run.dt
+            through, 1 / gear.compliance, gear.damping, gear.gap / 2, run.dt, hard
         )
     return out
 

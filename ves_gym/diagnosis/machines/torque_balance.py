@@ -62,7 +62,9 @@ class Winding:
 
     joint: int
     shown: Array  # (K,) complex, 1 - H: of an error in the torque, what a balance shows
-    moved: Array  # (K,) power of the noise that the motion has in a balance [(N m)^2]
+    moved: Array  # (K,) power of the noise that the link's motion has in a balance [(N m)^2]
+    turned: Array  # (K,) that the rotor's has in the torque through the gear
+    both: Array  # (K,) of their product
 
 
 def windings(arm: Arm, run: Run) -> list[Winding]:
@@ -89,8 +91,16 @@ def windings(arm: Arm, run: Run) -> list[Winding]:
     for j, gear, rotor in geared:
         moved = inertias[6 + j, 6 + j] - rotor
         shown = 1 - moved * w**2 / (gear.stiffness + 1j * w * gear.damping)
-        power = w**4 * (moved**2 * of_angles[:, j] + of_pose @ inertias[:6, 6 + j] ** 2)
-        out.append(Winding(j, shown, power))
+        of_angle, of_base = w**4 * of_angles[:, j], w**4 * (of_pose @ inertias[:6, 6 + j] ** 2)
+        out.append(
+            Winding(
+                j,
+                shown,
+                moved**2 * of_angle + of_base,
+                rotor**2 * of_angle,
+                rotor * moved * of_angle,
+            )
+        )
     return out
 
 
@@ -137,20 +147,9 @@ def in_torque_logged(balance: Array, gears: Sequence[Winding]) -> Array:
     return out
 
 
-def in_balance(error: Array, gears: Sequence[Winding]) -> Array:
-    """Return an error of the torque logged as a balance of torques shows it (..., T, n).
-
-    Args:
-        error: (..., T, n) [N m].
-        gears: of the arm on the run.
-    """
-    out = error.copy() if gears else error
-    for g in gears:
-        out[..., g.joint] = _filtered(error[..., g.joint], g.shown)
-    return out
-
-
-def through_gears(torque: Array, balance: Array, gears: Sequence[Winding], run: Run) -> Array:
+def through_gears(
+    torque: Array, balance: Array, gears: Sequence[Winding], run: Run, noisy: Array
+) -> Array:
     """Return the torque that winds gears up, by torques logged and motion together (..., T, n).
 
     What is left in a torque logged, its noise or a friction nobody described, is not what the
@@ -163,13 +162,14 @@ def through_gears(torque: Array, balance: Array, gears: Sequence[Winding], run: 
             lagged as the torque logged has them.
         gears: of the arm on the run.
         run: for the noise of its torques.
+        noisy: (n,) share of it, as power, that the torques told have.
     """
     out = torque.copy()
     f = np.asarray(np.fft.rfftfreq(2 * run.length, run.dt), float)
     of_torque = noise_power(run.noise["tau"], f, run.dt)
     for g in gears:
-        own = of_torque[:, g.joint]
-        total = np.abs(g.shown) ** 2 * own + g.moved
-        share = np.conj(g.shown) * own / np.where(total > 0, total, 1.0)
+        own = noisy[g.joint] * of_torque[:, g.joint] + g.turned
+        total = np.abs(g.shown) ** 2 * own + g.moved + 2 * g.shown.real * g.both
+        share = (np.conj(g.shown) * own + g.both) / np.where(total > 0, total, 1.0)
         out[..., g.joint] -= _filtered(balance[..., g.joint], share)
     return out
