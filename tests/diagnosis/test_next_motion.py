@@ -1,16 +1,18 @@
 """The experiment designed keeps all limits, is worth more than runs at hand, and decides."""
 
 import dataclasses
+import types
 
 import numpy as np
 import pytest
 
 from ves_gym.diagnosis import diagnose as d
+from ves_gym.diagnosis import next_motion as next_motion_module
 from ves_gym.diagnosis.benchmark.blind.machine import nominal
 from ves_gym.diagnosis.inference.fit import fit
 from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.diagnosis.next_motion import CLEAR, next_motion
-from ves_gym.effects import JointDriveGain, SensorNoise
+from ves_gym.effects import JointDriveGain, JointTorqueLimit, SensorNoise
 from ves_gym.mechanics.limits import check_reference, limits_of
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS
@@ -36,9 +38,9 @@ def measured(motion, seed, effects=(TRUTH,)):
     return dataclasses.replace(log, **noisy, meta={**meta, "system": SYSTEM.to_dict()})
 
 
-def diagnosed(logs):
+def diagnosed(logs, kinds=KINDS):
     inputs = system_inputs(logs, final=0)
-    some = [c for c in inputs.candidates if c.kind in KINDS]
+    some = [c for c in inputs.candidates if c.kind in kinds]
     return d.diagnose(inputs.machine, inputs.runs, candidates=some)
 
 
@@ -99,6 +101,33 @@ def test_what_could_not_be_seen_gets_a_motion_that_shows_it():
     assert not designed.separates and set(designed.between) <= set(before.weak)
     assert designed.least > 2 * designed.at_hand
     assert "at their usual size" in designed.sentence
+
+
+def test_a_limit_that_no_run_came_near_is_reached():
+    """A motor of joint 3 that gives 0.6 less than said, at hand a move of 1 mrad."""
+    kinds, truth = (*KINDS, "joint/torque_limit"), JointTorqueLimit(fraction=(0.0, 0.0, 0.6))
+    still = Motion.straight([0.3, 0.5, 0.4], [0.301, 0.501, 0.401], 4.0)
+    first = measured(still, 4, (truth,))
+    before = diagnosed([first], kinds)
+    assert before.verdict == d.WEAK
+    best = next_motion(before, pool=4, rounds=1)
+    assert max(best.limits.values()) <= 0.95
+    after = diagnosed([first, measured(best.motion, 5, (truth,))], kinds)
+    assert [f.candidate.name for f in after.explanations] == ["joint/torque_limit at joint 3"]
+    assert after.explanations[0].values[0] == pytest.approx(0.6, abs=0.01)
+
+
+def test_what_every_run_at_hand_came_near_may_be_come_near_again(at_hand):
+    """A drive that is weaker than said is at its limit in any motion."""
+    search = next_motion_module._search_of(at_hand[1])
+    (near,) = search.played(search.rivals[0], search.at_hand())
+    near = dataclasses.replace(near, limits={**near.limits, "torque": 1.0})
+    assert not search.allowed(near)
+    search.allow_again([types.SimpleNamespace(played=near)])
+    assert search.allowed(near)
+    assert not search.allowed(
+        dataclasses.replace(near, limits={**near.limits, "velocity": 0.96})
+    )
 
 
 def test_a_motion_is_a_table_for_a_controller(designed):
