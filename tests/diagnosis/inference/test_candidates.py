@@ -68,8 +68,8 @@ def test_the_library_is_that_with_which_the_sealed_sets_were_answered():
     harmonic as a form since the fifth. What the controller is given shows at the joints,
     too, and play is looked for between stiff teeth, since the sixth. Friction builds up over
     two distances, and viscous friction may have a cube, since the seventh. A payload may
-    extend, not only sit elsewhere, since the eighth. A gear may harden, and teeth whose friction
-    is of the load be pressed together, since the twelfth.
+    extend, not only sit elsewhere, since the eighth. A gear may harden, and teeth whose
+    friction is of the load be pressed together, since the twelfth.
     """
     stored = json.loads((Path(__file__).parent / "library.json").read_text())
     found = emulated()
