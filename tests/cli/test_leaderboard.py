@@ -1,8 +1,10 @@
 """`ves-gym leaderboard`: bundles made, checked and refused from the shell."""
 
 import json
+import os
 import shutil
 import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
@@ -204,3 +206,19 @@ def test_a_signed_name_on_the_board(call, tmp_path):
         archive.writestr("manifest.json.sig2", b"")
     status, _, err, _ = call(*sign, tmp_path / "mine")
     assert status == 1 and err.startswith("ves-gym: rejected: unsafe-archive: ")
+
+
+@pytest.mark.bits
+def test_an_entry_is_what_it_was_whatever_the_threads():
+    """A beam computed on two threads has other bits, and its environment another hash."""
+    here = Path(__file__).parents[2]
+    place = here / "docs" / "leaderboard" / "entries"
+    entry = place / "tasks-pumadampemulated-v1-zero-b387144143c52777.json"
+    threads = {"OMP_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"}
+    program = str(Path(sys.executable).with_name("ves-gym"))
+    command = [program, "leaderboard", "verify", str(entry)]
+    done = subprocess.run(
+        command, env={**os.environ, **threads}, cwd=here, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert "100% of 100 rows" in done.stdout
