@@ -160,6 +160,7 @@ def _moves(arm: Arm, j: int, t: Array, rng: np.random.Generator, brisk: bool = F
         # a quintic peaks at 15/8 of its mean speed and 5.8 of distance over time squared
         most = min(longest * speed / 1.875, longest**2 * push * link.a_max / 5.8)
         step = np.clip(goal - place, -most, most)
+        # at the same speed, what is short is sharper; a brisk one is as sharp as it may be
         span = longest if brisk else longest * abs(step) / most
         out += step * quintic((t - clock) / span)
         place, k = place + step, k + 1

@@ -212,7 +212,7 @@ class _Search:
         self.duration = float(np.clip(np.median(spans), _SHORTEST, _LONGEST))
         self._old = diagnosis.residuals
         self._most: dict[str, float] = {}  # share of a limit that is allowed, if not _MARGIN
-        self._covered = self._reach([dict(run.signals) for run in self.runs])
+        self._covered = self._reach([run.signals for run in self.runs])
 
     def at_hand(self) -> list[Motion]:
         """Return what the runs at hand were told, cut or held to the duration."""

@@ -82,7 +82,7 @@ def test_noise_of_a_rotor_behind_a_soft_gear_shakes_no_other_joint(monkeypatch, 
         )
         spectrum = run.window.spectrum(with_it - without)
         power.append(np.square(np.abs(spectrum)).mean(axis=(0, 1)))
-    assert power[1][2] < 1.2 * power[0][2]  # 5.4 times by what the torque's own noise says
+    assert power[1][2] < 1.2 * power[0][2]  # 2.9 and 3.5 if the rotor has none
 
 
 def test_noise_of_the_torque_through_a_gear_is_that_of_log_and_rotor(run):
