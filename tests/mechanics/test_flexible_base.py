@@ -1,6 +1,7 @@
 """A flexible base: files, what it reduces to, what is refused, and how it bends."""
 
 import dataclasses
+import os
 import subprocess
 import sys
 
@@ -259,6 +260,35 @@ def test_the_picture_bends_as_the_run_says(tmp_path):
     assert found == pytest.approx(beam_line(FLEXIBLE, clip["y"], clip["u"]), abs=1e-9)
     static = beam_line(FLEXIBLE, clip["y"])
     assert np.abs(found - static).max() > 1e-4
+
+
+BITS = """
+import numpy as np
+import threadpoolctl
+from ves_gym.mechanics.vehicle import BENT, STRAIGHT_VERTICAL
+threads = [k["num_threads"] for k in threadpoolctl.threadpool_info() if k["user_api"] == "blas"]
+print(max(threads), end=" ")
+for base in (BENT, STRAIGHT_VERTICAL):
+    model = base.base_model()
+    arrays = model.M, model.K, model.internal.coupling, model.internal.damping
+    print(np.concatenate([a.ravel() for a in arrays]).tobytes().hex(), end=" ")
+"""
+
+
+def test_a_beam_has_the_same_bits_on_any_number_of_threads():
+    """Split among two, sums ended otherwise, and a machine had another hash (NumPy's BLAS)."""
+    found = []
+    for threads in ("1", "2"):
+        names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+        env = {**os.environ, **dict.fromkeys(names, threads)}
+        done = subprocess.run(
+            [sys.executable, "-c", BITS], env=env, check=True, capture_output=True, text=True
+        )
+        used, *bits = done.stdout.split()
+        found.append(bits)
+    if used == "1":
+        pytest.skip("this machine has one core")
+    assert found[0] == found[1]
 
 
 REDUCED = Reduced.of(users(damped=False), 2)

@@ -22,6 +22,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym._util.threads import on_one_thread
 from ves_gym.baselines.braced import base_torque
 from ves_gym.baselines.controllers import reference_action
 from ves_gym.effects.payload_mass import PayloadMass
@@ -33,7 +34,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.direct import Direct
 from ves_gym.planners.observer import BaseObserver
 from ves_gym.planners.prediction import BaseState
-from ves_gym.planners.query import Query, on_one_thread, solve
+from ves_gym.planners.query import Query, solve
 
 _SETTLE = 0.1  # s between the end of a plan with a payload and the deadline
 _REPLAN = (0.35, 0.7, 1.05)  # s after the start, at which the motion is planned anew

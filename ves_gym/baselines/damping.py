@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym._util.threads import on_one_thread
 from ves_gym.baselines.controllers import gains_action, reference_action
 from ves_gym.envs.control import Gains
 from ves_gym.envs.vector import VesVectorEnv
@@ -19,7 +20,7 @@ from ves_gym.planners.damped_plant import plant_at
 from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.observer import BaseObserver
 from ves_gym.planners.pped_tuning import WIDE, tune
-from ves_gym.planners.query import Query, on_one_thread
+from ves_gym.planners.query import Query
 from ves_gym.planners.sequential import minimise
 
 _NODES = 60  # of the momentum over a horizon

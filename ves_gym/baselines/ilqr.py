@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym._util.threads import on_one_thread
 from ves_gym.baselines.decision_clock import DecisionClock
 from ves_gym.baselines.mppi import AT_REST, believed, unrest
 from ves_gym.engine.kernel.sensitivity import rollout_gradients
@@ -29,7 +30,6 @@ from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.planners.momentum import torque
 from ves_gym.planners.prediction import LinearBase
-from ves_gym.planners.query import on_one_thread
 
 _STEPS = np.array([0.0, 1.0, 0.7, 0.5, 0.3, 0.2, 0.1, 0.03])  # alpha, a lane each
 _EFFORT = 1e-6  # of an action squared: keeps Q_uu regular

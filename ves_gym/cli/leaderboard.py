@@ -41,11 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Carry out the action, linear algebra on one thread: sums split among threads differ."""
-    from ves_gym.planners.query import on_one_thread
-
-    with on_one_thread():
-        status: int = args.action(args)
+    """Carry out the action."""
+    status: int = args.action(args)
     return status
 
 

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from ves_gym._util.params import Array, ParameterError, to_plain
+from ves_gym._util.threads import on_one_thread
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.leaderboard import lower_bounds, protocol
@@ -437,7 +437,7 @@ def measure(problem: Problem, name: str) -> Plain:
     if name not in available:
         raise ParameterError(f"probe must be one of {', '.join(available)}, got {name!r}")
     # sums over more than one thread would end in other bits every time
-    with threadpool_limits(1, user_api="blas"), np.errstate(all="ignore"):
+    with on_one_thread(), np.errstate(all="ignore"):
         out: Plain = json.loads(json.dumps(available[name](), allow_nan=False))
     return out
 

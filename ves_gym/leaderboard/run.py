@@ -9,9 +9,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from threadpoolctl import threadpool_limits
 
 from ves_gym._util.params import ParameterError, to_plain
+from ves_gym._util.threads import on_one_thread
 from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.policy import load_policy
 from ves_gym.baselines.registry import get_controller
@@ -90,7 +90,7 @@ def make_bundle(
         )
     rules = get_track(track, folder, workers)
     begun = _timestamp()
-    with threadpool_limits(1, user_api="blas"):  # as `verify` does
+    with on_one_thread():  # as `verify` does
         answers, described = _answer(rules, question, drawn, method, tuple(seeds), progress)
     if (twice := repeated(answers.rows, answers.method)) is not None:
         raise ParameterError(

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.threads import on_one_thread
 from ves_gym.leaderboard import evaluators
 from ves_gym.leaderboard.archive import MANIFEST, SIGNATURE, read_members
 from ves_gym.leaderboard.bundle import digest, read_manifest
@@ -56,6 +56,7 @@ from ves_gym.leaderboard.tracks.registry import get_track
 Plain = Mapping[str, Any]
 
 
+@on_one_thread()
 def verify(
     path: str | os.PathLike[str],
     *,
@@ -134,12 +135,9 @@ def verify(
 
 @contextmanager
 def _careful(code: Code) -> Iterator[None]:
-    """Numbers that no simulation can carry on with are the bundle's fault.
-
-    One thread of linear algebra: a sum split over several would not have the same last bits.
-    """
+    """Numbers that no simulation can carry on with are the bundle's fault."""
     try:
-        with threadpool_limits(1, user_api="blas"), np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):
             yield
     except (ValueError, ArithmeticError) as error:
         raise BundleError(code, f"cannot be run: {str(error)[:200]}") from None

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite, freeze_arrays, unit
+from ves_gym._util.threads import on_one_thread
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.boom_member import (
     BoomJoint,
@@ -152,6 +153,7 @@ class Boom:
         """
         return self._pose(q).flange
 
+    @on_one_thread()
     def at(self, q: npt.ArrayLike, modes: int = 6, fastest: float = REACH) -> FlexibleBase:
         """Return the braked boom at q as a linear flexible base: flange and internal modes.
 

@@ -22,6 +22,7 @@ import numpy.typing as npt
 import scipy
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.threads import on_one_thread
 from ves_gym.mechanics.modes import natural_modes
 
 _DENSE = 1500  # inner freedoms up to which all modes come from one dense solve
@@ -153,6 +154,7 @@ class Reduction:
         )
 
 
+@on_one_thread()
 def reduce(
     mass: Any,
     stiffness: Any,

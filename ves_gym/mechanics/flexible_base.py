@@ -25,6 +25,7 @@ from ves_gym._util.params import (
     symmetric,
     unit,
 )
+from ves_gym._util.threads import on_one_thread
 from ves_gym.mechanics.arm import Inertial, matrix
 from ves_gym.mechanics.base_model import BaseModel, InternalModes, Saved
 from ves_gym.mechanics.beam import Beam
@@ -324,6 +325,7 @@ class FlexibleBase(Saved):
 
 
 @lru_cache(maxsize=32)
+@on_one_thread()  # a machine has the same bits in every process
 def _reduction(base: FlexibleBase) -> Reduction:
     if isinstance(base.structure, Reduced):
         return base.structure.reduction().truncated(base.modes).within(base.fastest)
@@ -354,6 +356,7 @@ def _with_zeros(values: Array, least: float) -> Array:
 
 
 @lru_cache(maxsize=32)
+@on_one_thread()
 def _base_model(base: FlexibleBase) -> BaseModel:
     reduced = base.reduction()
     if base.damping_ratio is not None:

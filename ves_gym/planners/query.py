@@ -6,14 +6,11 @@ import math
 import os
 import time
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from threadpoolctl import ThreadpoolController
 
 from ves_gym._util.params import (
     Array,
@@ -27,6 +24,7 @@ from ves_gym._util.params import (
     unit,
     write_result,
 )
+from ves_gym._util.threads import on_one_thread
 from ves_gym._util.views import Viewable
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inverse_dynamics
@@ -277,17 +275,6 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
             failure = broken_limit(query, motion)
     seconds = time.perf_counter() - begin
     return Plan(planner.name, query, motion, predicted, seconds, failure, info)
-
-
-def on_one_thread() -> AbstractContextManager[Any]:
-    """Return a context in which linear algebra runs on one thread (see `solve`)."""
-    limited: AbstractContextManager[Any] = _threads().limit(limits=1, user_api="blas")
-    return limited
-
-
-@cache
-def _threads() -> ThreadpoolController:
-    return ThreadpoolController()
 
 
 def is_feasible(query: Query, motion: Motion) -> bool:
