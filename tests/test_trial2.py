@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
+from numpy.typing import NDArray
 
-from benchmarks.trial2 import cases, detectability, machines, nominal, scoring, write
+from benchmarks.trial2 import cases, detectability, machines, noise, nominal, scoring, write
 from benchmarks.trial2.__main__ import PUBLIC
 from benchmarks.trial2.arm import arm_bodies
 from benchmarks.trial2.joints import Joints
@@ -311,6 +313,60 @@ def test_the_best_reader_weighs_tolerances_as_a_covariance() -> None:
     expected = s @ np.linalg.solve(np.eye(40) + J @ J.T, s)
     assert detectability.beside(s, J) == pytest.approx(expected, rel=1e-12)
     assert detectability.beside(J[:, 2], J) < 1  # an effect that is a tolerance
+
+
+def test_the_best_reader_takes_large_errors_for_what_they_do() -> None:
+    """Five standard deviations of a curved tolerance cost 25 at most; straight ones leave more.
+
+    Trial 2, twelfth set, case 30: a damping 28 % less beside one known to 5.8 %.
+    """
+    rng = np.random.default_rng(5)
+    J, bend = rng.normal(size=(400, 6)) * 30, rng.normal(size=400)
+
+    def changed(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return J @ x + bend * x[2] ** 2 * 3
+
+    s = changed(5 * np.eye(6)[2])
+    assert detectability.beside(s, J) > 1000
+    assert 20 < detectability.beside(s, J, changed) < 25.001
+
+
+def test_slow_noise_is_white_for_the_best_reader() -> None:
+    """Drawn by the generator's recursion, whitened by its covariance: 3 standard errors."""
+    drawn = noise.draw("slow", np.ones(300), 800, 5e-3, np.random.default_rng(6))
+    white = detectability.whitened("slow", drawn, 5e-3)
+    spectrum = np.square(np.abs(np.fft.rfft(white, axis=0, norm="ortho")))
+    for part in (spectrum[:4], spectrum[4:20], spectrum[20:]):
+        assert abs(part.mean() - 1) < 3 / np.sqrt(part.size)
+    assert np.square(np.abs(np.fft.rfft(drawn, axis=0, norm="ortho")))[1:4].mean() > 5
+
+
+def test_heavy_noise_tells_as_much_as_its_fisher_information() -> None:
+    """Reference: the score of Student's t, integrated by SciPy."""
+    n, std = 5, np.sqrt(5 / 3)
+
+    def score(x: float) -> float:
+        return float(((n + 1) * x / (n + x**2)) ** 2 * scipy.stats.t.pdf(x, n))
+
+    information = std**2 * scipy.integrate.quad(score, -np.inf, np.inf)[0]
+    assert information == pytest.approx(detectability.HEAVY, rel=1e-9)
+
+
+def test_a_platform_that_is_sent_its_own_commands_goes_where_it_went(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(write, "DURATION", 0.3)
+    at = write.setting(SECRET, cases.draw(SECRET, viscous_case("emulated")))
+    plain = write.play(at, at.plant, 0)
+    assert plain.y_cmd is not None and np.abs(plain.y_cmd).max() > 1e-6
+    again = write.play(at, at.plant, 0, led=plain)
+    for name in ("q", "tau", "y", "y_cmd", "w", "wg"):
+        assert np.array_equal(getattr(again, name), getattr(plain, name)), name
+    off = at.plant.copy()
+    off.signals.sensor_bias = off.signals.sensor_bias + np.array([5.0, 0, 0, 0, 0, 0])
+    led = write.play(at, off, 0, led=plain)
+    assert np.array_equal(led.y, plain.y) and np.array_equal(led.tau, plain.tau)
+    assert not np.array_equal(write.play(at, off, 0).y, plain.y)
 
 
 @pytest.mark.parametrize("mode", ["ideal", "emulated"])

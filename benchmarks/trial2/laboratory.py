@@ -190,6 +190,7 @@ def simulate(
     applied: Servo | None = None,
     reading_noise: Array | None = None,
     vehicle_force: Callable[[Array, Array], Array] | None = None,
+    led: Run | None = None,
 ) -> Run:
     """Play a motion on the emulated machine; one row of the log per control period.
 
@@ -198,6 +199,7 @@ def simulate(
         duration: of the log [s].
         reading_noise: (periods, 6) noise of the force sensor's readings.
         vehicle_force: further force (6,) on the emulated vehicle at pose and rate.
+        led: the platform is sent the commands of this run, whatever the sensor reads.
     """
     dt, emulator = float(description["control_dt"]), machine["emulator"]
     # legs shake the platform within a step of the description; a pose servo does not
@@ -259,13 +261,17 @@ def simulate(
                 w,
                 wg,
                 path[-1][1],
+                command_now[1],
             )
         )
         if k == periods:
             break
-        vehicle.advance(wg)
-        queue.append((vehicle.pose.copy(), vehicle.speed.copy()))
-        command_now = queue.pop(0)
+        if led is None or led.y_cmd is None or led.yd_cmd is None:
+            vehicle.advance(wg)
+            queue.append((vehicle.pose.copy(), vehicle.speed.copy()))
+            command_now = queue.pop(0)
+        else:
+            command_now = led.y_cmd[k + 1], led.yd_cmd[k + 1]
         sent.append(np.concatenate(command_now))
         received = command_now
         if signals.platform_delay:
@@ -293,6 +299,10 @@ def simulate(
             sensor.advance(lab.last)
         if not np.isfinite(x).all() or np.abs(vehicle.pose).max() > 1.5:
             raise FloatingPointError(f"the emulation diverged at {t[now]:.3f} s")
-    q_, v_, tau, y, y_cmd, w_, wg_, yd = (np.array([row[i] for row in rows]) for i in range(8))
+    q_, v_, tau, y, y_cmd, w_, wg_, yd, yd_cmd = (
+        np.array([row[i] for row in rows]) for i in range(9)
+    )
     told = motion(t[::per])
-    return Run(t[::per], told[0], told[1], q_, v_, tau, y, w_, y_cmd=y_cmd, wg=wg_, yd=yd)
+    return Run(
+        t[::per], told[0], told[1], q_, v_, tau, y, w_, y_cmd=y_cmd, wg=wg_, yd=yd, yd_cmd=yd_cmd
+    )

@@ -5,6 +5,7 @@ import numpy as np
 from benchmarks.trial2.arm import Array
 
 FAMILIES = ("white", "slow", "heavy")
+SLOW = ((0.02, 0.9), (3.0, 0.1))  # time constants [s] of slow noise, shares of its variance
 
 
 def draw(family: str, std: Array, samples: int, dt: float, rng: np.random.Generator) -> Array:
@@ -25,7 +26,7 @@ def draw(family: str, std: Array, samples: int, dt: float, rng: np.random.Genera
     if family != "slow":
         raise ValueError(f"noise: got {family!r}, expected one of {FAMILIES}")
     out = np.zeros(shape)
-    for time, share in ((0.02, 0.9), (3.0, 0.1)):
+    for time, share in SLOW:
         keep = np.exp(-dt / time)
         kicks = rng.standard_normal(shape) * np.sqrt(share)
         x = kicks[0]

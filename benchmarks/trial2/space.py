@@ -29,6 +29,7 @@ class Run:
     y_cmd: Array | None = None
     wg: Array | None = None
     yd: Array | None = None
+    yd_cmd: Array | None = None  # not logged
 
 
 class Space:

@@ -52,8 +52,22 @@ def setting(secret: str, case: Case) -> Setting:
     return Setting(case, described, plant, servo, motions(case, secret, described), clock)
 
 
-def play(at: Setting, plant: Plant, run: int, reading_noise: Array | None = None) -> Run:
-    """Return a run without noise but that which goes through the emulation's loop."""
+def play(
+    at: Setting,
+    plant: Plant,
+    run: int,
+    reading_noise: Array | None = None,
+    led: Run | None = None,
+) -> Run:
+    """Return a run without noise but that which goes through the emulation's loop.
+
+    Args:
+        at: the machine and its motions.
+        plant: as it is.
+        run: number of the motion.
+        reading_noise: of the force sensor in the laboratory.
+        led: there, a run whose commands the platform is sent.
+    """
     nominal = replace(machines.SERVOS[at.case.arm], feedforward=at.case.feedforward)
     inner = FINER if at.description["vehicle"]["kind"] == "flexible" else 0
     if at.case.mode == "emulated":
@@ -65,7 +79,7 @@ def play(at: Setting, plant: Plant, run: int, reading_noise: Array | None = None
         return laboratory.simulate(
             at.description, plant.machine, nominal, at.motions[run], plant.hidden(),
             duration=DURATION, applied=at.servo, reading_noise=reading_noise,
-            vehicle_force=force if forces else None,
+            vehicle_force=force if forces else None, led=led,
         )  # fmt: skip
     return space.simulate(
         at.description, plant.machine, nominal, at.motions[run], plant.hidden(),
