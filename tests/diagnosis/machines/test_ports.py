@@ -31,12 +31,13 @@ IDEAL = System(vehicle=BENT_THESIS, control_dt=5e-3)
 EMULATED = System(vehicle=BENT_THESIS, mode="emulated", control_dt=5e-3, emulator=LAB)
 SIGNALS = {
     "joint": "tau", "servo": "tau", "wrench": "w", "gravity": "weight", "admittance": "w",
-    "platform": "y", "base": "w",
+    "platform": "y", "base": "w", "velocity": "v",
 }  # fmt: skip
 # each shows at its own ports and nowhere else
 SHOWN = {
     ("joint",): E.JointCoulomb(torque=(0.0, 5.0, 0.0)),
     ("joint", "wrench"): E.PayloadMass(mass=2.0),
+    ("servo", "velocity", "joint"): E.JointVelocityLag(time_constant=(0.0, 0.02, 0.0)),
     ("wrench",): E.SensorBias(force=(5.0, 0.0, 0.0)),
     ("gravity",): E.GravityMass(error=2.0),
     ("admittance",): E.BaseStiffness(error=0.1),

@@ -16,7 +16,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import scipy
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.signals import differentiated
@@ -32,6 +31,7 @@ from ves_gym.diagnosis.machines.joint_library import (
     joint_candidates,
     payload_candidate,
 )
+from ves_gym.diagnosis.machines.rates import low_passed
 from ves_gym.diagnosis.machines.rigid_bodies import (
     BodyChange,
     MjcfBodies,
@@ -303,14 +303,7 @@ class MjcfMachine:
         lag = np.broadcast_to(
             _total(variant, "joint/velocity_lag", "time_constant"), self._radius.shape
         )
-        reported = rate.copy()
-        for i in np.flatnonzero(lag):
-            low = ([1.0], [float(lag[i]), 1.0])
-            b, a, _ = scipy.signal.cont2discrete(low, run.dt, method="foh")
-            b = np.ravel(b)
-            start = logged[..., :1, i] - b[0] * rate[..., :1, i]  # it begins as logged
-            reported[..., i] = scipy.signal.lfilter(b, a, rate[..., i], axis=-1, zi=start)[0]
-        return np.asarray(logged - reported)
+        return np.asarray(logged - low_passed(rate, lag, run.dt, logged[..., 0, :]))
 
 
 def _require_computed(

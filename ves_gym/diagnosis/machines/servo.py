@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import scipy
 
 from ves_gym._util.params import Array
 from ves_gym._util.signals import differentiated, noise_power
 from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.machines.rates import low_passed
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.system.deviations import Delays
@@ -39,7 +39,7 @@ def servo_gap(
     delays = Delays.of(system)
     command = differentiated(run["q_cmd"], run.dt, run.band, ahead=-float(delays.command[0]))
     q, v, _ = run.angles
-    v = _lagged(v + swing, delays.lag[0], run.dt)
+    v = low_passed(v + swing, delays.lag[0], run.dt)
     demand = (command[0] - q) * kp + (command[1] - v) * kd
     if gains.get("feedforward", False):
         demand = demand + inverse_dynamics(arm, *command)[0]
@@ -66,15 +66,3 @@ def share_of_the_asked(run: Run) -> Array:
     logged = noise_power(run.noise["tau"], f, run.dt)[inside].mean(axis=0)
     total = asked + logged
     return np.asarray(np.where(total > 0, logged / np.where(total > 0, total, 1.0), 0.0))
-
-
-def _lagged(v: Array, lag: Array, dt: float) -> Array:
-    """Rates (..., T, n) through a first-order low-pass each, of time constants (n,) [s]."""
-    out = v.copy()
-    for i in np.flatnonzero(lag):
-        low = ([1.0], [float(lag[i]), 1.0])
-        b, a, _ = scipy.signal.cont2discrete(low, dt, method="foh")
-        first = v[..., :1, i]  # at rest under the first rate
-        zi = scipy.signal.lfilter_zi(np.ravel(b), a) * first
-        out[..., i] = scipy.signal.lfilter(np.ravel(b), a, v[..., i], axis=-1, zi=zi)[0]
-    return out

@@ -38,6 +38,7 @@ from ves_gym.diagnosis.machines.nuisance_priors import GAIN, system_nuisances
 from ves_gym.diagnosis.machines.platform import followed, platform_gap
 from ves_gym.diagnosis.machines.pose_noise import PoseNoise, pose_noise
 from ves_gym.diagnosis.machines.presliding import Presliding, remembered_friction
+from ves_gym.diagnosis.machines.rates import low_passed
 from ves_gym.diagnosis.machines.ringing import loop_rings
 from ves_gym.diagnosis.machines.servo import servo_gap, share_of_the_asked
 from ves_gym.diagnosis.machines.tolerances import StatedErrors, with_known
@@ -66,7 +67,8 @@ _N, _M = ("N",) * 3 + ("N m",) * 3, ("m",) * 3 + ("rad",) * 3
 # coordinates, and what the computer takes in and gives out is known to the last digit.
 _FLOOR = {"admittance": 8e-3}
 _LEAST = 1e-3
-_SWUNG = 0.3  # of what a platform that swings within each period takes from joints: not known
+# Of what a platform that swings within each period takes from joints, and turns them: not known.
+_SWUNG = 0.3
 _TURNS_OVER = 0.4  # of the band: what of a torque decides on which side teeth lie
 _OF_THE_SERVO = (*COMMANDED, "q", "tau", "controller")  # what its port needs
 _NO_TURN = 3.0  # standard deviations of noise about which a torque moves no teeth
@@ -78,6 +80,7 @@ _MOTIONS = 3  # remembered, each of another delay of the joints' sensors
 _SEEN = {  # port -> the signal that its residual is a part of
     "joint": "tau",
     "servo": "tau",
+    "velocity": "v",
     "wrench": "w",
     "gravity": "weight",
     "admittance": "w",
@@ -130,6 +133,13 @@ class SystemMachine:
                 _OF_THE_SERVO,
                 COMMANDED,
                 differentiates=True,
+            ),
+            Port(
+                "velocity",
+                "rate logged less the rate of the angle logged",
+                tuple(f"v_{i + 1}" for i in range(n)),
+                ("rad/s",) * n,
+                ("q", "v"),
             ),
             Port(
                 "wrench",
@@ -215,9 +225,11 @@ class SystemMachine:
         kinds = np.array_split(size, max(1, len(size) // 3))  # forces and moments apart
         share = _FLOOR.get(port, _LEAST)
         least = share * np.concatenate([np.full(len(k), max(k.max(), 1e-12)) for k in kinds])
-        if port != "joint":
-            return least
-        return np.hypot(least, _SWUNG * self._between(run).torque.std(axis=0))
+        if port in ("joint", "velocity"):
+            between = self._between(run)
+            swung = between.torque if port == "joint" else between.rate
+            least = np.hypot(least, _SWUNG * swung.std(axis=0))
+        return least
 
     def rings(self, runs: Sequence[Run], frequency: float) -> bool:
         """Return True if the system as described rings at a frequency."""
@@ -318,6 +330,8 @@ class SystemMachine:
         }
         if "servo" in ports:
             out["servo"] = np.stack([self._servo(run, model) for model in models])
+        if "velocity" in ports:
+            out["velocity"] = np.stack([self._velocity(run, system) for system in systems])
         if "joint" in ports:
             out["joint"] = np.stack([self._joint(run, model) for model in models])
         if "admittance" in ports:
@@ -522,6 +536,12 @@ class SystemMachine:
             gaps[key] = servo_gap(run, model.system, self.system.arm, model.gains, swing)
             _forget(gaps)
         return gaps[key]  # type: ignore[no-any-return]
+
+    def _velocity(self, run: Run, system: System) -> Array:
+        """Rate logged less the rate of the angle logged (..., T, n) [rad/s]."""
+        logged, lag = run["v"], Delays.of(system).lag[0]
+        rate = run.angles.v + self._between(run).rate
+        return np.asarray(logged - low_passed(rate, lag, run.dt, logged[..., 0, :]))
 
     def _sensed(self, system: System, wrench: Array, more: BetweenSamples, dt: float) -> Array:
         """Return the sensor's reading of a wrench (..., T, 6)."""
