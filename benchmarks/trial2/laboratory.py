@@ -304,5 +304,16 @@ def simulate(
     )
     told = motion(t[::per])
     return Run(
-        t[::per], told[0], told[1], q_, v_, tau, y, w_, y_cmd=y_cmd, wg=wg_, yd=yd, yd_cmd=yd_cmd
+        t[::per],
+        told[0],
+        told[1],
+        q_,
+        v_,
+        tau,
+        y,
+        w_,
+        y_cmd=y_cmd,
+        wg=wg_,
+        yd=yd,
+        yd_cmd=yd_cmd,
     )

@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-
 from ves_gym._util.params import ParameterError, to_plain
 from ves_gym._util.threads import on_one_thread
 from ves_gym.baselines.controllers import Controller

@@ -1,4 +1,4 @@
-"""Rates logged beside angles. References: a low-pass in closed form, and a lag that was hidden."""
+"""Rates logged beside angles. References: a low-pass in closed form, a lag that was hidden."""
 
 import numpy as np
 import pytest

@@ -67,7 +67,7 @@ _N, _M = ("N",) * 3 + ("N m",) * 3, ("m",) * 3 + ("rad",) * 3
 # coordinates, and what the computer takes in and gives out is known to the last digit.
 _FLOOR = {"admittance": 8e-3}
 _LEAST = 1e-3
-# Of what a platform that swings within each period takes from joints, and turns them: not known.
+# Of what a platform that swings within each period does to joints: not known.
 _SWUNG = 0.3
 _TURNS_OVER = 0.4  # of the band: what of a torque decides on which side teeth lie
 _OF_THE_SERVO = (*COMMANDED, "q", "tau", "controller")  # what its port needs
