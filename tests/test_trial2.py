@@ -5,7 +5,7 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 from benchmarks.trial2 import cases, detectability, machines, noise, nominal, scoring, write
 from benchmarks.trial2.__main__ import PUBLIC
 from benchmarks.trial2.arm import arm_bodies
+from benchmarks.trial2.imitation import imitation, most_gained, places
 from benchmarks.trial2.joints import Joints
 from benchmarks.trial2.kinds import KINDS
 from benchmarks.trial2.motions import Quintics
 from benchmarks.trial2.platforms import read_platform
 from benchmarks.trial2.publish import published
 from benchmarks.trial2.seal import check, seal
+from benchmarks.trial2.targets import can_be_told
 from tests.running_blocks import leg_platform
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.diagnosis.machines.tolerances import StatedErrors
@@ -329,6 +331,61 @@ def test_the_best_reader_takes_large_errors_for_what_they_do() -> None:
     s = changed(5 * np.eye(6)[2])
     assert detectability.beside(s, J) > 1000
     assert 20 < detectability.beside(s, J, changed) < 25.001
+
+
+def imitated() -> list[tuple[str, str]]:
+    """Every kind and mode of effect that tolerances imitate."""
+    kinds = [
+        ("ideal", "base/virtual_mass"), ("ideal", "base/damping"), ("ideal", "base/stiffness"),
+        ("ideal", "payload/com"), ("ideal", "joint/drive_gain"),
+    ]  # fmt: skip
+    laboratory = (
+        "payload/com", "joint/drive_gain", "sensor/bias", "sensor/calibration", "sensor/lag",
+        "gravity/mass", "platform/bandwidth", "platform/damping",
+    )  # fmt: skip
+    return kinds + [("emulated", kind) for kind in laboratory]
+
+
+@pytest.mark.parametrize(("mode", "kind"), imitated())
+def test_tolerances_that_imitate_an_effect_do_the_same(
+    mode: str, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So no reader gains more than |x|^2 by the truth (`benchmarks/trial2/imitation.py`)."""
+    monkeypatch.setattr(write, "DURATION", 0.3)
+    monkeypatch.setattr(detectability, "FITTED", 1)
+    drawn = (cases.draw(SECRET, k) for k in range(600))
+    case = next(c for c in drawn if c.mode == mode and kind in c.kinds)
+    which, size = case.kinds.index(kind), KINDS[kind].start
+    x = imitation(case, which, size)
+    assert x is not None and x.any()
+    at = write.setting(SECRET, case)
+    assert len(x) == places(at.plant.joints)["end"]
+    at = detectability.off_by(at, np.zeros(len(x)))
+    plant = at.plant.copy()
+    write.add_effect(plant, case, which, size)
+    hidden = write.play(at, plant, 0)
+    off = detectability.off_by(at, x)
+    imitating = write.play(off, off.plant, 0)
+    plain = write.play(at, at.plant, 0)
+    change = 0.0
+    for name in ("q", "tau", "y", "w"):
+        a, b, c = (getattr(run, name) for run in (hidden, imitating, plain))
+        assert np.abs(a - b).max() <= 1e-9 * np.abs(c).max()
+        change = max(change, float(np.abs(a - c).max()))
+    assert change > 1e-7
+    assert most_gained(case, which, size) == pytest.approx(x @ x)
+
+
+def test_what_tolerances_imitate_is_told_apart_from_what_they_do_not() -> None:
+    index = next(k for k in range(600) if cases.draw(SECRET, k).kinds == ("gravity/mass",))
+    case = cases.draw(SECRET, index)
+    std = case.factor * 0.005 / 3**0.5
+    for share, told in ((5.0, False), (7.0, True)):  # 25 and 49 of deviance
+        effect = {"kind": "gravity/mass", "size": share * std}
+        assert can_be_told({**asdict(case), "effects": [effect]}) == told
+    index = next(k for k in range(600) if cases.draw(SECRET, k).kinds == ("joint/viscous",))
+    effect = {"kind": "joint/viscous", "size": 1e-6}
+    assert can_be_told({**asdict(cases.draw(SECRET, index)), "effects": [effect]})
 
 
 def test_slow_noise_is_white_for_the_best_reader() -> None:

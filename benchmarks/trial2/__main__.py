@@ -125,7 +125,7 @@ def limit(args: argparse.Namespace) -> None:
                 print(
                     f"case {label['index']}: {effect['kind']} {effect['slot'] or ''}: deviance "
                     f"{row.noise:.4g} over noise alone, {row.tolerances:.4g} beside "
-                    f"{row.unknown} tolerances",
+                    f"{row.unknown} tolerances, {row.most:.4g} at most in any runs",
                     flush=True,
                 )
 

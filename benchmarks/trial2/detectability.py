@@ -37,11 +37,11 @@ from benchmarks.trial2 import noise
 from benchmarks.trial2.arm import Array, arm_bodies
 from benchmarks.trial2.cases import RUNS, draw, machine_off, noise_std
 from benchmarks.trial2.hidden import Signals
+from benchmarks.trial2.imitation import UNIFORM, most_gained, places
 from benchmarks.trial2.laboratory import estimated_weight
 from benchmarks.trial2.space import Run
 from benchmarks.trial2.write import Setting, add_effect, play, setting
 
-UNIFORM = 3**0.5  # half-widths in a standard deviation
 CHANNELS = ("q", "v", "tau", "y", "y_cmd", "w")  # the weight's estimate is seen in w - wg
 HEAVY = 1.25  # Fisher information of the heavy noise, that of Gaussian noise being 1
 FITTED = RUNS - 1  # the last run is held back
@@ -56,10 +56,11 @@ class Detectability:
 
     noise: float
     tolerances: float
+    most: float  # that any runs could show, see `imitation`
     unknown: int  # tolerances
 
 
-def _off_by(at: Setting, x: Array) -> Setting:
+def off_by(at: Setting, x: Array) -> Setting:
     """Return a machine that is off by x (p,) standard deviations of its tolerances.
 
     The clock comes after them, and is left out: it moves no sample.
@@ -77,18 +78,6 @@ def _off_by(at: Setting, x: Array) -> Setting:
 
     plant, servo, clock = machine_off(at.case, at.description, take)
     return replace(at, plant=plant, servo=servo, clock=clock)
-
-
-def _tolerances(at: Setting) -> int:
-    """Return how many numbers of a machine are uncertain, but for its clock."""
-    drawn = [0]
-
-    def take(half: float, size: int | None) -> Any:
-        drawn[0] += 1 if size is None else size
-        return 0.0 if size is None else np.zeros(size)
-
-    machine_off(at.case, at.description, take)
-    return drawn[0] - 1
 
 
 class Reader:
@@ -136,7 +125,7 @@ class Sensitivity:
 
     def changed(self, x: Array) -> Array:
         """Return the change (N,) by tolerances x (p,), in standard deviations each."""
-        return self.read(_off_by(self.described, x)) - self.nominal
+        return self.read(off_by(self.described, x)) - self.nominal
 
 
 def weight_noise(at: Setting, run: Run) -> Array:
@@ -217,8 +206,8 @@ def detectability(secret: str, label: dict[str, Any]) -> list[Detectability]:
     """
     case = draw(secret, label["index"])
     described = setting(secret, case)
-    p = _tolerances(described)
-    described = _off_by(described, np.zeros(p))
+    p = places(described.plant.joints)["end"]
+    described = off_by(described, np.zeros(p))
     peaks = np.max([np.abs(play(described, described.plant, r).tau).max(0) for r in (0, 1)], 0)
     sensitivity = lru_cache(lambda held: Sensitivity(described, held, p))
     out = []
@@ -229,5 +218,8 @@ def detectability(secret: str, label: dict[str, Any]) -> list[Detectability]:
         plant.peaks = peaks
         add_effect(plant, case, which, effect["size"])
         s = known.read(replace(described, plant=plant)) - known.nominal
-        out.append(Detectability(float(s @ s), beside(s, known.J, known.changed), p))
+        gained = beside(s, known.J, known.changed)
+        out.append(
+            Detectability(float(s @ s), gained, most_gained(case, which, effect["size"]), p)
+        )
     return out

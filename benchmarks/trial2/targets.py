@@ -1,15 +1,19 @@
 """Rows of what a sealed trial must show, with their 95 % intervals (Clopper and Pearson)."""
 
 from collections.abc import Iterable
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import scipy.stats as st
 
+from benchmarks.trial2.cases import Case
+from benchmarks.trial2.imitation import most_gained
 from benchmarks.trial2.scoring import Label, in_place, judge
 
 Answer = dict[str, Any]
 SURE, BINS = 0.99, 10
+NEEDED = 35.0  # deviance that a name needs: what gains less in any runs cannot be told
 
 
 def _share(hits: Iterable[bool]) -> str:
@@ -73,6 +77,17 @@ def _f1(pairs: list[tuple[Label, Answer]]) -> str:
     return f"{2 * precision * recall / total if total else 0.0:.2f}"
 
 
+def can_be_told(label: Label) -> bool:
+    """Return False if tolerances of the machine imitate an effect of a case, and likely so.
+
+    Args:
+        label: of the case.
+    """
+    case = Case(**{f.name: label[f.name] for f in fields(Case)})
+    sizes = [effect["size"] for effect in label["effects"]]
+    return all(most_gained(case, i, size) >= NEEDED for i, size in enumerate(sizes))
+
+
 def targets(labels: list[Label], answers: dict[int, Answer]) -> str:
     """Return the rows as Markdown."""
     every = [(a, answers[a["index"]]) for a in labels if a["index"] in answers]
@@ -96,6 +111,11 @@ def targets(labels: list[Label], answers: dict[int, Answer]) -> str:
         ("singles >= 3 x: named alone, kind and place", mark(large, "right"), ">= 92 %"),
         ("the same, or its class", mark(large, "right", "class"), ">= 97 %"),
         (
+            "singles >= 3 x that tolerances cannot imitate: named alone",
+            mark([(a, g) for a, g in large if can_be_told(a)], "right"),
+            "",
+        ),
+        (
             "nulls, tolerances as described: false alarms",
             mark(usual, "wrong", "unknown", "refused"),
             "<= 1 of 120",
@@ -108,6 +128,11 @@ def targets(labels: list[Label], answers: dict[int, Answer]) -> str:
         ("outside: unknown", mark(outside, "right"), ">= 90 %"),
         ("outside: a wrong name", mark(outside, "wrong"), "<= 4 %"),
         ("pairs: both named, nothing else", mark(pairs, "right"), ">= 80 %"),
+        (
+            "pairs that tolerances cannot imitate: both named",
+            mark([(a, g) for a, g in pairs if can_be_told(a)], "right"),
+            "",
+        ),
         ("pairs: F1", _f1(pairs), ">= 0.9"),
         (f"names with p > {SURE} that are right", _share(sure), ">= 97 %"),
         ("calibration error", _calibration(names), "<= 0.04"),
