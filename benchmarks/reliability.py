@@ -7,9 +7,8 @@
 `count` diagnoses every case of a set, a minute each, and adds a line per name to the file;
 cases that have one are left alone. `fit` prints the constants of the diagnosis
 (`inference/reliability.py`), and how well such constants do on cases left out, one after the
-other. The names that those are from are in docs/diagnosis-reliability.jsonl: of the fourth and
-fifth set of trial 2 by the code of the sixth, most before a name cost its choice, of the
-seventh to ninth by the code sealed with them.
+other, and on whole sets. The names that those are from are in docs/diagnosis-reliability.jsonl:
+of the seventh to twelfth set of trial 2, by the code sealed with each.
 """
 
 from __future__ import annotations
@@ -111,15 +110,20 @@ def _columns(names: list[dict[str, Any]]) -> tuple[Array, Array, Array]:
     return np.column_stack(terms), right, library
 
 
-def left_out(names: list[dict[str, Any]]) -> Array:
-    """Return (n,) probabilities of names, each by constants from all other cases."""
+def left_out(names: list[dict[str, Any]], sets: bool = False) -> Array:
+    """Return (n,) reliabilities of names, each by constants from all other cases.
+
+    Args:
+        names: of `count`.
+        sets: by constants from all other sets.
+    """
     out = np.zeros(len(names))
-    X, _, library = _columns(names)
-    case = np.array([n["case"] for n in names])
-    for k in np.unique(case):
-        b = constants([n for n in names if n["case"] != k])
-        here = case == k
-        out[here] = library[here] / (1 + np.exp(-X[here] @ b))
+    X = _columns(names)[0]
+    of = np.array([n["case"].split("/")[0] if sets else n["case"] for n in names])
+    for k in np.unique(of):
+        here = of == k
+        b = constants([n for n, mine in zip(names, here, strict=True) if not mine])
+        out[here] = 1 / (1 + np.exp(-X[here] @ b))
     return out
 
 
@@ -145,7 +149,11 @@ def fit(path: Path) -> None:
     names = read_names(path)
     print("EVEN, GAIN, STRAIN =", ", ".join(f"{b:.2f}" for b in constants(names)))
     right, library = (np.array([n[k] for n in names], float) for k in ("right", "library"))
-    for what, p in (("before", library), ("now, of cases left out", left_out(names))):
+    for what, p in (
+        ("before", library),
+        ("now, of cases left out", library * left_out(names)),
+        ("now, of sets left out", library * left_out(names, True)),
+    ):
         off, sure = calibration_error(p, right), right[p > 0.95]
         print(
             f"{what}: calibration error {off:.3f} of {len(names)} names,"

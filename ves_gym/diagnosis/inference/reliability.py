@@ -24,10 +24,10 @@ from ves_gym.diagnosis.inference.model_selection import (
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 
 NEEDED = 35.0  # deviance at which names begin to be given
-COMPUTED = 19 / 20  # of names of what a computer evaluates: 18 of 18 (rule of succession)
-DOUBT = 0.65  # reliability below which a name is withheld
+COMPUTED = 20 / 21  # of names of what a computer evaluates: 19 of 19 (rule of succession)
+DOUBT = 0.8  # reliability below which a name is withheld
 USUAL = 20.0  # strain of a description that is right
-EVEN, GAIN, STRAIN = 0.36, 0.91, -0.50  # log odds: there; per e-fold of either
+EVEN, GAIN, STRAIN = 0.99, 0.86, -0.65  # log odds: there; per e-fold of either
 
 
 def gain(residuals: WhitenedResiduals, f: Fit, i: int) -> float:
