@@ -148,7 +148,7 @@ def test_what_names_are_not_trusted_with_goes_to_none_of_these():
 
 
 def test_names_given_are_mostly_right_and_none_is_an_alarm():
-    """Of the names counted, by constants from all other cases; the two of nulls are doubtful."""
+    """Of the names counted, by constants from all other cases; two of nulls are doubtful."""
     names = read_names(COUNTED)
     right = np.array([n["right"] for n in names])
     withheld = left_out(names) < DOUBT
