@@ -5,7 +5,7 @@ import pytest
 import scipy
 
 from ves_gym.diagnosis.machines.presliding import Presliding
-from ves_gym.diagnosis.machines.recursions import deflection
+from ves_gym.diagnosis.machines.recursions import crossing, deflection
 from ves_gym.effects import JointCoulomb
 
 DT = 5e-3
@@ -57,3 +57,34 @@ def test_teeth_touch_beyond_half_the_gap():
     assert x[:4] == pytest.approx([1.5e-3, 1.5e-3, -1.5e-3, -1.5e-3])
     rows = deflection(np.tile(torque, (3, 1)), 1e4, 0.0, 1e-3, DT)
     assert (rows == x).all()
+
+
+@pytest.mark.parametrize("damping", [0.0, 8.0])
+def test_a_link_flies_through_its_gap(damping):
+    """M x'' + d x' = L from one side, against SciPy; then it stays on the other."""
+    M, L, half = 2.0, 3.0, 5e-3
+    t = DT * np.arange(60)
+    load = np.where(t < 10 * DT, -L, L)
+    x = crossing(load, np.full(60, M), damping, half, DT)
+    assert (x[:10] == -half).all()
+    begin = 9.5 * DT  # where straight lines between samples change sign
+
+    def push(now):
+        return np.interp(now, t, load)
+
+    free = scipy.integrate.solve_ivp(
+        lambda now, s: [s[1], (push(now) - damping * s[1]) / M],
+        (begin, t[-1]), [-half, 0.0], dense_output=True, rtol=1e-10, max_step=DT / 4,
+    )  # fmt: skip
+    expected = np.minimum(free.sol(np.maximum(t, begin))[0], half)
+    landed = int(np.argmax(expected >= half))
+    assert 30 < landed < 45
+    assert np.abs(x[:landed] - expected[:landed]).max() < 0.04 * half
+    assert (x[landed + 1 :] == half).all()
+
+
+def test_a_link_that_is_pressed_stays_where_teeth_meet():
+    load = 2.0 + np.sin(np.arange(100) / 5)
+    assert (crossing(load, np.ones(100), 0.0, 1e-3, DT) == 1e-3).all()
+    both = crossing(np.stack([load, -load]), np.ones(100), 0.0, 1e-3, DT)
+    assert (both[0] == 1e-3).all() and (both[1] == -1e-3).all()

@@ -7,6 +7,7 @@ from numba import njit
 
 from ves_gym._util.params import Array
 
+_PARTS = 8  # of the time between samples, in which a link crosses its gap
 _NEWTON, _NEAR = 40, 1e-15  # steps at most to where a spring that hardens stands; rad, the last
 
 
@@ -56,6 +57,49 @@ def _deflection(torque: Array, k: float, c: float, half: float) -> Array:
                 x = above
             elif below < -half:
                 x = below
+            out[row, t] = x
+    return out
+
+
+def crossing(load: Array, inertia: Array, damping: float, half: float, dt: float) -> Array:
+    """Return the angle x (..., T) by which a rotor leads its link between teeth.
+
+    In the gap M x'' + d x' = load: nothing holds the link, which falls behind as its rotor goes
+    on. It stays where teeth meet as long as the load presses it there (derived in
+    docs/diagnosis.md, What a gear does at a port).
+
+    Args:
+        load: (..., T) torque that the link would take if it followed its rotor [N m].
+        inertia: (T,) M of the link about its joint, others held [kg m^2].
+        damping: d of the oil in the gap [N m s/rad].
+        half: the gap [rad].
+        dt: between samples [s].
+    """
+    rows = np.ascontiguousarray(load).reshape(-1, load.shape[-1])
+    heavy = np.ascontiguousarray(inertia)
+    return np.asarray(_crossing(rows, heavy, damping, half, dt / _PARTS)).reshape(load.shape)
+
+
+@njit(cache=True)
+def _crossing(load: Array, inertia: Array, c: float, half: float, h: float) -> Array:
+    out = np.empty_like(load)
+    for row in range(load.shape[0]):
+        side = np.sign(load[row, 0])  # on which teeth meet; 0: none do
+        x, v = half * side, 0.0
+        out[row, 0] = x
+        for t in range(1, load.shape[1]):
+            for part in range(_PARTS):
+                share = (part + 0.5) / _PARTS
+                push = (1 - share) * load[row, t - 1] + share * load[row, t]
+                M = (1 - share) * inertia[t - 1] + share * inertia[t]
+                if side * push < 0.0:
+                    side = 0.0
+                if side == 0.0:
+                    v = (M * v + h * push) / (M + h * c)
+                    x += h * v
+                    if abs(x) >= half:
+                        side = np.sign(x)
+                        x, v = half * side, 0.0
             out[row, t] = x
     return out
 

@@ -34,6 +34,7 @@ from ves_gym.diagnosis.machines.between_samples import (
 )
 from ves_gym.diagnosis.machines.causes import Together, apart
 from ves_gym.diagnosis.machines.drift import SlowPath, courses
+from ves_gym.diagnosis.machines.gear_deflection import deflections
 from ves_gym.diagnosis.machines.nuisance_priors import GAIN, system_nuisances
 from ves_gym.diagnosis.machines.platform import followed, platform_gap
 from ves_gym.diagnosis.machines.pose_noise import PoseNoise, pose_noise
@@ -46,13 +47,12 @@ from ves_gym.diagnosis.machines.torque_balance import (
     in_torque_logged,
     through_gears,
     torque_residual,
-    winding_noise,
     windings,
 )
 from ves_gym.diagnosis.machines.vehicle_answer import answering_force
 from ves_gym.diagnosis.machines.vehicle_force import InnerStart, inner_sizes, vehicle_gap
 from ves_gym.effects import BaseExtraMode, JointMemory
-from ves_gym.effects.joint_elasticity import HARD, Hardened
+from ves_gym.effects.joint_elasticity import Hardened
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.body_numbers import numbers_of_body
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
@@ -69,9 +69,7 @@ _FLOOR = {"admittance": 8e-3}
 _LEAST = 1e-3
 # Of what a platform that swings within each period does to joints: not known.
 _SWUNG = 0.3
-_TURNS_OVER = 0.4  # of the band: what of a torque decides on which side teeth lie
 _OF_THE_SERVO = (*COMMANDED, "q", "tau", "controller")  # what its port needs
-_NO_TURN = 3.0  # standard deviations of noise about which a torque moves no teeth
 _AT_REST = TorqueEffect, JointMemory  # frictions among them: they turn with noise
 _LOADS = (
     40  # remembered of each kind: both ports of an arm ask, with one friction after another
@@ -507,8 +505,10 @@ class SystemMachine:
         if motion.balanced:
             carried = weight_torque(arm, links.x, run.base.x)
 
+        taken = tau - rotors * links.a  # by links that follow their motors
+
         def lagging(winding: Array) -> Load:
-            bent = _deflections(arm, winding, run, _hardening(system))
+            bent = deflections(arm, winding, taken, run, _hardening(system))
             late = differentiated(bent, run.dt, run.band)
             behind = Kinematics(*(x - d for x, d in zip(links, late, strict=True)))
             tau, wrench = motion_load(arm, behind, motion.base, motion.fall)
@@ -617,42 +617,3 @@ def _hardening(system: System) -> tuple[int, ...]:
     """Return the joints whose springs harden."""
     found = [e.compliance for e in system.effects if isinstance(e, Hardened)]
     return tuple({i for soft in found for i, x in enumerate(soft) if x})
-
-
-def _deflections(arm: Arm, torque: Array, run: Run, hardening: Sequence[int] = ()) -> Array:
-    """Angle by which gears give (..., T, n) under the torque through them.
-
-    Play turns over with the sign of the torque: noise that turns it over at random would be
-    all that is seen of a small one. So its torque is taken from a part of the band, and one
-    that noise may be moves no teeth.
-    """
-    from ves_gym.diagnosis.machines.recursions import deflection  # numba takes a second to load
-
-    out = np.zeros_like(torque)
-    gears = [(i, link.gear) for i, link in enumerate(arm.links) if link.gear is not None]
-    top, slow = _TURNS_OVER * run.band, torque
-    if any(gear.gap for _, gear in gears):
-        slow = differentiated(torque, run.dt, top)[0]
-    for i, gear in gears:
-        through = torque[..., i]
-        if gear.gap:
-            through = slow[..., i]
-            if "tau" in run:
-                least = np.maximum(_NO_TURN * _noise_through(arm, run, top)[i], 1e-12)
-                through = -through * np.expm1(-np.square(through / least))
-        hard = HARD if i in hardening and not gear.gap else np.inf
-        out[..., i] = deflection(
-            through, 1 / gear.compliance, gear.damping, gear.gap / 2, run.dt, hard
-        )
-    return out
-
-
-def _noise_through(arm: Arm, run: Run, top: float) -> Array:
-    """Noise of the torques through gears up to `top` Hz (n,) [N m], computed once per arm."""
-    rotors = arm.column("rotor_inertia")
-    known = _memoized(run, "noise through gears", dict)
-    key = tuple(rotors.tolist()), top
-    if key not in known:
-        known[key] = winding_noise(run, rotors, top)
-        _forget(known)
-    return known[key]  # type: ignore[no-any-return]
