@@ -162,15 +162,19 @@ def test_a_name_is_earned_if_no_curve_explains_clearly_more(along, monkeypatch):
         ((1.25, 1.01), (1.1, 1.0), True),  # it grew by more than it was to
     ],
 )
+@pytest.mark.parametrize("priced", [False, True])
 def test_noise_that_draws_foretell_contradicts_no_name(
-    squares, expected, contradicts, monkeypatch
+    squares, expected, contradicts, priced, monkeypatch
 ):
-    """Mean squares of a group of 126 numbers with a name and without, and those expected."""
+    """Mean squares of a group of 126 numbers with a name and without, and those expected.
+
+    Priced: more noise than the description has costs density on the runs fitted (a gear's).
+    """
     n = np.array([126.0])
     answers = [(n, n * s, n * e) for s, e in zip(squares, expected, strict=True)]
     monkeypatch.setattr(held_back, "fit_residual", lambda last, f, fitted: f)
     monkeypatch.setattr(held_back, "group_squares", lambda last, f: answers[f])
-    monkeypatch.setattr(held_back, "limits_of", lambda groups: (np.array([np.inf]), None))
+    monkeypatch.setattr(held_back, "limits_of", lambda groups: (n if priced else np.inf * n, None))
     last = SimpleNamespace(groups=())
     assert (held_back._contradiction(last, 0, 1) > held_back.LOSS) == contradicts
 

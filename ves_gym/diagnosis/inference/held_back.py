@@ -168,7 +168,9 @@ def _contradiction(last: WhitenedResiduals, full: Fit, reduced: Fit) -> float:
     A model passes noise of the motion on to one port and takes it from another. How much is
     expected from draws, and these runs have another: a group that grew by no more than it was
     to, or did not shrink by as much, contradicts nothing. So each counts by the noise that it
-    was expected to leave or by its squares alone, whichever is less.
+    was expected to leave or by its squares alone, whichever is less. Here it has no price: that a
+    soft gear makes more noise of a torque was weighed on the runs fitted, and a slow run, which
+    shows little of the gear, is not likelier without one for being quieter.
 
     Args:
         last: of those runs.
@@ -177,8 +179,10 @@ def _contradiction(last: WhitenedResiduals, full: Fit, reduced: Fit) -> float:
     parts = []
     for f in (full, reduced):
         n, squares, noise = group_squares(last, fit_residual(last, f, False))
-        limits = limits_of(last.groups)
-        parts.append([deviances(n, likely_sizes(n, squares, k, *limits)) for k in (noise, n)])
+        most, least = np.maximum(noise, n), limits_of(last.groups)[1]
+        parts.append(
+            [deviances(n, likely_sizes(n, squares, k, most, least)) for k in (noise, n)]
+        )
     each = np.subtract(parts[0], parts[1])
     return float(each.min(axis=0).sum())
 
