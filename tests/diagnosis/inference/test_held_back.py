@@ -174,7 +174,9 @@ def test_noise_that_draws_foretell_contradicts_no_name(
     answers = [(n, n * s, n * e) for s, e in zip(squares, expected, strict=True)]
     monkeypatch.setattr(held_back, "fit_residual", lambda last, f, fitted: f)
     monkeypatch.setattr(held_back, "group_squares", lambda last, f: answers[f])
-    monkeypatch.setattr(held_back, "limits_of", lambda groups: (n if priced else np.inf * n, None))
+    monkeypatch.setattr(
+        held_back, "limits_of", lambda groups: (n if priced else np.inf * n, None)
+    )
     last = SimpleNamespace(groups=())
     assert (held_back._contradiction(last, 0, 1) > held_back.LOSS) == contradicts
 

@@ -168,9 +168,9 @@ def _contradiction(last: WhitenedResiduals, full: Fit, reduced: Fit) -> float:
     A model passes noise of the motion on to one port and takes it from another. How much is
     expected from draws, and these runs have another: a group that grew by no more than it was
     to, or did not shrink by as much, contradicts nothing. So each counts by the noise that it
-    was expected to leave or by its squares alone, whichever is less. Here it has no price: that a
-    soft gear makes more noise of a torque was weighed on the runs fitted, and a slow run, which
-    shows little of the gear, is not likelier without one for being quieter.
+    was expected to leave or by its squares alone, whichever is less. Here it has no price: that
+    a soft gear makes more noise of a torque was weighed on the runs fitted, and a slow run,
+    which shows little of the gear, is not likelier without one for being quieter.
 
     Args:
         last: of those runs.
