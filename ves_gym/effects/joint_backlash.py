@@ -14,7 +14,10 @@ from ves_gym.system.candidate import Candidate, Scope
 from ves_gym.system.effect import ArmEffect, parameter, register
 from ves_gym.system.system import System
 
-_STIFF = 4e-6  # rad/(N m), of the teeth that a diagnosis looks for: more is elasticity
+# Of the teeth that a diagnosis looks for: what gives more is elasticity, and what crosses the
+# gap in a shorter time than the noise of a torque allows to tell crosses it at the wrong time.
+_STIFF = 4e-6  # rad/(N m)
+_THICK = 20.0  # N m s/rad
 _SOFTER = 5.0  # times the compliance
 
 
@@ -49,12 +52,12 @@ class JointBacklash(ArmEffect):
 
     @classmethod
     def candidates(cls, scope: Scope) -> Iterator[Candidate]:
-        """A gap at each joint, between stiff teeth."""
+        """A gap at each joint, between stiff teeth in thick oil."""
         for candidate in super().candidates(scope):
 
             def make(x: Array, gap: Callable[[Array], Any] = candidate.make) -> JointBacklash:
                 found: JointBacklash = gap(x)
-                return replace(found, compliance=_STIFF)
+                return replace(found, compliance=_STIFF, damping=_THICK)
 
             yield replace(candidate, make=make)
 
