@@ -89,17 +89,18 @@ class Reader:
     """
 
     def __init__(self, described: Setting, held: bool) -> None:
-        runs = range(FITTED)
-        self.led = [play(described, described.plant, r) if held else None for r in runs]
+        logs = [play(described, described.plant, run) for run in range(FITTED)]
+        self.led = logs if held else [None] * FITTED
+        self.weight = [weight_noise(described, k) if k.wg is not None else None for k in logs]
 
     def __call__(self, at: Setting) -> Array:
         """Return every logged number over its noise, runs and channels one after another."""
         std, out = noise_std(at.case.arm), []
-        for run, led in enumerate(self.led):
+        for run, (led, weight) in enumerate(zip(self.led, self.weight, strict=True)):
             logged = play(at, at.plant, run, led=led)
             rows = [(getattr(logged, name), std[name]) for name in CHANNELS]
-            if logged.wg is not None:
-                rows.append((logged.w - logged.wg, weight_noise(at, logged)))
+            if logged.wg is not None and weight is not None:
+                rows.append((logged.w - logged.wg, weight))
             dt = float(logged.t[1] - logged.t[0])
             out += [
                 whitened(at.case.noise, values / size, dt).ravel()

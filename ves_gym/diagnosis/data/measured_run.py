@@ -31,6 +31,7 @@ BAND = 12.0  # Hz: motion above it is below the noise of differentiated encoders
 MEASURED = ("q", "v", "tau", "y", "yd", "w")  # signals of the log that a sensor gives
 NEAR = "near"  # in the memory of noisy copies: that of the run itself
 COMMANDED = ("q_cmd", "v_cmd")  # that a controller is told
+REMEMBERED = 40  # of one kind: both ports of an arm ask, with one friction after another
 _SAME_CLOCK = 1e-3  # relative difference of steps
 _GAP = 3.0  # usual steps of the clock: more is a gap
 _UNITS = (  # signal, what no such machine reaches, unit expected, unit it may be in
@@ -43,6 +44,17 @@ _UNITS = (  # signal, what no such machine reaches, unit expected, unit it may b
 )
 _STILL = 1e-4  # rad/s: noise of a rate that turns no friction round, a hundredth of its creep
 _PER_BAND = 4.0  # samples per period of the band's top that derivatives need
+
+
+def forget(remembered: dict[Any, Any], most: int = REMEMBERED) -> None:
+    """Drop the oldest of what is remembered but for the first, the description's own.
+
+    Args:
+        remembered: in a run's memory.
+        most: entries that stay.
+    """
+    if len(remembered) > most:
+        del remembered[list(remembered)[1]]
 
 
 class Kinematics(NamedTuple):

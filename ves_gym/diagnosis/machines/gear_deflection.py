@@ -6,13 +6,12 @@ Derived in docs/diagnosis.md, What a gear does at a port.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym._util.signals import differentiated
-from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.data.measured_run import Run, forget
 from ves_gym.diagnosis.machines.torque_balance import winding_noise
 from ves_gym.effects.joint_elasticity import HARD
 from ves_gym.mechanics.arm import Arm
@@ -24,7 +23,6 @@ _TELLS = 10.0  # the same from which a torque logged tells what a link takes
 _CROSSES = 0.6  # of the band: what of the motion leads a link across its gap
 _CREEPS = 20.0  # N m s/rad with which noise allows to tell when a narrow gap is crossed at once
 _WIDE, _NARROW = 3.0, 1e-3  # standard deviations of an angle; weight that is not worth a flight
-_ARMS = 40  # remembered
 
 
 def deflections(
@@ -101,10 +99,10 @@ def _inertias(arm: Arm, run: Run) -> Array:
     """Inertia about each joint, others held (T, n), rotors included; computed once per arm."""
     known = run.memory.setdefault("inertias", {})
     if arm not in known:
-        _forget(known)
         q = run["q"].reshape(-1, run.length, arm.n)[0]
         n = np.arange(arm.n)
         known[arm] = inertia(arm, q)[:, 6 + n, 6 + n]
+        forget(known)
     return known[arm]  # type: ignore[no-any-return]
 
 
@@ -114,12 +112,6 @@ def _noise_through(arm: Arm, run: Run, top: float) -> Array:
     known = run.memory.setdefault("noise through gears", {})
     key = tuple(rotors.tolist()), top
     if key not in known:
-        _forget(known)
         known[key] = winding_noise(run, rotors, top)
+        forget(known)
     return known[key]  # type: ignore[no-any-return]
-
-
-def _forget(remembered: dict[Any, Any]) -> None:
-    """Drop the oldest of what is remembered where that is much."""
-    if len(remembered) >= _ARMS:
-        del remembered[next(iter(remembered))]

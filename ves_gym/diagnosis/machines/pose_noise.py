@@ -18,20 +18,18 @@ is more exact than the force sensor its weights are zero.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from typing import Any
 
 import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym._util.signals import SensorNoiseModel
-from ves_gym.diagnosis.data.measured_run import NEAR, Derived, Run
+from ves_gym.diagnosis.data.measured_run import NEAR, Derived, Run, forget
 from ves_gym.diagnosis.machines.vehicle_force import dynamic_stiffness
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.spatial import matvec, rate_matrix
 from ves_gym.mechanics.vehicle import BaseModel
 
-_REMEMBERED = 40
 _BEYOND = 1.5  # of the band: up to there an estimate is taken off
 
 
@@ -79,7 +77,7 @@ class PoseNoise:
             force: (..., T, 6) residual at port `base` of this base.
         """
         if key not in self._bases:
-            _forget(self._bases)
+            forget(self._bases)
             self._bases[key] = self._of_base(base)
         return matvec(self._of_arm(arm)[0], self._filtered(self._bases[key], force))
 
@@ -91,7 +89,7 @@ class PoseNoise:
             middle = mass.mean(axis=0)  # e = n_w - w^2 mass n_y
             shown = np.einsum("k,ij,kj,lj->kil", self._w**4, middle, self._pose, middle)
             weights = self._low * shown @ np.linalg.inv(shown + _diagonal(self._wrench))
-            _forget(self._arms)
+            forget(self._arms)
             self._arms[arm] = mass, push @ np.linalg.inv(H[:, :6, :6]), weights
         return self._arms[arm]
 
@@ -128,12 +126,6 @@ def pose_noise(run: Run, floor: Callable[[], Array]) -> PoseNoise:
         out: PoseNoise = near[key]
         return out
     return run.derived(*key, lambda: PoseNoise(run, floor()))
-
-
-def _forget(memory: dict[Any, Any]) -> None:
-    """Forget the second entry of a full memory; the first is the description's own."""
-    if len(memory) > _REMEMBERED:
-        del memory[list(memory)[1]]
 
 
 def _density(noise: SensorNoiseModel, angle: Array) -> Array:

@@ -16,7 +16,14 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym._util.signals import differentiated
-from ves_gym.diagnosis.data.measured_run import COMMANDED, NEAR, Derived, Kinematics, Run
+from ves_gym.diagnosis.data.measured_run import (
+    COMMANDED,
+    NEAR,
+    Derived,
+    Kinematics,
+    Run,
+    forget,
+)
 from ves_gym.diagnosis.machines.admittance import force_gap
 from ves_gym.diagnosis.machines.arm_load import (
     Load,
@@ -71,9 +78,6 @@ _LEAST = 1e-3
 _SWUNG = 0.3
 _OF_THE_SERVO = (*COMMANDED, "q", "tau", "controller")  # what its port needs
 _AT_REST = TorqueEffect, JointMemory  # frictions among them: they turn with noise
-_LOADS = (
-    40  # remembered of each kind: both ports of an arm ask, with one friction after another
-)
 _MOTIONS = 3  # remembered, each of another delay of the joints' sensors
 _SEEN = {  # port -> the signal that its residual is a part of
     "joint": "tau",
@@ -415,7 +419,7 @@ class SystemMachine:
         if key not in seen:
             gap = run["w"] - self._load(run, system)[1]
             seen[key] = noise.in_torque(arm, gap)
-            _forget(seen)
+            forget(seen)
         return seen[key]  # type: ignore[no-any-return]
 
     def _base(self, run: Run, system: System) -> tuple[Array, System]:
@@ -431,7 +435,7 @@ class SystemMachine:
         gaps, key = _memoized(run, "beside new modes", dict), _moved(system)
         if key not in gaps:
             gaps[key] = vehicle_gap(run, base) + answering_force(run, system.actual.base, new)
-            _forget(gaps)
+            forget(gaps)
         return gaps[key], known
 
     def _seen_in_wrench(self, run: Run, system: System, force: Array) -> Array:
@@ -468,7 +472,7 @@ class SystemMachine:
             motions = _memoized(run, "motions", dict)
             if old not in motions:
                 motions[old] = self._motion(run, old)
-                _forget(motions, _MOTIONS)
+                forget(motions, _MOTIONS)
             described = self.system.actual.arm.links[-1].inertial
             if geared:
                 loads[key] = self._load_of_geared(run, system, arm, motions[old])
@@ -479,7 +483,7 @@ class SystemMachine:
                 here, said = map(numbers_of_body, (arm.links[-1].inertial, described))
                 more = motions[old].load_of_last(arm, here - said)
                 loads[key] = plain[0] + more[0], plain[1] + more[1]
-            _forget(loads)
+            forget(loads)
         return loads[key]  # type: ignore[no-any-return]
 
     def _motion(self, run: Run, old: float) -> MeasuredMotion:
@@ -534,7 +538,7 @@ class SystemMachine:
         if key not in gaps:
             swing = self._between(run).rate
             gaps[key] = servo_gap(run, model.system, self.system.arm, model.gains, swing)
-            _forget(gaps)
+            forget(gaps)
         return gaps[key]  # type: ignore[no-any-return]
 
     def _velocity(self, run: Run, system: System) -> Array:
@@ -586,12 +590,6 @@ def _memoized(run: Run, key: Any, make: Callable[[], Any]) -> Any:
     if key not in run.memory:
         run.memory[key] = make()
     return run.memory[key]
-
-
-def _forget(remembered: dict[Any, Any], most: int = _LOADS) -> None:
-    """Drop the oldest of what is remembered but for the first, the description's own."""
-    if len(remembered) > most:
-        del remembered[list(remembered)[1]]
 
 
 def _moved(system: System) -> Hashable:
