@@ -8,6 +8,7 @@ import pytest
 from ves_gym._util.params import ParameterError
 from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis.data.measured_run import require_plausible, run_of
+from ves_gym.diagnosis.inference import model_selection
 from ves_gym.diagnosis.inference.candidates import library, without
 from ves_gym.diagnosis.inference.fit import Fit
 from ves_gym.diagnosis.inference.held_back import group_squares, likeliness
@@ -160,6 +161,32 @@ def test_an_error_of_the_vehicle_needs_no_guard_where_the_computer_moves_it():
     assert needed("base/extra_mode at y", *emulated) > limits.gain
     assert 12 < needed("base/stiffness", *emulated) < 20
     assert needed("base/stiffness", "base", "ideal") > limits.gain  # by a measured wrench
+
+
+def test_what_sets_in_beside_another_gear_needs_half_of_what_that_explains(monkeypatch):
+    every = {c.name: c for c in library(3, ["joint"], "ideal")}
+    residuals = types.SimpleNamespace(size=17000)
+
+    def of(*names):
+        found = tuple(every[n] for n in names)
+        deviance = 5000.0 - 1000.0 * len(found)
+        return types.SimpleNamespace(
+            candidates=found, deviance=deviance, price=lambda i, size: 10.0
+        )
+
+    def reduced(residuals, f, i):
+        return of(*(c.name for j, c in enumerate(f.candidates) if j != i))
+
+    monkeypatch.setattr(model_selection, "_without", reduced)
+
+    def needed(first, second):
+        f = of(f"joint/{first}", f"joint/{second}")
+        return _required_gain(residuals, NullLaw(len(every)), Thresholds(), f, 1)
+
+    assert needed("backlash at joint 3", "backlash at joint 2") == pytest.approx(500)
+    assert needed("elasticity at joint 2", "backlash at joint 2") == pytest.approx(500)
+    assert needed("backlash at joint 3", "viscous at joint 2") == pytest.approx(100)
+    assert needed("elasticity at joint 3", "backlash at joint 2") < 50  # gears of two joints
 
 
 def test_what_is_not_in_the_library_gets_no_wrong_name(hidden):

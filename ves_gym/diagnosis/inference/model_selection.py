@@ -37,6 +37,7 @@ class Thresholds:
     chance: float = 0.005  # that anything of the library is named where nothing is missing
     gain: float = 30.0  # least gain in deviance beyond the numbers it costs
     echo: float = 0.1  # least gain beside another that may echo there, in parts of its own
+    onset: float = 0.5  # the same of one that sets in by a torque
     most: int | None = None  # effects; None: as many as the evidence bears
     few: int = 3  # effects that are named on the usual evidence
     alike: float = 6.0  # difference in cost below which two candidates are one class
@@ -169,7 +170,7 @@ def _required_gain(
             / max(len({slot for _, slot in f.candidates[j].parts}), 1)
             for j in near
         ]
-        echo = limits.echo * max(explained)
+        echo = (limits.onset if candidate.sets_in else limits.echo) * max(explained)
     guard = 0.0 if is_computed(candidate) else limits.gain
     return max(by_chance, echo, guard + f.price(i, residuals.size) / 2)
 
