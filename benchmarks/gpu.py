@@ -69,23 +69,23 @@ def ours(name: str, system: System, n: int) -> Callable[[], None]:
 
 
 def mujoco_warp(system: System, n: int) -> Callable[[], None]:
-    """The same steps of MuJoCo Warp, one captured as a CUDA graph.
-
-    A graph of a whole period is refused by a driver of CUDA 13.0: "invalid argument".
-    """
+    """The same steps of MuJoCo Warp, a control period captured as a CUDA graph."""
     backend = engine("warp", system, n)
     backend._load()
     wp, package = backend._warp, backend._engine
-    device = wp.get_device()
+    model, data = backend._model, backend._data
     for _ in range(3):
-        package.step(backend._model, backend._data)  # compiles
+        package.step(model, data)  # compiles
     with wp.ScopedCapture() as capture:
-        package.step(backend._model, backend._data)
+        for _ in range(system.substeps):
+            package.step(model, data)
+    # A graph holds no more than addresses of its arrays: they live as long as what launches it.
+    held = backend, model, data
 
     def work() -> None:
-        for _ in range(PERIODS * system.substeps):
+        for _ in range(PERIODS):
             wp.capture_launch(capture.graph)
-        wp.synchronize_device(device)
+        wp.synchronize_device(held[-1].qpos.device)
 
     return work
 
