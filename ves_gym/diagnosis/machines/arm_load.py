@@ -2,18 +2,20 @@
 
 Both are linear in the ten numbers of a body. A diagnosis asks for a payload again and again,
 at many masses and places, on every run and on its copies with noise: so what one unit of each
-number of the last link's body takes is computed once per run.
+number of the last link's body takes is computed once per run, and so is what bodies take that
+other rotors, gears and limits move.
 """
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.diagnosis.data.measured_run import Kinematics
+from ves_gym.diagnosis.data.measured_run import Kinematics, forget
 from ves_gym.mechanics.arm import Arm, Inertial
 from ves_gym.mechanics.body_numbers import numbers_of_body
 from ves_gym.mechanics.dynamics import newton_euler
@@ -106,9 +108,20 @@ class MeasuredMotion:
         self.balanced = balanced and weighty
         self._moments: dict[Any, Array] = {}
         self._last: dict[Any, Array] = {}  # per number of the last body, by lengths
+        self._loads: dict[Any, Load] = {}  # without rotors, by bodies
 
     def load(self, arm: Arm) -> Load:
         """Torque that the motors give (..., T, n), and wrench of the arm (..., T, 6)."""
+        key = bodies_of(arm)
+        if key not in self._loads:
+            self._loads[key] = self._load_without_rotors(arm)
+            forget(self._loads)
+        tau, wrench = self._loads[key]
+        return tau + arm.column("rotor_inertia") * self.joints.a, wrench
+
+    def _load_without_rotors(self, arm: Arm) -> Load:
+        links = tuple(replace(k, rotor_inertia=0.0, gear=None) for k in arm.links)
+        arm = replace(arm, links=links)
         if not self.balanced or self.fall is None:
             return motion_load(arm, self.joints, self.base, self.fall)
         key = _lengths(arm)
@@ -129,12 +142,11 @@ class MeasuredMotion:
             empty = replace(
                 arm,
                 base=_NOTHING,
-                links=tuple(
-                    replace(k, inertial=_NOTHING, rotor_inertia=0.0) for k in arm.links
-                ),
+                links=tuple(replace(k, inertial=_NOTHING) for k in arm.links),
             )
             loads = [
-                np.concatenate(self.load(with_last(empty, point)), axis=-1) for point in _POINTS
+                np.concatenate(self._load_without_rotors(with_last(empty, point)), axis=-1)
+                for point in _POINTS
             ]
             numbers = np.stack([numbers_of_body(point) for point in _POINTS])
             self._last[key] = np.tensordot(np.linalg.inv(numbers), np.stack(loads), 1)
@@ -147,9 +159,14 @@ def with_last(arm: Arm, body: Inertial) -> Arm:
     return replace(arm, links=(*arm.links[:-1], replace(arm.links[-1], inertial=body)))
 
 
-def _lengths(arm: Arm) -> Any:
+def bodies_of(arm: Arm) -> Hashable:
+    """What the load of an arm without rotors depends on: its bodies, and where they are."""
+    return _lengths(arm), arm.base, tuple(k.inertial for k in arm.links)
+
+
+def _lengths(arm: Arm) -> Hashable:
     """What the numbers of bodies are multiplied by, beside the motion."""
-    return arm.mount, tuple((k.d, k.a, k.alpha, k.beta, k.offset) for k in arm.links)
+    return arm.mount, tuple((k.d, k.a, k.alpha, k.beta, k.offset, k.slides) for k in arm.links)
 
 
 def _columns(x: Array) -> Any:

@@ -24,6 +24,7 @@ import numpy as np
 from ves_gym._util.params import Array
 from ves_gym._util.signals import SensorNoiseModel
 from ves_gym.diagnosis.data.measured_run import NEAR, Derived, Run, forget
+from ves_gym.diagnosis.machines.arm_load import bodies_of
 from ves_gym.diagnosis.machines.vehicle_force import dynamic_stiffness
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia
@@ -54,7 +55,7 @@ class PoseNoise:
         self._low = np.sin(np.pi / 2 * fade)[:, None, None] ** 2
         self._pose = _density(run.noise["y"], w * run.dt)  # (K, 6)
         self._wrench = _density(run.noise["w"], w * run.dt) + floor**2
-        self._arms: dict[Arm, tuple[Array, Array, Array]] = {}
+        self._arms: dict[Hashable, tuple[Array, Array, Array]] = {}
         self._bases: dict[Hashable, Array] = {}
 
     def in_torque(self, arm: Arm, wrench: Array) -> Array:
@@ -83,15 +84,16 @@ class PoseNoise:
 
     def _of_arm(self, arm: Arm) -> tuple[Array, Array, Array]:
         """Wrench per acceleration (T, 6, 6), torque per wrench (T, n, 6), weights (K, 6, 6)."""
-        if arm not in self._arms:
+        key = bodies_of(arm)  # rotors and gears are in no block that is taken here
+        if key not in self._arms:
             H = inertia(arm, self._q)
             mass, push = H[:, :6, :6] @ self._turn, np.swapaxes(H[:, :6, 6:], -1, -2)
             middle = mass.mean(axis=0)  # e = n_w - w^2 mass n_y
             shown = np.einsum("k,ij,kj,lj->kil", self._w**4, middle, self._pose, middle)
             weights = self._low * shown @ np.linalg.inv(shown + _diagonal(self._wrench))
             forget(self._arms)
-            self._arms[arm] = mass, push @ np.linalg.inv(H[:, :6, :6]), weights
-        return self._arms[arm]
+            self._arms[key] = mass, push @ np.linalg.inv(H[:, :6, :6]), weights
+        return self._arms[key]
 
     def _of_base(self, base: BaseModel) -> Array:
         """Weights (K, 6, 6) that make accelerations of r = turn^T n_w - G n_y."""

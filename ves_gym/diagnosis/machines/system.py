@@ -29,6 +29,7 @@ from ves_gym.diagnosis.machines.arm_load import (
     Load,
     MeasuredMotion,
     base_motion,
+    bodies_of,
     motion_load,
     weight_torque,
     with_last,
@@ -414,13 +415,13 @@ class SystemMachine:
     def _seen_in_torque(self, run: Run, system: System) -> Array:
         """Return what the pose's noise does at port `joint`, by the residual at `wrench`."""
         arm, noise = system.actual.arm, self._pose_noise(run)
-        key = noise, arm, float(Delays.of(system).measurement[0])
-        seen = _memoized(run, "seen in torque", dict)
-        if key not in seen:
-            gap = run["w"] - self._load(run, system)[1]
-            seen[key] = noise.in_torque(arm, gap)
-            forget(seen)
-        return seen[key]  # type: ignore[no-any-return]
+        *how, geared = self._told_load(run, system, arm)
+        key = noise, arm if geared else bodies_of(arm), *how  # what moves the wrench
+
+        def seen() -> Array:
+            return noise.in_torque(arm, run["w"] - self._load(run, system)[1])
+
+        return _kept(run, "seen in torque", key, seen)
 
     def _base(self, run: Run, system: System) -> tuple[Array, System]:
         """Return the arm's wrench less what moves the vehicle (..., T, 6).
@@ -430,13 +431,14 @@ class SystemMachine:
         """
         known, new = _without_new_modes(system)
         base = known.actual.base
+        gap = _kept(run, "vehicle's gaps", _moved(known), lambda: vehicle_gap(run, base))
         if new is None:
-            return vehicle_gap(run, base), known
-        gaps, key = _memoized(run, "beside new modes", dict), _moved(system)
-        if key not in gaps:
-            gaps[key] = vehicle_gap(run, base) + answering_force(run, system.actual.base, new)
-            forget(gaps)
-        return gaps[key], known
+            return gap, known
+
+        def answered() -> Array:
+            return gap + answering_force(run, system.actual.base, new)
+
+        return _kept(run, "beside new modes", _moved(system), answered), known
 
     def _seen_in_wrench(self, run: Run, system: System, force: Array) -> Array:
         """Return what the pose's noise does at port `wrench`, by a residual at port `base`."""
@@ -459,15 +461,19 @@ class SystemMachine:
         """Torque that the motors must give (..., T, n), and wrench of the arm (..., T, 6)."""
         return self._load_of(run, system, system.actual.arm)
 
-    def _load_of(self, run: Run, system: System, arm: Arm) -> Load:
-        old = float(Delays.of(system).measurement[0])
-        loads = _memoized(run, "loads", dict)
-        geared = any(link.gear is not None for link in arm.links)
+    def _told_load(self, run: Run, system: System, arm: Arm) -> tuple[Any, ...]:
+        """What a load depends on beside run and arm, and whether gears give."""
         delays = Delays.of(system)
+        geared = any(link.gear is not None for link in arm.links)
         asked: tuple[Any, ...] = ()  # what tells the torques that wind gears up
         if geared and not run.by_log:
             asked = float(delays.command[0]), tuple(delays.lag[0].tolist())
-        key = arm, old, asked, _hardening(system)
+        return float(delays.measurement[0]), asked, _hardening(system), geared
+
+    def _load_of(self, run: Run, system: System, arm: Arm) -> Load:
+        loads = _memoized(run, "loads", dict)
+        told = self._told_load(run, system, arm)
+        key, old, geared = (arm, *told), told[0], told[-1]
         if key not in loads:
             motions = _memoized(run, "motions", dict)
             if old not in motions:
@@ -534,12 +540,12 @@ class SystemMachine:
         """Motor torque less what the controller asks for (..., T, n)."""
         delays = Delays.of(model.system)
         key = float(delays.command[0]), tuple(delays.lag[0].tolist()), model.gains
-        gaps = _memoized(run, "servo", dict)
-        if key not in gaps:
+
+        def gap() -> Array:
             swing = self._between(run).rate
-            gaps[key] = servo_gap(run, model.system, self.system.arm, model.gains, swing)
-            forget(gaps)
-        return gaps[key]  # type: ignore[no-any-return]
+            return servo_gap(run, model.system, self.system.arm, model.gains, swing)
+
+        return _kept(run, "servo", key, gap)
 
     def _velocity(self, run: Run, system: System) -> Array:
         """Rate logged less the rate of the angle logged (..., T, n) [rad/s]."""
@@ -590,6 +596,15 @@ def _memoized(run: Run, key: Any, make: Callable[[], Any]) -> Any:
     if key not in run.memory:
         run.memory[key] = make()
     return run.memory[key]
+
+
+def _kept(run: Run, kind: str, key: Hashable, make: Callable[[], Array]) -> Array:
+    """Return what a run has for a key, computed once while among the latest of its kind."""
+    known = _memoized(run, kind, dict)
+    if key not in known:
+        known[key] = make()
+        forget(known)
+    return known[key]  # type: ignore[no-any-return]
 
 
 def _moved(system: System) -> Hashable:
