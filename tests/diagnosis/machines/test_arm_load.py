@@ -1,5 +1,7 @@
 """What a measured motion takes, with payloads by columns: Newton-Euler's and Pinocchio's."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from ves_gym.diagnosis.machines.arm_load import (
     weight_torque,
 )
 from ves_gym.effects import PayloadBody, PayloadMass
+from ves_gym.mechanics.arm import Gear
 from ves_gym.mechanics.body_numbers import numbers_of_body
 from ves_gym.mechanics.gravity import gravity_vector
 from ves_gym.mechanics.puma import PUMA_560
@@ -66,3 +69,21 @@ def test_in_space_nothing_weighs():
         measured.load(PUMA_560), motion_load(PUMA_560, joints, moves), strict=True
     ):
         np.testing.assert_array_equal(found, want)
+
+
+def test_bodies_that_other_rotors_and_gears_move_are_asked_once_with_the_same_bits():
+    joints, base = motion(PUMA_560, 2)
+    moves = base_motion(base)
+    measured = MeasuredMotion(joints, base.x, moves, False, False)
+    last = PUMA_560.links[-1]
+    heavier = replace(last, rotor_inertia=2 * last.rotor_inertia + 0.1)
+    geared = replace(heavier, gear=Gear(compliance=1e-4, damping=1.0), tau_max=1.0)
+    first = measured.load(PUMA_560)
+    for other in (heavier, geared):
+        arm = replace(PUMA_560, links=(*PUMA_560.links[:-1], other))
+        found = measured.load(arm)
+        for got, want in zip(found, motion_load(arm, joints, moves), strict=True):
+            np.testing.assert_array_equal(got, want)
+        assert found[1] is first[1]
+    loaded = PAYLOADS["mass"].arm(PUMA_560)  # other bodies are asked again
+    assert not np.array_equal(measured.load(loaded)[1], first[1])
