@@ -79,13 +79,12 @@ def mujoco_warp(system: System, n: int) -> Callable[[], None]:
     with wp.ScopedCapture() as capture:
         for _ in range(system.substeps):
             package.step(model, data)
-    # A graph holds no more than addresses of its arrays: they live as long as what launches it.
-    held = backend, model, data
 
     def work() -> None:
         for _ in range(PERIODS):
             wp.capture_launch(capture.graph)
-        wp.synchronize_device(held[-1].qpos.device)
+        # by `backend` the arrays live on: a graph holds no more than their addresses
+        wp.synchronize_device(backend._data.qpos.device)
 
     return work
 

@@ -57,6 +57,22 @@ def forget(remembered: dict[Any, Any], most: int = REMEMBERED) -> None:
         del remembered[list(remembered)[1]]
 
 
+def kept(memory: dict[Any, Any], kind: str, key: Any, make: Callable[[], Any]) -> Any:
+    """Return what is remembered for a key, computed once while among the latest of its kind.
+
+    Args:
+        memory: of a run.
+        kind: of what is remembered.
+        key: that it depends on.
+        make: computes it.
+    """
+    known = memory.setdefault(kind, {})
+    if key not in known:
+        known[key] = make()
+        forget(known)
+    return known[key]
+
+
 class Kinematics(NamedTuple):
     """A signal with its first and second derivative; (..., T, c) each."""
 

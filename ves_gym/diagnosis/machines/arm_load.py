@@ -160,7 +160,7 @@ def with_last(arm: Arm, body: Inertial) -> Arm:
 
 
 def bodies_of(arm: Arm) -> Hashable:
-    """What the load of an arm without rotors depends on: its bodies, and where they are."""
+    """Return all that the load of an arm without rotors depends on: bodies and their places."""
     return _lengths(arm), arm.base, tuple(k.inertial for k in arm.links)
 
 

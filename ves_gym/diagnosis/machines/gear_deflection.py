@@ -11,7 +11,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym._util.signals import differentiated
-from ves_gym.diagnosis.data.measured_run import Run, forget
+from ves_gym.diagnosis.data.measured_run import Run, kept
 from ves_gym.diagnosis.machines.torque_balance import winding_noise
 from ves_gym.effects.joint_elasticity import HARD
 from ves_gym.mechanics.arm import Arm
@@ -97,21 +97,20 @@ def _low(x: Array, run: Run, top: float) -> Array:
 
 def _inertias(arm: Arm, run: Run) -> Array:
     """Inertia about each joint, others held (T, n), rotors included; computed once per arm."""
-    known = run.memory.setdefault("inertias", {})
-    if arm not in known:
+
+    def computed() -> Array:
         q = run["q"].reshape(-1, run.length, arm.n)[0]
         n = np.arange(arm.n)
-        known[arm] = inertia(arm, q)[:, 6 + n, 6 + n]
-        forget(known)
-    return known[arm]  # type: ignore[no-any-return]
+        return inertia(arm, q)[:, 6 + n, 6 + n]
+
+    return kept(run.memory, "inertias", arm, computed)  # type: ignore[no-any-return]
 
 
 def _noise_through(arm: Arm, run: Run, top: float) -> Array:
     """Noise of the torques through gears up to `top` Hz (n,) [N m], computed once per arm."""
     rotors = arm.column("rotor_inertia")
-    known = run.memory.setdefault("noise through gears", {})
     key = tuple(rotors.tolist()), top
-    if key not in known:
-        known[key] = winding_noise(run, rotors, top)
-        forget(known)
-    return known[key]  # type: ignore[no-any-return]
+    noise = kept(
+        run.memory, "noise through gears", key, lambda: winding_noise(run, rotors, top)
+    )
+    return noise  # type: ignore[no-any-return]

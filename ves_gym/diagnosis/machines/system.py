@@ -23,6 +23,7 @@ from ves_gym.diagnosis.data.measured_run import (
     Kinematics,
     Run,
     forget,
+    kept,
 )
 from ves_gym.diagnosis.machines.admittance import force_gap
 from ves_gym.diagnosis.machines.arm_load import (
@@ -421,7 +422,7 @@ class SystemMachine:
         def seen() -> Array:
             return noise.in_torque(arm, run["w"] - self._load(run, system)[1])
 
-        return _kept(run, "seen in torque", key, seen)
+        return kept(run.memory, "seen in torque", key, seen)  # type: ignore[no-any-return]
 
     def _base(self, run: Run, system: System) -> tuple[Array, System]:
         """Return the arm's wrench less what moves the vehicle (..., T, 6).
@@ -431,14 +432,14 @@ class SystemMachine:
         """
         known, new = _without_new_modes(system)
         base = known.actual.base
-        gap = _kept(run, "vehicle's gaps", _moved(known), lambda: vehicle_gap(run, base))
+        gap = kept(run.memory, "vehicle's gaps", _moved(known), lambda: vehicle_gap(run, base))
         if new is None:
             return gap, known
 
         def answered() -> Array:
             return gap + answering_force(run, system.actual.base, new)
 
-        return _kept(run, "beside new modes", _moved(system), answered), known
+        return kept(run.memory, "beside new modes", _moved(system), answered), known
 
     def _seen_in_wrench(self, run: Run, system: System, force: Array) -> Array:
         """Return what the pose's noise does at port `wrench`, by a residual at port `base`."""
@@ -462,7 +463,7 @@ class SystemMachine:
         return self._load_of(run, system, system.actual.arm)
 
     def _told_load(self, run: Run, system: System, arm: Arm) -> tuple[Any, ...]:
-        """What a load depends on beside run and arm, and whether gears give."""
+        """Return all that a load depends on beside run and arm, last whether gears give."""
         delays = Delays.of(system)
         geared = any(link.gear is not None for link in arm.links)
         asked: tuple[Any, ...] = ()  # what tells the torques that wind gears up
@@ -545,7 +546,7 @@ class SystemMachine:
             swing = self._between(run).rate
             return servo_gap(run, model.system, self.system.arm, model.gains, swing)
 
-        return _kept(run, "servo", key, gap)
+        return kept(run.memory, "servo", key, gap)  # type: ignore[no-any-return]
 
     def _velocity(self, run: Run, system: System) -> Array:
         """Rate logged less the rate of the angle logged (..., T, n) [rad/s]."""
@@ -596,15 +597,6 @@ def _memoized(run: Run, key: Any, make: Callable[[], Any]) -> Any:
     if key not in run.memory:
         run.memory[key] = make()
     return run.memory[key]
-
-
-def _kept(run: Run, kind: str, key: Hashable, make: Callable[[], Array]) -> Array:
-    """Return what a run has for a key, computed once while among the latest of its kind."""
-    known = _memoized(run, kind, dict)
-    if key not in known:
-        known[key] = make()
-        forget(known)
-    return known[key]  # type: ignore[no-any-return]
 
 
 def _moved(system: System) -> Hashable:
