@@ -26,6 +26,11 @@ def _softer(effect: JointBacklash) -> JointBacklash:
     return replace(effect, compliance=_SOFTER * effect.compliance)
 
 
+def _thinner(effect: JointBacklash) -> JointBacklash:
+    """Return play in thin oil, through which a link flies."""
+    return replace(effect, damping=0.0)
+
+
 @register("joint/backlash")
 @dataclass(frozen=True, kw_only=True)
 class JointBacklash(ArmEffect):
@@ -39,7 +44,7 @@ class JointBacklash(ArmEffect):
     modes = ("ideal", "emulated")
     port = "joint"
     sets_in = True
-    forms = (_softer,)
+    forms = (_softer, _thinner)
     gap: Vector = parameter(
         "rad",
         bounds=(0.0, 0.1),

@@ -69,7 +69,8 @@ def test_the_library_is_that_with_which_the_sealed_sets_were_answered():
     too, and play is looked for between stiff teeth, since the sixth. Friction builds up over
     two distances, and viscous friction may have a cube, since the seventh. A payload may
     extend, not only sit elsewhere, since the eighth. A gear may harden, and teeth whose
-    friction is of the load be pressed together, since the twelfth.
+    friction is of the load be pressed together, since the twelfth. Oil between teeth may be
+    thin since the fourteenth.
     """
     stored = json.loads((Path(__file__).parent / "library.json").read_text())
     found = emulated()

@@ -124,3 +124,22 @@ def test_noise_hardly_moves_teeth_and_the_load_of_a_motion_does(run, monkeypatch
     assert part < 0.4
     if not wide:
         assert without > 0.8
+
+
+def test_others_feel_a_link_in_flight_where_it_is_and_not_where_it_is_foretold(monkeypatch):
+    """Without the balance of its own joint the same play explains a part of this."""
+    play = E.JointBacklash(gap=(0.0, 0.0, 0.03), compliance=1e-4, damping=0.0)
+    run = logged(RIGID.replace(effects=(play,)))
+    candidates = [c for c in of_arm() if c.kind == "joint/backlash"]
+
+    def gains():
+        residuals = WhitenedResiduals(SystemMachine(RIGID), [run])
+        null = fit(residuals, (), ()).deviance
+        return [null - fit(residuals, [c], [np.array([1e-2])]).deviance for c in candidates]
+
+    shown = gains()
+    monkeypatch.setattr("ves_gym.diagnosis.machines.gear_deflection._OFF", 0.0)
+    foretold = gains()
+    print("by the balance", shown, "as foretold", foretold)
+    assert shown[2] > 2 * max(shown[0], shown[1])
+    assert shown[2] > 3 * foretold[2]

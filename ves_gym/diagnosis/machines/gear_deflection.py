@@ -10,9 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym._util.signals import differentiated
+from ves_gym._util.signals import differentiated, noise_power
 from ves_gym.diagnosis.data.measured_run import Run, kept
-from ves_gym.diagnosis.machines.torque_balance import winding_noise
+from ves_gym.diagnosis.machines.arm_load import bodies_of
+from ves_gym.diagnosis.machines.torque_balance import filtered, winding_noise
 from ves_gym.effects.joint_elasticity import HARD
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia
@@ -22,6 +23,9 @@ _NO_TURN = 3.0  # standard deviations of noise about which a torque moves no tee
 _TELLS = 10.0  # the same from which a torque logged tells what a link takes
 _CROSSES = 0.6  # of the band: what of the motion leads a link across its gap
 _CREEPS = 20.0  # N m s/rad with which noise allows to tell when a narrow gap is crossed at once
+_TINY = 1e-30  # of a power [(N m)^2]
+_OFF = 0.5  # of the gap found, by which an angle in flight is off
+_CLEARLY = 5.0  # times its noise, as power, from which a balance shows a flight
 _WIDE, _NARROW = 3.0, 1e-3  # standard deviations of an angle; weight that is not worth a flight
 
 
@@ -75,14 +79,66 @@ def _between_teeth(arm: Arm, i: int, torque: Array, taken: Array, run: Run) -> A
     sure = _beyond(slow, _NO_TURN * noise)
     thick = max(gear.damping, _CREEPS)
     at_once = deflection(sure * slow, stiffness, thick, half, run.dt)
-    wide = (gear.gap / (_WIDE * float(run.noise["q"].std[i]) + 1e-12)) ** 4
-    if wide < _NARROW:
+    flies = _flight(gear.gap, i, run)
+    if flies < _NARROW:
         return at_once
     known = _beyond(slow, _TELLS * noise)
     load = known * slow + (1 - known) * _low(taken, run, _CROSSES * run.band)
-    heavy = _inertias(arm, run)[:, i] - arm.links[i].rotor_inertia
+    heavy = _inertias(arm, run)[:, 6 + i, 6 + i] - arm.links[i].rotor_inertia
     flown = crossing(load, heavy, gear.damping, half, run.dt) + sure * slow / stiffness
-    return np.asarray((at_once + wide * flown) / (1 + wide))
+    return np.asarray((1 - flies) * at_once + flies * flown)
+
+
+def unforeseen(arm: Arm, left: Array, run: Run, noisy: Array, off: Array) -> Array:
+    """Return how much more than foretold links in flight lag in acceleration (..., T, n).
+
+    When teeth part and meet is foretold roughly, and the balance of torques at the joint shows
+    what a link does instead, where that is clearly more than noise: angles are off by a part
+    of the gap. (Weighed as Wiener's filter does, one joint's balance took the noise of pose and
+    motion out of the others', and was likelier for being quieter.)
+
+    Args:
+        arm: with gears.
+        left: (..., T, n) torque logged less the torque that should have been [N m].
+        run: measured.
+        noisy: (n,) share of the noise of torques, as power, that the torques told have.
+        off: (n,) of `errors_of_flights`.
+    """
+    out = np.zeros_like(left)
+    if not off.any():
+        return out
+    f = np.asarray(np.fft.rfftfreq(2 * run.length, run.dt), float)
+    w4 = (2 * np.pi * f) ** 4
+    of_torque, of_angles = noise_power(run.noise["tau"], f, run.dt), run.noise_of_angles(f)
+    of_pose = noise_power(run.noise["y"], f, run.dt) if "y" in run.noise else np.zeros((1, 6))
+    inertias = _inertias(arm, run)
+    mean = inertias.mean(axis=0)
+    for j in np.flatnonzero(off):
+        rotor, of_base = arm.links[j].rotor_inertia, mean[:6, 6 + j] ** 2
+        of_motion = mean[6 + j, 6 + j] ** 2 * of_angles[:, j] + of_pose @ of_base
+        noise = noisy[j] * of_torque[:, j] + w4 * of_motion
+        even = off[j] ** 2 * f[-1] / run.band * (f <= run.band)  # as far as the band
+        told = (mean[6 + j, 6 + j] - rotor) ** 2 * w4 * even
+        share = 1 / (1 + (_CLEARLY * noise / np.maximum(told, _TINY)) ** 2)
+        shown = filtered(left[..., j], share)
+        out[..., j] = -shown / (inertias[:, 6 + j, 6 + j] - rotor)
+    return out
+
+
+def _flight(gap: float, i: int, run: Run) -> float:
+    """Return the weight, 0 to 1, of a link flying across a gap at joint i, not being there."""
+    wide = (gap / (_WIDE * float(run.noise["q"].std[i]) + 1e-12)) ** 4
+    return wide / (1 + wide)
+
+
+def errors_of_flights(arm: Arm, run: Run) -> Array:
+    """Return standard deviations of angles foretold of links that fly (n,) [rad]; 0: none."""
+    out = np.zeros(arm.n)
+    for i, link in enumerate(arm.links):
+        flies = _flight(link.gear.gap, i, run) if link.gear is not None else 0.0
+        if flies >= _NARROW and link.gear is not None:
+            out[i] = _OFF * flies * link.gear.gap
+    return out
 
 
 def _beyond(x: Array, least: float) -> Array:
@@ -96,14 +152,13 @@ def _low(x: Array, run: Run, top: float) -> Array:
 
 
 def _inertias(arm: Arm, run: Run) -> Array:
-    """Inertia about each joint, others held (T, n), rotors included; computed once per arm."""
+    """Inertia matrices of base and joints (T, 6 + n, 6 + n), rotors included."""
+    key = bodies_of(arm), tuple(arm.column("rotor_inertia").tolist())
 
     def computed() -> Array:
-        q = run["q"].reshape(-1, run.length, arm.n)[0]
-        n = np.arange(arm.n)
-        return inertia(arm, q)[:, 6 + n, 6 + n]
+        return inertia(arm, run["q"].reshape(-1, run.length, arm.n)[0])
 
-    return kept(run.memory, "inertias", arm, computed)  # type: ignore[no-any-return]
+    return kept(run.memory, "inertias", key, computed)  # type: ignore[no-any-return]
 
 
 def _noise_through(arm: Arm, run: Run, top: float) -> Array:

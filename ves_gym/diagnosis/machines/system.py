@@ -43,7 +43,11 @@ from ves_gym.diagnosis.machines.between_samples import (
 )
 from ves_gym.diagnosis.machines.causes import Together, apart
 from ves_gym.diagnosis.machines.drift import SlowPath, courses
-from ves_gym.diagnosis.machines.gear_deflection import deflections
+from ves_gym.diagnosis.machines.gear_deflection import (
+    deflections,
+    errors_of_flights,
+    unforeseen,
+)
 from ves_gym.diagnosis.machines.nuisance_priors import GAIN, system_nuisances
 from ves_gym.diagnosis.machines.platform import followed, platform_gap
 from ves_gym.diagnosis.machines.pose_noise import PoseNoise, pose_noise
@@ -518,21 +522,25 @@ class SystemMachine:
 
         taken = tau - rotors * links.a  # by links that follow their motors
 
-        def lagging(winding: Array) -> Load:
+        def lagging(winding: Array, more: Array | float = 0.0) -> Load:
             bent = deflections(arm, winding, taken, run, _hardening(system))
             late = differentiated(bent, run.dt, run.band)
             behind = Kinematics(*(x - d for x, d in zip(links, late, strict=True)))
+            behind = behind._replace(a=behind.a - more)
             tau, wrench = motion_load(arm, behind, motion.base, motion.fall)
             # rotors move with the motors
             return tau - carried + rotors * (links.a - behind.a), wrench
 
         tau, wrench = lagging(winding)
-        gears = windings(arm, run) if "tau" in run else []
-        if gears:  # others feel what the link feels, not what else the torque logged has
-            own_share = 1 - self._share_of_the_asked(run)
-            through = through_gears(winding, torque - tau, gears, run, own_share)
-            others, wrench = lagging(through)
-            own = [g.joint for g in gears]
+        if "tau" not in run:
+            return tau, wrench
+        # others feel what the link feels, not what else the torque logged has
+        gears, off = windings(arm, run), errors_of_flights(arm, run)
+        own = [g.joint for g in gears] + np.flatnonzero(off).tolist()
+        if own:
+            left, noisy = torque - tau, 1 - self._share_of_the_asked(run)
+            through = through_gears(winding, left, gears, run, noisy)
+            others, wrench = lagging(through, unforeseen(arm, left, run, noisy, off))
             others[..., own] = tau[..., own]
             tau = others
         return tau, wrench

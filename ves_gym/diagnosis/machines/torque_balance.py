@@ -120,8 +120,13 @@ def winding_noise(run: Run, rotors: Array, top: float) -> Array:
     return np.asarray(np.sqrt((power * (f <= top)[:, None]).mean(axis=0)))
 
 
-def _filtered(x: Array, transfer: Array) -> Array:
-    """Return a signal (..., T) through a filter (K,), zeros behind it."""
+def filtered(x: Array, transfer: Array) -> Array:
+    """Return a signal (..., T) through a filter, zeros behind it.
+
+    Args:
+        x: (..., T).
+        transfer: (K,) complex, at the frequencies of twice its length.
+    """
     length = x.shape[-1]
     spectrum = np.fft.rfft(x, 2 * length, axis=-1) * transfer
     return np.asarray(np.fft.irfft(spectrum, 2 * length, axis=-1)[..., :length])
@@ -141,7 +146,7 @@ def in_torque_logged(balance: Array, gears: Sequence[Winding]) -> Array:
     """
     out = balance.copy() if gears else balance
     for g in gears:
-        out[..., g.joint] = _filtered(
+        out[..., g.joint] = filtered(
             balance[..., g.joint], 1 / np.maximum(np.abs(g.shown), _LEAST)
         )
     return out
@@ -171,5 +176,5 @@ def through_gears(
         own = noisy[g.joint] * of_torque[:, g.joint] + g.turned
         total = np.abs(g.shown) ** 2 * own + g.moved + 2 * g.shown.real * g.both
         share = (np.conj(g.shown) * own + g.both) / np.where(total > 0, total, 1.0)
-        out[..., g.joint] -= _filtered(balance[..., g.joint], share)
+        out[..., g.joint] -= filtered(balance[..., g.joint], share)
     return out
