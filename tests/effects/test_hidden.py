@@ -12,9 +12,17 @@ from ves_gym.hardware.admittance import admittance_matrices
 from ves_gym.mechanics.arm import Gear
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.gravity import GRAVITY
+from ves_gym.mechanics.latch import momentum_of
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING, Oscillator
+from ves_gym.mechanics.spatial import twist
+from ves_gym.mechanics.vehicle import (
+    BENT_THESIS,
+    DECOUPLED,
+    FREE_FLOATING,
+    Oscillator,
+    get_vehicle,
+)
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.stability import transition
@@ -126,12 +134,15 @@ def test_a_stiff_gear_is_a_rigid_joint():
     assert gaps[0] > 1.7 * gaps[1] > 2.5 * gaps[2] > 0
 
 
-@pytest.mark.parametrize("mode", ["ideal", "emulated"])
-def test_engines_agree_on_everything_hidden(mode):
+@pytest.mark.parametrize(
+    ("mode", "vehicle"),
+    [("ideal", DECOUPLED), ("emulated", DECOUPLED), ("ideal", FREE_FLOATING)],
+)
+def test_engines_agree_on_everything_hidden(mode, vehicle):
     effects = tuple(
         effect(k) for k in ("joint/elasticity", "joint/backlash", "base/extra_mode")
     )
-    system = System(mode=mode, vehicle=DECOUPLED, effects=effects)
+    system = System(mode=mode, vehicle=vehicle, effects=effects)
     runs = [play_motions(system, [SWING], settle=0.5, backend=k) for k in BACKENDS]
     for name in ("q", "y", "w"):
         a, b = (getattr(run, name) for run in runs)
@@ -230,6 +241,31 @@ def test_motion_with_an_extra_mode(mode, tolerance, backend):
     assert np.abs(plain - want).max() > 0.1 * np.abs(want).max()
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_satellite_and_what_rides_on_it_keep_their_momentum(backend):
+    """Nothing pushes from outside: bodies along one way, the rider along the other."""
+    system = System(vehicle=FREE_FLOATING, drive="prescribed", effects=(EXTRA,))
+    way = np.array(system.actual.vehicle.extra[0].direction)
+    sim = Simulator(system, backend=backend, warn_at=None)
+    bodies, rider = [], []
+    for _ in range(100):
+        sim.step([0.5, 1.0, -1.0])
+        now = sim.state
+        mass = inertia(system.arm, now.q[0])
+        mass[:6, :6] += system.base.rigid()
+        rates = np.r_[twist(now.y[0], now.yd[0]), now.v[0]]
+        bodies.append(momentum_of(mass, rates, now.y[0])[:3])
+        rider.append(np.sqrt(EXTRA.mass) * sim.internal_state[1][0, 0] * way)
+    assert np.abs(rider).max() > 0.1
+    assert np.abs(np.add(bodies, rider)).max() < 1e-6 * np.abs(rider).max()
+
+
+def test_a_file_keeps_what_rides_on_a_satellite(tmp_path):
+    vehicle = System(vehicle=FREE_FLOATING, effects=(EXTRA,)).actual.vehicle
+    vehicle.save(tmp_path / "carries.toml")
+    assert get_vehicle(tmp_path / "carries.toml") == vehicle
+
+
 def test_the_admittance_is_sampled_exactly():
     """Without compensation: the eigenvalues of the wider vehicle, whatever the form."""
     base = System(vehicle=DECOUPLED, effects=(EXTRA,)).actual.base
@@ -309,8 +345,11 @@ def test_what_knows_nothing_of_hidden_states_says_so():
 
 
 def test_bad_numbers():
-    with pytest.raises(ParameterError, match="needs a vehicle of M, D, K, got a satellite"):
-        System(vehicle=FREE_FLOATING, effects=(EXTRA,))
+    with pytest.raises(ParameterError, match="on a satellite in mode ideal, got mode emulated"):
+        System(mode="emulated", vehicle=FREE_FLOATING, effects=(EXTRA,))
+    carrying = System(vehicle=FREE_FLOATING, effects=(EXTRA,))
+    with pytest.raises(ParameterError, match="a satellite's body, not its extra"):
+        System(mode="emulated", vehicle=carrying.actual.vehicle)
     with pytest.raises(ParameterError, match="direction must not be zero"):
         System(
             vehicle=BENT_THESIS, effects=(BaseExtraMode(mass=1.0, direction=(0.0, 0.0, 0.0)),)

@@ -23,7 +23,8 @@ class BaseExtraMode(BaseEffect):
 
     `frequency` and `damping_ratio` are those of the mass on a vehicle at rest. In the
     laboratory the admittance integrates it (tuned mass: Den Hartog, Mechanical
-    Vibrations).
+    Vibrations). The direction is fixed in space: of a satellite that turns by an angle [rad]
+    about that share of the mode's force points another way.
     """
 
     modes = ("ideal", "emulated")
@@ -43,10 +44,10 @@ class BaseExtraMode(BaseEffect):
     )
 
     def check(self, system: System) -> None:
-        """A direction fixed in space is none of a satellite's."""
-        if isinstance(system.vehicle, Satellite):
+        """In the laboratory a satellite is its body alone."""
+        if isinstance(system.vehicle, Satellite) and system.mode == "emulated":
             raise ParameterError(
-                f"effect {self.kind} needs a vehicle of M, D, K, got a satellite"
+                f"effect {self.kind} acts on a satellite in mode ideal, got mode emulated"
             )
         if not any(self.direction):
             raise ParameterError(

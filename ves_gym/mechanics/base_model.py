@@ -107,6 +107,23 @@ class InternalModes:
             damping += oscillator.damping * np.outer(stretch, stretch)
         return InternalModes(coupling, omega, damping)
 
+    def oscillators(self) -> tuple[Oscillator, ...]:
+        """Return masses on springs of which these are the modes, see `of`."""
+        out = []
+        for i in range(self.m):
+            way = self.coupling[:3, i]
+            mass = float(way @ way)
+            own = float(self.damping[6 + i, 6 + i])
+            out.append(
+                Oscillator(
+                    mass=mass,
+                    stiffness=mass * float(self.omega[i]) ** 2,
+                    damping=mass * own,
+                    direction=tuple((way / math.sqrt(mass)).tolist()),
+                )
+            )
+        return tuple(out)
+
     def joined(self, other: InternalModes | None) -> InternalModes:
         """Return these modes and, after them, those of another set on the same base."""
         if other is None:

@@ -108,7 +108,8 @@ class Satellite(Saved):
     act (`Simulator.step(..., base_wrench=...)`). `jets` make that wrench by pulses. `wheels`
     exchange momentum with the body, whose inertia includes theirs; `appendages` come on top of
     it. With `pointing` wheels and jets hold the attitude of the start, or another that the
-    simulator is given (`Simulator.point`).
+    simulator is given (`Simulator.point`). `extra`: masses on springs along directions fixed in
+    space, for a satellite that turns little.
     """
 
     kind: ClassVar[str] = "satellite"
@@ -118,6 +119,7 @@ class Satellite(Saved):
     jets: tuple[Jet, ...] | None = None
     appendages: tuple[Appendage, ...] | None = None
     pointing: AttitudeControl | None = None
+    extra: tuple[Oscillator, ...] | None = None
     source: str = "user"
 
     def __post_init__(self) -> None:
@@ -142,7 +144,8 @@ class Satellite(Saved):
         """Zero M, D, K, the body, and what it carries: wheels, then appendages."""
         zero = np.zeros((6, 6))
         carried: tuple[Carried, ...] = (*(self.wheels or ()), *(self.appendages or ()))
-        return BaseModel(zero, zero, zero, self.body, carried=carried)
+        modes = InternalModes.of(self.extra or ())
+        return BaseModel(zero, zero, zero, self.body, internal=modes, carried=carried)
 
 
 def blows(vehicle: Vehicle) -> bool:
@@ -330,7 +333,8 @@ def altered(vehicle: Vehicle, base: BaseModel) -> Vehicle:
     """
     if base.body is not None:
         if isinstance(vehicle, Satellite):
-            return replace(vehicle, body=base.body)
+            own = None if base.internal is None else base.internal.oscillators()
+            return replace(vehicle, body=base.body, extra=own)
         return Satellite(body=base.body, source=vehicle.source)
     parts: dict[str, Any] = {name: matrix(getattr(base, name)) for name in "MDK"}
     drag = None if base.drag is None else tuple(base.drag.tolist())

@@ -97,8 +97,9 @@ class System:
             )
         if self.mode == "emulated":
             self.arm.require_turning("mode emulated")
-        for name in ("wheels", "jets", "appendages"):
-            if self.mode == "emulated" and getattr(self.vehicle, name, None):
+        for name in ("wheels", "jets", "appendages", "extra"):
+            on_a_body = self.mode == "emulated" and self.base.body is not None
+            if on_a_body and getattr(self.vehicle, name, None):
                 raise ParameterError(
                     f"mode emulated knows a satellite's body, not its {name}: the arm's wrench"
                     " is all that moves its platform; use mode ideal, or a vehicle of the body"

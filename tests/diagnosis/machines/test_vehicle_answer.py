@@ -13,7 +13,14 @@ from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.diagnosis.machines.vehicle_answer import answering_force
 from ves_gym.diagnosis.machines.vehicle_force import force_of_states
 from ves_gym.effects import BaseExtraMode
-from ves_gym.mechanics.vehicle import BaseModel, InternalModes, MatrixVehicle, Oscillator
+from ves_gym.mechanics.arm import Inertial, matrix
+from ves_gym.mechanics.vehicle import (
+    BaseModel,
+    InternalModes,
+    MatrixVehicle,
+    Oscillator,
+    Satellite,
+)
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.system import System
 
@@ -154,3 +161,21 @@ def test_a_heavy_mode_is_named_with_its_mass_through_the_noise_of_a_pose():
     (name,) = found.explanations
     assert name.candidate.name == "base/extra_mode at y", found.sentence
     assert name.values == pytest.approx([RIDER["mass"], RIDER["frequency"]], rel=0.05)
+
+
+def test_a_mode_on_a_satellite_is_named_along_its_way():
+    """Fuel that sloshes across a body of 800 kg; weighed with it, the body is as described."""
+    body = Inertial(mass=800.0, com=(0.0, 0.0, -0.5), inertia=matrix(np.diag([300.0] * 3)))
+    described = System(vehicle=Satellite(body=body, source="this test"))
+    rider = {**RIDER, "mass": 60.0, "frequency": 1.9, "direction": (1.0, 0.0, 0.0)}
+    hidden = described.replace(effects=(BaseExtraMode(**rider),))
+    motions = excitation_motions(3, described.arm, duration=7.0, seed=11)
+    recording = play_motions(hidden, motions, settle=1.0, record_dt=DT, seed=11)
+    logs = [noisy(recording.log(i), seed=i) for i in range(3)]
+    inputs = system_inputs(logs, described)
+    library = [c for c in inputs.candidates if c.kind.startswith("base/")]
+    found = diagnose(inputs.machine, inputs.runs, inputs.final, candidates=library)
+    (name,) = found.explanations
+    assert name.candidate.name == "base/extra_mode at x", found.sentence
+    assert name.values == pytest.approx([60.0, 1.9], rel=0.05)
+    assert found.system.actual.vehicle.extra[0].mass == pytest.approx(60.0, rel=0.05)

@@ -29,7 +29,7 @@ from ves_gym.effects import (
     SensorLag,
 )
 from ves_gym.mechanics.gravity import GravityModel, minimal_model
-from ves_gym.mechanics.vehicle import altered
+from ves_gym.mechanics.vehicle import Satellite, altered
 from ves_gym.system.effect import Effect
 from ves_gym.system.system import System
 
@@ -116,7 +116,8 @@ def _nuisances(system: System) -> Iterator[Nuisance | None]:
         yield Nuisance(name, ("wrench",), shifted_foot, 1e-3, _COM)
     if system.mode == "emulated":
         yield from _of_the_laboratory(system, effect)
-    for k, axis in enumerate("xyz"):  # a vehicle of six coordinates has no inner modes
+    # a vehicle of six coordinates has no inner modes
+    for k, axis in enumerate("" if isinstance(system.vehicle, Satellite) else "xyz"):
         way = tuple(float(i == k) for i in range(3))
         for rate in _INNER:
             mode = BaseExtraMode(mass=1.0, frequency=rate, direction=way)
