@@ -79,18 +79,18 @@ def _between_teeth(arm: Arm, i: int, torque: Array, taken: Array, run: Run) -> A
     sure = _beyond(slow, _NO_TURN * noise)
     thick = max(gear.damping, _CREEPS)
     at_once = deflection(sure * slow, stiffness, thick, half, run.dt)
-    flies = _flight(gear.gap, i, run)
-    if flies < _NARROW:
+    weight = _flight(gear.gap, i, run)
+    if weight < _NARROW:
         return at_once
     known = _beyond(slow, _TELLS * noise)
     load = known * slow + (1 - known) * _low(taken, run, _CROSSES * run.band)
     heavy = _inertias(arm, run)[:, 6 + i, 6 + i] - arm.links[i].rotor_inertia
     flown = crossing(load, heavy, gear.damping, half, run.dt) + sure * slow / stiffness
-    return np.asarray((1 - flies) * at_once + flies * flown)
+    return np.asarray((1 - weight) * at_once + weight * flown)
 
 
-def unforeseen(arm: Arm, left: Array, run: Run, noisy: Array, off: Array) -> Array:
-    """Return how much more than foretold links in flight lag in acceleration (..., T, n).
+def felt_of_flights(arm: Arm, left: Array, run: Run, noisy: Array) -> tuple[Array, Array]:
+    """Return what links in flight do elsewhere, beside what is foretold of them.
 
     When teeth part and meet is foretold roughly, and the balance of torques at the joint shows
     what a link does instead, where that is clearly more than noise: angles are off by a part
@@ -99,30 +99,41 @@ def unforeseen(arm: Arm, left: Array, run: Run, noisy: Array, off: Array) -> Arr
 
     Args:
         arm: with gears.
-        left: (..., T, n) torque logged less the torque that should have been [N m].
+        left: (..., T, n) torque that acts less the torque that should have been [N m].
         run: measured.
         noisy: (n,) share of the noise of torques, as power, that the torques told have.
-        off: (n,) of `errors_of_flights`.
+
+    Returns:
+        Torques at other joints (..., T, n), and wrench of the arm on its base (..., T, 6).
     """
-    out = np.zeros_like(left)
-    if not off.any():
-        return out
+    torques, wrench = np.zeros_like(left), np.zeros((*left.shape[:-1], 6))
     f = np.asarray(np.fft.rfftfreq(2 * run.length, run.dt), float)
     w4 = (2 * np.pi * f) ** 4
     of_torque, of_angles = noise_power(run.noise["tau"], f, run.dt), run.noise_of_angles(f)
     of_pose = noise_power(run.noise["y"], f, run.dt) if "y" in run.noise else np.zeros((1, 6))
     inertias = _inertias(arm, run)
     mean = inertias.mean(axis=0)
-    for j in np.flatnonzero(off):
+    for j, off in enumerate(_errors_of_flights(arm, run)):
+        if not off:
+            continue
         rotor, of_base = arm.links[j].rotor_inertia, mean[:6, 6 + j] ** 2
         of_motion = mean[6 + j, 6 + j] ** 2 * of_angles[:, j] + of_pose @ of_base
         noise = noisy[j] * of_torque[:, j] + w4 * of_motion
-        even = off[j] ** 2 * f[-1] / run.band * (f <= run.band)  # as far as the band
+        even = off**2 * f[-1] / run.band * (f <= run.band)  # as far as the band
         told = (mean[6 + j, 6 + j] - rotor) ** 2 * w4 * even
         share = 1 / (1 + (_CLEARLY * noise / np.maximum(told, _TINY)) ** 2)
-        shown = filtered(left[..., j], share)
-        out[..., j] = -shown / (inertias[:, 6 + j, 6 + j] - rotor)
-    return out
+        column = inertias[:, :, 6 + j]
+        sooner = filtered(left[..., j], share) / (column[:, 6 + j] - rotor)  # rad/s^2
+        felt = sooner[..., None] * column
+        felt[..., 6 + j] = 0.0
+        torques += felt[..., 6:]
+        wrench -= felt[..., :6]
+    return torques, wrench
+
+
+def flies(arm: Arm, run: Run) -> bool:
+    """Return True if a link of an arm flies across the gap of its gear."""
+    return bool(_errors_of_flights(arm, run).any())
 
 
 def _flight(gap: float, i: int, run: Run) -> float:
@@ -131,13 +142,13 @@ def _flight(gap: float, i: int, run: Run) -> float:
     return wide / (1 + wide)
 
 
-def errors_of_flights(arm: Arm, run: Run) -> Array:
+def _errors_of_flights(arm: Arm, run: Run) -> Array:
     """Return standard deviations of angles foretold of links that fly (n,) [rad]; 0: none."""
     out = np.zeros(arm.n)
     for i, link in enumerate(arm.links):
-        flies = _flight(link.gear.gap, i, run) if link.gear is not None else 0.0
-        if flies >= _NARROW and link.gear is not None:
-            out[i] = _OFF * flies * link.gear.gap
+        weight = _flight(link.gear.gap, i, run) if link.gear is not None else 0.0
+        if weight >= _NARROW and link.gear is not None:
+            out[i] = _OFF * weight * link.gear.gap
     return out
 
 

@@ -45,8 +45,8 @@ from ves_gym.diagnosis.machines.causes import Together, apart
 from ves_gym.diagnosis.machines.drift import SlowPath, courses
 from ves_gym.diagnosis.machines.gear_deflection import (
     deflections,
-    errors_of_flights,
-    unforeseen,
+    felt_of_flights,
+    flies,
 )
 from ves_gym.diagnosis.machines.nuisance_priors import GAIN, system_nuisances
 from ves_gym.diagnosis.machines.platform import followed, platform_gap
@@ -367,22 +367,14 @@ class SystemMachine:
         Where the controller is known, what it asked tells the torque, too, and often better:
         a wrist's by its angle times a small gain.
         """
-        q, v = run.joints.x, run.turning_rate
-        effects, most = model.system.effects, self.system.arm.column("tau_max")
+        effects, v = model.system.effects, run.turning_rate
         between = self._between(run)
-        remembered = remembered_friction(run, effects)
-
-        def law(effects: Sequence[Effect], v: Array, tau: Array) -> Array:
-            # joints that swing within a period rub by the mean of it
-            rates = [v + swing for swing in between.swings] or [v]
-            each = (joint_torque(effects, q, rate, tau, most) for rate in rates)
-            return np.asarray(sum(each) / len(rates))
 
         def laws(tau: Array) -> Array:
-            out = law(effects, v, tau) + remembered
+            out = self._added(run, effects, tau)
             for p in model.presliding:
-                built_up = p.built_up(law([p.effect], p.sliding(v), tau), v, run.dt)
-                out = out + built_up
+                built_up = self._law(run, [p.effect], p.sliding(v), tau)
+                out = out + p.built_up(built_up, v, run.dt)
             return out
 
         every = (*effects, *(p.effect for p in model.presliding))
@@ -393,6 +385,19 @@ class SystemMachine:
         gears = windings(model.system.actual.arm, run)
         balance = balance - self._told_too_much(run, model)
         return in_torque_logged(balance, gears)
+
+    def _law(self, run: Run, effects: Sequence[Effect], v: Array, tau: Array) -> Array:
+        """Return what laws of rates v (..., T, n) add to torques at joints (..., T, n)."""
+        most = self.system.arm.column("tau_max")
+        # joints that swing within a period rub by the mean of it
+        rates = [v + swing for swing in self._between(run).swings] or [v]
+        each = (joint_torque(effects, run.joints.x, rate, tau, most) for rate in rates)
+        return np.asarray(sum(each) / len(rates))
+
+    def _added(self, run: Run, effects: Sequence[Effect], tau: Array) -> Array:
+        """Return what effects add to the motors' torques (..., T, n)."""
+        told = self._law(run, effects, run.turning_rate, tau)
+        return np.asarray(told + remembered_friction(run, effects))
 
     def _told_too_much(self, run: Run, model: SystemVariant) -> Array:
         """Return what a log's torques are above the best estimate of them (..., T, n) [N m].
@@ -421,7 +426,9 @@ class SystemMachine:
         """Return what the pose's noise does at port `joint`, by the residual at `wrench`."""
         arm, noise = system.actual.arm, self._pose_noise(run)
         *how, geared = self._told_load(run, system, arm)
-        key = noise, arm if geared else bodies_of(arm), *how  # what moves the wrench
+        key: tuple[Hashable, ...] = noise, arm if geared else bodies_of(arm), *how
+        if geared and flies(arm, run):  # what moves the wrench
+            key = *key, system.effects
 
         def seen() -> Array:
             return noise.in_torque(arm, run["w"] - self._load(run, system)[1])
@@ -464,7 +471,14 @@ class SystemMachine:
 
     def _load(self, run: Run, system: System) -> Load:
         """Torque that the motors must give (..., T, n), and wrench of the arm (..., T, 6)."""
-        return self._load_of(run, system, system.actual.arm)
+        arm = system.actual.arm
+        tau, wrench = self._load_of(run, system, arm)
+        if "tau" not in run or not flies(arm, run):
+            return tau, wrench
+        torque = run["tau"] - self._told_too_much(run, SystemVariant(system))
+        left = torque + self._added(run, system.effects, torque) - tau
+        felt = felt_of_flights(arm, left, run, 1 - self._share_of_the_asked(run))
+        return tau + felt[0], wrench + felt[1]
 
     def _told_load(self, run: Run, system: System, arm: Arm) -> tuple[Any, ...]:
         """Return all that a load depends on beside run and arm, last whether gears give."""
@@ -522,25 +536,21 @@ class SystemMachine:
 
         taken = tau - rotors * links.a  # by links that follow their motors
 
-        def lagging(winding: Array, more: Array | float = 0.0) -> Load:
+        def lagging(winding: Array) -> Load:
             bent = deflections(arm, winding, taken, run, _hardening(system))
             late = differentiated(bent, run.dt, run.band)
             behind = Kinematics(*(x - d for x, d in zip(links, late, strict=True)))
-            behind = behind._replace(a=behind.a - more)
             tau, wrench = motion_load(arm, behind, motion.base, motion.fall)
             # rotors move with the motors
             return tau - carried + rotors * (links.a - behind.a), wrench
 
         tau, wrench = lagging(winding)
-        if "tau" not in run:
-            return tau, wrench
-        # others feel what the link feels, not what else the torque logged has
-        gears, off = windings(arm, run), errors_of_flights(arm, run)
-        own = [g.joint for g in gears] + np.flatnonzero(off).tolist()
-        if own:
-            left, noisy = torque - tau, 1 - self._share_of_the_asked(run)
-            through = through_gears(winding, left, gears, run, noisy)
-            others, wrench = lagging(through, unforeseen(arm, left, run, noisy, off))
+        gears = windings(arm, run) if "tau" in run else []
+        if gears:  # others feel what the link feels, not what else the torque logged has
+            own_share = 1 - self._share_of_the_asked(run)
+            through = through_gears(winding, torque - tau, gears, run, own_share)
+            others, wrench = lagging(through)
+            own = [g.joint for g in gears]
             others[..., own] = tau[..., own]
             tau = others
         return tau, wrench
