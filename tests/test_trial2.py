@@ -491,6 +491,28 @@ def test_pressed_teeth_have_one_name(tmp_path: Path) -> None:
     assert scoring.judge(label, given) == "right"
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "index"), [(13, 15), (14, 37)])
+def test_wide_play_is_named_at_its_joint(tmp_path: Path, number: int, index: int) -> None:
+    """Of 12 and 60 mrad; answered with the next joint's, and as not in the library."""
+    salt = (HERE / "docs" / f"trial2-salt-{number}.txt").read_text("utf-8").strip()
+    label = write.write_case(salt, index, tmp_path / "case")
+    given = scoring.answer(tmp_path / "case", tmp_path / "answer")
+    print(label["effects"], given["names"])
+    assert scoring.judge(label, given) == "right"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "index"), [(13, 45), (14, 30)])
+def test_a_mode_on_a_satellite_is_named(tmp_path: Path, number: int, index: int) -> None:
+    """Of 94 and 24 kg on 2 t; answered as not in the library, and as a mass of the body."""
+    salt = (HERE / "docs" / f"trial2-salt-{number}.txt").read_text("utf-8").strip()
+    label = write.write_case(salt, index, tmp_path / "case")
+    given = scoring.answer(tmp_path / "case", tmp_path / "answer")
+    print(label["effects"], given["names"])
+    assert scoring.judge(label, given) == "right"
+
+
 def test_modes_of_the_tenth_set_are_all_that_it_has_and_named() -> None:
     """Those on vehicles that are held, of numbers not answered otherwise; drawn by its salt."""
     found = json.loads((HERE / "docs" / "diagnosis-trial2-modes.json").read_text("utf-8"))

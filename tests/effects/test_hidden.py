@@ -28,6 +28,7 @@ from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.stability import transition
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.energy_balance import EnergyBalance
+from ves_gym.system.momentum import momentum
 from ves_gym.system.system import System
 
 BACKENDS = ("kernel", "mujoco")
@@ -350,6 +351,9 @@ def test_bad_numbers():
     carrying = System(vehicle=FREE_FLOATING, effects=(EXTRA,))
     with pytest.raises(ParameterError, match="a satellite's body, not its extra"):
         System(mode="emulated", vehicle=carrying.actual.vehicle)
+    still = np.zeros(3), np.zeros(3), np.zeros(6), np.zeros(6)
+    with pytest.raises(ParameterError, match="got 1 of its `extra` masses"):
+        momentum(carrying.actual, *still)
     with pytest.raises(ParameterError, match="direction must not be zero"):
         System(
             vehicle=BENT_THESIS, effects=(BaseExtraMode(mass=1.0, direction=(0.0, 0.0, 0.0)),)

@@ -141,7 +141,7 @@ class Satellite(Saved):
             )
 
     def base_model(self) -> BaseModel:
-        """Zero M, D, K, the body, and what it carries: wheels, then appendages."""
+        """Zero M, D, K, the body, what it carries (wheels, then appendages), its `extra`."""
         zero = np.zeros((6, 6))
         carried: tuple[Carried, ...] = (*(self.wheels or ()), *(self.appendages or ()))
         modes = InternalModes.of(self.extra or ())

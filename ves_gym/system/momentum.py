@@ -39,9 +39,14 @@ def momentum(
     """
     base = system.base
     system.arm.require_rigid("momentum")
-    if base.body is None or base.m:
+    if base.body is None:
         raise ParameterError(
             f"momentum needs a satellite, got a vehicle of kind {system.vehicle.kind}"
+        )
+    if base.m:
+        raise ParameterError(
+            f"momentum needs bodies on the satellite, got {base.m} of its `extra` masses, whose"
+            " place beside their way is not known: describe them as appendages"
         )
     pose, rates = np.asarray(y, float), np.asarray(v, float)
     moving, H = twist(pose, yd), inertia(system.arm, q)

@@ -31,6 +31,7 @@ from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import (
     BENT,
     BaseModel,
+    Satellite,
     Vehicle,
     altered,
     get_vehicle,
@@ -97,14 +98,8 @@ class System:
             )
         if self.mode == "emulated":
             self.arm.require_turning("mode emulated")
-        for name in ("wheels", "jets", "appendages", "extra"):
-            on_a_body = self.mode == "emulated" and self.base.body is not None
-            if on_a_body and getattr(self.vehicle, name, None):
-                raise ParameterError(
-                    f"mode emulated knows a satellite's body, not its {name}: the arm's wrench"
-                    " is all that moves its platform; use mode ideal, or a vehicle of the body"
-                    " alone, Satellite(body=vehicle.body)"
-                )
+        if self.mode == "emulated" and isinstance(self.vehicle, Satellite):
+            self._require_a_body_alone(self.vehicle)
         if self.contact is not None:
             self._require_contact(self.contact)
         object.__setattr__(self, "effects", tuple(self.effects))  # a list has no hash
@@ -117,6 +112,15 @@ class System:
                     f" got mode {self.mode}"
                 )
             effect.check(self)
+
+    def _require_a_body_alone(self, vehicle: Satellite) -> None:
+        for name in ("wheels", "jets", "appendages", "extra"):
+            if getattr(vehicle, name):
+                raise ParameterError(
+                    f"mode emulated knows a satellite's body, not its {name}: the arm's wrench"
+                    " is all that moves its platform; use mode ideal, or a vehicle of the body"
+                    " alone, Satellite(body=vehicle.body)"
+                )
 
     def _require_contact(self, contact: Contact) -> None:
         self.arm.require_rigid("contact at the tool")
