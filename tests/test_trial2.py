@@ -503,6 +503,16 @@ def test_wide_play_is_named_at_its_joint(tmp_path: Path, number: int, index: int
 
 
 @pytest.mark.slow
+def test_a_base_much_too_stiff_has_one_name(tmp_path: Path) -> None:
+    """2.4 times as stiff as described; answered with a damping that is not there beside it."""
+    salt = (HERE / "docs" / "trial2-salt-15.txt").read_text("utf-8").strip()
+    label = write.write_case(salt, 1, tmp_path / "case")
+    given = scoring.answer(tmp_path / "case", tmp_path / "answer")
+    print(label["effects"], given["names"])
+    assert scoring.judge(label, given) == "right"
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "index"), [(13, 45), (14, 30)])
 def test_a_mode_on_a_satellite_is_named(tmp_path: Path, number: int, index: int) -> None:
     """Of 94 and 24 kg on 2 t; answered as not in the library, and as a mass of the body."""

@@ -57,6 +57,16 @@ def test_a_soft_gear_is_told_from_that_of_the_next_joint_with_its_number(run):
     assert found[1].values[0][0] == pytest.approx(4e-4, rel=0.05)
 
 
+def test_a_fit_goes_on_as_long_as_a_round_gains_much(run, monkeypatch):
+    """Allowed one round instead of twelve it ends where it would have, to what is not much."""
+    found, ends = gears_found(run)[-1][1], []
+    for far in (10.0, np.inf):
+        monkeypatch.setattr("ves_gym.diagnosis.inference.fit._ROUNDS", 1)
+        monkeypatch.setattr("ves_gym.diagnosis.inference.fit._FAR", far)
+        ends.append(gears_found(run)[-1][1].deviance)
+    assert ends[0] < found.deviance + 20 < ends[1]
+
+
 def test_the_same_where_what_was_asked_tells_the_torque_too(run):
     """All gains are larger then; beside the gear that is there another gains nothing."""
     residuals, gears, gains, found = gears_found(run)

@@ -17,6 +17,7 @@ from ves_gym.system.effect import Effect
 
 _STEP = 1e-3  # of differences, in parts of a number's usual size
 _ROUNDS, _HALVINGS = 12, 4
+_MORE, _FAR = 40, 10.0  # rounds of a fit whose last one gained so much in deviance
 _UNSEEN = 1e-3  # of a whitened residual, by all of a number's range
 _TORQUES = ("joint",)  # ports of a law that is a torque at joints, and no more
 _REMEMBERED = 600  # residuals of a port
@@ -140,7 +141,7 @@ def fit(
     z = residuals_at([x])[0]
     B = blurs(x, z)
     current = judged(x, z, B)
-    for turn in range(_ROUNDS):
+    for turn in range(_MORE):
         ways = np.where(x + step > high, -step, step)  # differences stay inside
         moved = residuals_at(
             [x + way * unit for way, unit in zip(ways, np.eye(len(x)), strict=True)]
@@ -173,7 +174,7 @@ def fit(
             break
         gained = current.misfit - better[2].misfit
         x, z, current, B = better
-        if gained < _ENOUGH:
+        if gained < (_ENOUGH if turn + 1 < _ROUNDS else _FAR):
             break
     for y in _gentler(candidates, x, low) if current.deviance > current.misfit else ():
         trial = residuals_at([y])[0]
