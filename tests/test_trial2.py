@@ -481,46 +481,39 @@ def test_a_spring_that_hardens_is_named_with_its_stiffness(tmp_path: Path) -> No
     assert found[0]["value"]["compliance"] == pytest.approx(true, rel=0.03)  # 8 % if linear
 
 
+def judged(number: int, index: int, folder: Path) -> str:
+    """Return how today's answer to a case of a set whose labels are open is judged."""
+    salt = (HERE / "docs" / f"trial2-salt-{number}.txt").read_text("utf-8").strip()
+    label = write.write_case(salt, index, folder / "case")
+    given = scoring.answer(folder / "case", folder / "answer")
+    print(label["effects"], given["names"])
+    return scoring.judge(label, given)
+
+
 @pytest.mark.slow
 def test_pressed_teeth_have_one_name(tmp_path: Path) -> None:
     """Case 26 of the eleventh set; answered with Coulomb friction beside that of the load."""
-    salt = (HERE / "docs" / "trial2-salt-11.txt").read_text("utf-8").strip()
-    label = write.write_case(salt, 26, tmp_path / "case")
-    given = scoring.answer(tmp_path / "case", tmp_path / "answer")
-    print(label["effects"], given["names"])
-    assert scoring.judge(label, given) == "right"
+    assert judged(11, 26, tmp_path) == "right"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "index"), [(13, 15), (14, 37)])
 def test_wide_play_is_named_at_its_joint(tmp_path: Path, number: int, index: int) -> None:
     """Of 12 and 60 mrad; answered with the next joint's, and as not in the library."""
-    salt = (HERE / "docs" / f"trial2-salt-{number}.txt").read_text("utf-8").strip()
-    label = write.write_case(salt, index, tmp_path / "case")
-    given = scoring.answer(tmp_path / "case", tmp_path / "answer")
-    print(label["effects"], given["names"])
-    assert scoring.judge(label, given) == "right"
+    assert judged(number, index, tmp_path) == "right"
 
 
 @pytest.mark.slow
 def test_a_base_much_too_stiff_has_one_name(tmp_path: Path) -> None:
     """2.4 times as stiff as described; answered with a damping that is not there beside it."""
-    salt = (HERE / "docs" / "trial2-salt-15.txt").read_text("utf-8").strip()
-    label = write.write_case(salt, 1, tmp_path / "case")
-    given = scoring.answer(tmp_path / "case", tmp_path / "answer")
-    print(label["effects"], given["names"])
-    assert scoring.judge(label, given) == "right"
+    assert judged(15, 1, tmp_path) == "right"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "index"), [(13, 45), (14, 30)])
 def test_a_mode_on_a_satellite_is_named(tmp_path: Path, number: int, index: int) -> None:
     """Of 94 and 24 kg on 2 t; answered as not in the library, and as a mass of the body."""
-    salt = (HERE / "docs" / f"trial2-salt-{number}.txt").read_text("utf-8").strip()
-    label = write.write_case(salt, index, tmp_path / "case")
-    given = scoring.answer(tmp_path / "case", tmp_path / "answer")
-    print(label["effects"], given["names"])
-    assert scoring.judge(label, given) == "right"
+    assert judged(number, index, tmp_path) == "right"
 
 
 def test_modes_of_the_tenth_set_are_all_that_it_has_and_named() -> None:

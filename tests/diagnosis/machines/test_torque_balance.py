@@ -60,8 +60,8 @@ def test_a_soft_gear_is_told_from_that_of_the_next_joint_with_its_number(run):
 def test_a_fit_goes_on_as_long_as_a_round_gains_much(run, monkeypatch):
     """Allowed one round instead of twelve it ends where it would have, to what is not much."""
     found, ends = gears_found(run)[-1][1], []
+    monkeypatch.setattr("ves_gym.diagnosis.inference.fit._ROUNDS", 1)
     for far in (10.0, np.inf):
-        monkeypatch.setattr("ves_gym.diagnosis.inference.fit._ROUNDS", 1)
         monkeypatch.setattr("ves_gym.diagnosis.inference.fit._FAR", far)
         ends.append(gears_found(run)[-1][1].deviance)
     assert ends[0] < found.deviance + 20 < ends[1]

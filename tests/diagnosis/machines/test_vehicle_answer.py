@@ -148,33 +148,31 @@ def noisy(log, seed):
     return dataclasses.replace(log, **read, meta={**log.meta, "noise_std": stated})
 
 
-def test_a_heavy_mode_is_named_with_its_mass_through_the_noise_of_a_pose():
-    vehicle = MatrixVehicle(M=M.tolist(), D=D.tolist(), K=K.tolist(), source="this test")
+def named_on(vehicle, rider):
+    """The diagnosis of three noisy logs of a vehicle with a rider that nobody described."""
     described = System(vehicle=vehicle)
-    hidden = described.replace(effects=(BaseExtraMode(**RIDER),))
-    motions = excitation_motions(3, described.arm, duration=7.0, seed=11)
-    recording = play_motions(hidden, motions, settle=1.0, record_dt=DT, seed=11)
-    logs = [noisy(recording.log(i), seed=i) for i in range(3)]
-    inputs = system_inputs(logs, described)
-    library = [c for c in inputs.candidates if c.kind.startswith("base/")]
-    found = diagnose(inputs.machine, inputs.runs, inputs.final, candidates=library)
-    (name,) = found.explanations
-    assert name.candidate.name == "base/extra_mode at y", found.sentence
-    assert name.values == pytest.approx([RIDER["mass"], RIDER["frequency"]], rel=0.05)
-
-
-def test_a_mode_on_a_satellite_is_named_along_its_way():
-    """Fuel that sloshes across a body of 800 kg; weighed with it, the body is as described."""
-    body = Inertial(mass=800.0, com=(0.0, 0.0, -0.5), inertia=matrix(np.diag([300.0] * 3)))
-    described = System(vehicle=Satellite(body=body, source="this test"))
-    rider = {**RIDER, "mass": 60.0, "frequency": 1.9, "direction": (1.0, 0.0, 0.0)}
     hidden = described.replace(effects=(BaseExtraMode(**rider),))
     motions = excitation_motions(3, described.arm, duration=7.0, seed=11)
     recording = play_motions(hidden, motions, settle=1.0, record_dt=DT, seed=11)
     logs = [noisy(recording.log(i), seed=i) for i in range(3)]
     inputs = system_inputs(logs, described)
     library = [c for c in inputs.candidates if c.kind.startswith("base/")]
-    found = diagnose(inputs.machine, inputs.runs, inputs.final, candidates=library)
+    return diagnose(inputs.machine, inputs.runs, inputs.final, candidates=library)
+
+
+def test_a_heavy_mode_is_named_with_its_mass_through_the_noise_of_a_pose():
+    vehicle = MatrixVehicle(M=M.tolist(), D=D.tolist(), K=K.tolist(), source="this test")
+    found = named_on(vehicle, RIDER)
+    (name,) = found.explanations
+    assert name.candidate.name == "base/extra_mode at y", found.sentence
+    assert name.values == pytest.approx([RIDER["mass"], RIDER["frequency"]], rel=0.05)
+
+
+def test_a_mode_on_a_satellite_is_named_along_its_way():
+    """Its 60 kg come on top of the 800 kg of the body, which is as described."""
+    body = Inertial(mass=800.0, com=(0.0, 0.0, -0.5), inertia=matrix(np.diag([300.0] * 3)))
+    rider = {**RIDER, "mass": 60.0, "frequency": 1.9, "direction": (1.0, 0.0, 0.0)}
+    found = named_on(Satellite(body=body, source="this test"), rider)
     (name,) = found.explanations
     assert name.candidate.name == "base/extra_mode at x", found.sentence
     assert name.values == pytest.approx([60.0, 1.9], rel=0.05)

@@ -146,8 +146,10 @@ def _errors_of_flights(arm: Arm, run: Run) -> Array:
     """Return standard deviations of angles foretold of links that fly (n,) [rad]; 0: none."""
     out = np.zeros(arm.n)
     for i, link in enumerate(arm.links):
-        weight = _flight(link.gear.gap, i, run) if link.gear is not None else 0.0
-        if weight >= _NARROW and link.gear is not None:
+        if link.gear is None:
+            continue
+        weight = _flight(link.gear.gap, i, run)
+        if weight >= _NARROW:
             out[i] = _OFF * weight * link.gear.gap
     return out
 

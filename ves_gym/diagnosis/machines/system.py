@@ -475,9 +475,14 @@ class SystemMachine:
         tau, wrench = self._load_of(run, system, arm)
         if "tau" not in run or not flies(arm, run):
             return tau, wrench
-        torque = run["tau"] - self._told_too_much(run, SystemVariant(system))
-        left = torque + self._added(run, system.effects, torque) - tau
-        felt = felt_of_flights(arm, left, run, 1 - self._share_of_the_asked(run))
+
+        def computed() -> Load:
+            torque = run["tau"] - self._told_too_much(run, SystemVariant(system))
+            left = torque + self._added(run, system.effects, torque) - tau
+            return felt_of_flights(arm, left, run, 1 - self._share_of_the_asked(run))
+
+        key = arm, *self._told_load(run, system, arm), system.effects
+        felt = kept(run.memory, "felt of flights", key, computed)
         return tau + felt[0], wrench + felt[1]
 
     def _told_load(self, run: Run, system: System, arm: Arm) -> tuple[Any, ...]:
