@@ -12,6 +12,7 @@ from ves_gym.diagnosis.excitation import excitation_motions
 from ves_gym.diagnosis.machines.between_samples import _driven, between_samples
 from ves_gym.diagnosis.machines.platform_response import Platforms
 from ves_gym.diagnosis.machines.system import SystemMachine
+from ves_gym.effects import SensorLag
 from ves_gym.hardware.leg_servo import FILTERED, leg_clock
 from ves_gym.hardware.legs import Legs
 from ves_gym.hardware.platform import PoseServo
@@ -28,7 +29,7 @@ from ves_gym.system.system import System
 CLOCK = leg_clock(FILTERED)
 
 
-def swung(platform, clock=(12.5e-3, 1.25e-3)):
+def swung(platform, clock=(12.5e-3, 1.25e-3), effects=()):
     """A system under position control, and the log of a platform that moves to and fro."""
     system = System(
         vehicle=BENT_THESIS,
@@ -43,7 +44,8 @@ def swung(platform, clock=(12.5e-3, 1.25e-3)):
         return np.outer(1 - np.cos(w * t), size), w * np.outer(np.sin(w * t), size)
 
     motions = excitation_motions(1, system.arm, duration=5.0, seed=1)
-    recording = play_motions(system, motions, settle=1.0, platform=swing)
+    lacking = system.replace(effects=effects)
+    recording = play_motions(lacking, motions, settle=1.0, platform=swing)
     return system, run_of(recording.log(0), "run")
 
 
@@ -65,12 +67,23 @@ def test_the_swing_is_accounted_for(platform, clock, seen):
         return np.sqrt(np.mean(np.abs(window.spectrum(x)) ** 2, axis=0))
 
     left = rms(residuals["wrench"][0])
-    swing = rms(hidden.reading)
+    swing = rms(hidden.reading(system.emulator_settings.sensor.cutoff))
     assert swing[:3].max() > seen  # N
     assert (left < machine.floor(run, "wrench")).all()
     assert left[:3].max() < 0.05 * swing[:3].max()
     for port in ("joint", "servo"):
         assert (rms(residuals[port][0]) < machine.floor(run, port)).all(), port
+
+
+def test_it_is_read_through_the_filter_that_the_sensor_has():
+    """A filter five times as fast as described lets more of the swing through."""
+    faster = SensorLag(error=4.0)
+    system, run = swung(FILTERED, CLOCK, (faster,))
+    machine = SystemMachine(system)
+    model = machine.model([faster])
+    left = machine.residuals(run, [model], ["wrench"])["wrench"][0]
+    left = np.sqrt(np.mean(np.abs(run.window.spectrum(left)) ** 2, axis=0))
+    assert (left < machine.floor(run, "wrench")).all()
 
 
 def test_a_log_of_another_clock_says_nothing_of_it():
@@ -79,7 +92,7 @@ def test_a_log_of_another_clock_says_nothing_of_it():
     log = play_motions(system, [motion], settle=1.0, record_dt=2 * system.control_dt).log(0)
     run = run_of(log, "run", band=8.0)
     hidden = between_samples(run, system)
-    assert not hidden.torque.any() and not hidden.rate.any() and not hidden.reading.any()
+    assert not hidden.torque.any() and not hidden.rate.any() and not hidden.wrench.any()
 
 
 def test_joints_follow_a_push_as_their_equation_says():

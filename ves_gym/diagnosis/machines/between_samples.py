@@ -21,7 +21,6 @@ from ves_gym.diagnosis.machines.platform import ridden
 from ves_gym.hardware.force_sensor import low_pass
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.spatial import matvec
-from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.system import System
 
 _STEADY = 1e-3  # rad/s: a swing that turns no friction round, a tenth of its creep
@@ -36,8 +35,17 @@ class BetweenSamples:
 
     torque: Array  # (T, n) that motors give [N m]
     rate: Array  # (T, n) of the joints [rad/s]
-    reading: Array  # (T, 6) of the wrench on the base, behind the sensor's filter [N, N m]
+    wrench: Array  # (T, k + 1, 6) on the base at the nodes of each period [N, N m]
+    step: float = 0.0  # s between nodes
     swings: tuple[Array, ...] = ()  # (T, n) each, of the rate inside the period that ends there
+
+    def reading(self, cutoff: float) -> Array:
+        """Return what the sensor reads of it (T, 6) behind its filter [N, N m].
+
+        Args:
+            cutoff: of the filter [Hz].
+        """
+        return _filtered(self.wrench, cutoff, self.step) if self.step else self.wrench[:, -1]
 
 
 def between_samples(run: Run, described: System) -> BetweenSamples:
@@ -50,7 +58,7 @@ def between_samples(run: Run, described: System) -> BetweenSamples:
     n = described.arm.n
     path = ridden(run, described) if described.mode == "emulated" and "y_cmd" in run else None
     if path is None:
-        return BetweenSamples(np.zeros(n), np.zeros(n), np.zeros(6))
+        return BetweenSamples(np.zeros(n), np.zeros(n), np.zeros((1, 1, 6)))
     at_samples = path.x[:, -1], run["q"].reshape(-1, run.length, n)[0]
     smooth, joints = (_smooth(x, run, path.x.shape[1]) for x in at_samples)
     still = _load(described, joints, smooth)
@@ -62,10 +70,7 @@ def between_samples(run: Run, described: System) -> BetweenSamples:
             swings = tuple(swing.v[:, :-1:_EVERY].swapaxes(0, 1))
     whole = Kinematics(*(x + y for x, y in zip(joints, swing, strict=True)))
     wrench = _load(described, whole, path)[1] - still[1]
-    settings = described.emulator_settings
-    p = LoopParameters.nominal(described.arm, settings, 1).edited(described)
-    reading = _filtered(wrench, float(p.sensor.cutoff[0]), described.physics_dt)
-    return BetweenSamples(torque, swing.v[:, -1], reading, swings)
+    return BetweenSamples(torque, swing.v[:, -1], wrench, described.physics_dt, swings)
 
 
 def _giving_way(

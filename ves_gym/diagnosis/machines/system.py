@@ -420,7 +420,7 @@ class SystemMachine:
         if system.mode == "ideal":
             force, known = self._base(run, system)
             return np.asarray(run["w"] - wrench - self._seen_in_wrench(run, known, force))
-        return np.asarray(run["w"] - self._sensed(system, wrench, self._between(run), run.dt))
+        return np.asarray(run["w"] - self._sensed(system, wrench, run))
 
     def _seen_in_torque(self, run: Run, system: System) -> Array:
         """Return what the pose's noise does at port `joint`, by the residual at `wrench`."""
@@ -577,7 +577,7 @@ class SystemMachine:
         rate = run.angles.v + self._between(run).rate
         return np.asarray(logged - low_passed(rate, lag, run.dt, logged[..., 0, :]))
 
-    def _sensed(self, system: System, wrench: Array, more: BetweenSamples, dt: float) -> Array:
+    def _sensed(self, system: System, wrench: Array, run: Run) -> Array:
         """Return the sensor's reading of a wrench (..., T, 6)."""
         spec = system.emulator_settings.sensor
         p = (
@@ -585,7 +585,9 @@ class SystemMachine:
             .edited(system)
             .sensor
         )
-        filtered = butterworth(wrench, float(p.cutoff[0]), dt) + more.reading
+        cutoff = float(p.cutoff[0])
+        swing = kept(run.memory, "swing", cutoff, lambda: self._between(run).reading(cutoff))
+        filtered = butterworth(wrench, cutoff, run.dt) + swing
         to_signal = (np.eye(6) + p.matrix[0]) @ spec.frame
         signal = filtered @ to_signal.T + p.bias[0] - np.array(spec.zero)
         return np.asarray(signal @ self._to_wrench.T)
