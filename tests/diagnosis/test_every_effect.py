@@ -122,15 +122,16 @@ def played(system, *effects):
     return dataclasses.replace(log, meta={**log.meta, "system": system.to_dict()})
 
 
-def noisy(log, seed=5):
+def noisy(log, seed=5, times=1.0):
     """The log as a diagnosis gets it: noise of the wrench went through the loop already."""
     rng = np.random.default_rng(seed)
+    stds = {k: s if k == "w" else times * s for k, s in STD.items()}
     parts = {
         k: getattr(log, k) + coloured(s, COLOUR[k], len(log), rng)
-        for k, s in STD.items()
+        for k, s in stds.items()
         if k != "w"
     }
-    meta = {**log.meta, "noise_std": {k: s.tolist() for k, s in STD.items()}}
+    meta = {**log.meta, "noise_std": {k: s.tolist() for k, s in stds.items()}}
     return dataclasses.replace(log, meta=meta, **parts)
 
 
@@ -233,6 +234,33 @@ def test_an_effect_of_ten_times_the_noise_is_seen_at_its_port(kind, healthy, qui
         np.testing.assert_allclose(found[clear], numbers[clear], rtol=ROUGH.get(kind, 0.15))
     gained, needed, _ = seen(*quiet(system, candidate.ports), candidate, len(every))
     assert gained < needed
+
+
+@pytest.mark.parametrize(("times", "told"), [(1.0, True), (8.0, False)])
+def test_a_spring_that_swings_in_the_band_is_not_charged_for_the_noise(times, told, healthy):
+    """8 Hz, hardly damped: it multiplies the noise of angles, and more damping leaves less.
+
+    Under little noise the damping is told; under much it comes out larger, with its deviation,
+    and the spring gains about twice of what it does with the damping that fits best.
+    """
+    candidate = next(
+        c for c in healthy(SYSTEM)[1] if c.name == "joint/elasticity at joint 3"
+    )
+    log = played(SYSTEM, candidate.effect(np.array([4e-4, 14.0])))
+    residuals, null = residuals_of(SYSTEM, noisy(log, times=times), candidate.ports)
+    plain, found = (
+        fit(residuals, [c], [np.array([3e-4, 30.0])])
+        for c in (dataclasses.replace(candidate, quiets=()), candidate)
+    )
+    compliance, damping = found.values[0]
+    assert compliance == pytest.approx(4e-4, rel=0.3)
+    if told:
+        assert found.deviance == plain.deviance
+        assert damping == pytest.approx(14.0, rel=0.1)
+    else:
+        assert null.deviance - found.deviance > 1.5 * (null.deviance - plain.deviance)
+        assert damping > 14.0
+        assert found.std[0][1] > 2 * plain.std[0][1]
 
 
 @pytest.mark.slow

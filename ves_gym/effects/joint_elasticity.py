@@ -35,7 +35,7 @@ class JointElasticity(ArmEffect):
         "rad/(N m)", bounds=(0.0, 1e-3), shape=(None,), start=(1e-4, 3e-4, 3e-5)
     )
     damping: Vector = parameter(
-        "N m s/rad", bounds=(0.0, 500.0), null=None, shape=(None,), start=30.0
+        "N m s/rad", bounds=(0.0, 500.0), null=None, shape=(None,), start=30.0, quiets=True
     )
 
     def check(self, system: System) -> None:

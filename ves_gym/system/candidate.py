@@ -53,6 +53,7 @@ class Candidate:
     make: Callable[[Array], Any]  # numbers (k,) -> the effect
     factors: tuple[int, ...]  # which of the numbers multiply what the effect does
     sets_in: bool = False  # nothing is proportional to its number: starts are tried as they are
+    quiets: tuple[int, ...] = ()  # numbers that take noise off the larger they are
     blurs: tuple[Callable[[Any], Any], ...] = ()  # effect -> another form that it may have
     within: str = ""  # a simpler kind that is a case of this one
     counts: int | None = None  # numbers it costs, where that is not k
@@ -101,6 +102,7 @@ class Number:
     range: tuple[float, float]
     starts: tuple[float, ...]
     factor: bool = True  # it multiplies what the effect does; else it gives a shape
+    quiets: bool = False  # the larger, the less of a log's noise the effect passes on
 
 
 @dataclass(frozen=True)
@@ -142,6 +144,7 @@ def placed(
         make=lambda x: cls(**fields(x)),
         factors=tuple(k for k, x in enumerate(numbers) if x.factor),
         sets_in=cls.sets_in,
+        quiets=tuple(k for k, x in enumerate(numbers) if x.quiets),
         blurs=cls.forms,
         within=cls.within,
         sparse=sparse,
@@ -172,6 +175,7 @@ def number_of(cls: type[Effect], field: str, name: str = "", unit: str = "") -> 
         range=(low, high),
         starts=starts if isinstance(starts, tuple) else (starts,),
         factor=meta["null"] is not None,
+        quiets=bool(meta.get("quiets")),
     )
 
 

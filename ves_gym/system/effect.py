@@ -251,6 +251,7 @@ def parameter(
     start: float | tuple[float, ...] | None = None,
     search: tuple[float, float] | None = None,
     name: str = "",
+    quiets: bool = False,
 ) -> Any:
     """Return a field of an effect.
 
@@ -265,11 +266,12 @@ def parameter(
             number that has a default and no null value is left there.
         search: range that a diagnosis looks in, where that is not all of `bounds`.
         name: that a diagnosis gives the number, where it is not the field's.
+        quiets: the larger it is, the less of a log's noise the effect passes on.
     """
     if default is dataclasses.MISSING and null is not None and None not in shape:
         filled = np.full(tuple(k for k in shape if k is not None), null)
         default = nested_tuples(filled)
-    said = {"start": start, "search": search, "name": name}
+    said = {"start": start, "search": search, "name": name, "quiets": quiets}
     return unit(symbol, default=default, bounds=bounds, null=null, shape=shape, **said)
 
 

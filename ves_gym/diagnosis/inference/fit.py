@@ -26,6 +26,7 @@ _CLEAR = 3.0  # standard deviations from zero
 # of one tells it from curves that do neither, such as a spring that hardens.
 _PERIODS = 2 / 3
 _SHARES = tuple(0.7**k for k in range(1, 9))  # of a size that fits best
+_TIMES, _LITTLE = (2.0, 4.0, 8.0), 0.25  # a damping that fits best; of its usual size
 _ENOUGH = 0.05  # gain in deviance that is not worth another round
 
 
@@ -138,20 +139,22 @@ def fit(
     def judged(x: Array, z: Array, B: Array) -> Solution:
         return solve(products(residuals, z, B), p + B.shape[1])
 
-    z = residuals_at([x])[0]
-    B = blurs(x, z)
-    current = judged(x, z, B)
-    for turn in range(_MORE):
+    def tangents(x: Array, z: Array, B: Array, share: Array) -> Array:
         ways = np.where(x + step > high, -step, step)  # differences stay inside
         moved = residuals_at(
             [x + way * unit for way, unit in zip(ways, np.eye(len(x)), strict=True)]
         )
-        share = current.x[p:]
         if share.any():  # a number acts through the forms that its effect has, too
             points = x + np.diag(ways)
             beside = [blurs(y, m, B) @ share for y, m in zip(points, moved, strict=True)]
             moved = moved + np.stack(beside)
-        S = ((moved - z - B @ share) / ways[:, None]).T
+        return np.asarray(((moved - z - B @ share) / ways[:, None]).T)
+
+    z = residuals_at([x])[0]
+    B = blurs(x, z)
+    current = judged(x, z, B)
+    for turn in range(_MORE):
+        S = tangents(x, z, B, current.x[p:])
         b = p + B.shape[1]
         solution = solve(products(residuals, z, np.hstack([B, S])), b, low - x, high - x)
         toward = solution.x[b:]
@@ -176,12 +179,17 @@ def fit(
         x, z, current, B = better
         if gained < (_ENOUGH if turn + 1 < _ROUNDS else _FAR):
             break
-    for y in _gentler(candidates, x, low) if current.deviance > current.misfit else ():
+    gentler = _gentler(candidates, x, low, high) if current.deviance > current.misfit else ()
+    quieter = False
+    for y in gentler:
         trial = residuals_at([y])[0]
         forms = blurs(y, trial)
         proposed = judged(y, trial, forms)
         if proposed.deviance < current.deviance:
-            x, z, current, B = y, trial, proposed, forms
+            x, z, current, B, quieter = y, trial, proposed, forms, True
+    if quieter:
+        S = tangents(x, z, B, current.x[p:])
+        solution = solve(products(residuals, z, np.hstack([B, S])), b, low - x, high - x)
     deviation = np.sqrt(np.maximum(np.diag(solution.covariance)[b:], 0.0))
     return Fit(
         candidates=tuple(candidates),
@@ -196,25 +204,36 @@ def fit(
     )
 
 
-def _gentler(candidates: Sequence[Candidate], x: Array, low: Array) -> list[Array]:
-    """Return numbers with smaller sizes of what sets in with the noise, such as play.
+def _gentler(
+    candidates: Sequence[Candidate], x: Array, low: Array, high: Array
+) -> list[Array]:
+    """Return numbers by which effects pass on less noise than by those that fit best.
 
-    It passes on more noise the larger it is; numbers are fitted to what comes on top of the
-    noise, but no name is likelier by the noise that it makes. (Of a limit these are harder
-    ones: the likeliest is kept, whichever it is.)
+    Numbers are fitted to what comes on top of the noise, but no name is likelier by the noise
+    that it makes. Of what sets in with the noise, such as play, these are smaller sizes. (Of a
+    limit they are harder ones: the likeliest is kept, whichever it is.) A spring that swings in
+    the band multiplies the noise of an angle, and logs hardly tell by how much it is damped:
+    more damping leaves less.
 
     Args:
         candidates: effects.
         x: (sum of k,) numbers.
-        low: (sum of k,) their least.
+        low, high: (sum of k,) their bounds.
     """
     out, at = [], 0
+
+    def add(k: int, value: float) -> None:
+        y = x.copy()
+        y[k] = np.clip(value, low[k], high[k])
+        out.append(y)
+
     for c in candidates:
         if c.sets_in:
             for share in _SHARES:
-                y = x.copy()
-                y[at] = max(share * x[at], low[at])
-                out.append(y)
+                add(at, share * x[at])
+        for k in c.quiets:
+            for times in _TIMES:
+                add(at + k, times * max(x[at + k], _LITTLE * c.starts[0][k]))
         at += c.k
     return out
 
