@@ -189,6 +189,28 @@ def prove(wanted: Wanted, blind: Path | None) -> Entry:
     return verify(wanted.bundle, level=wanted.level, salt=wanted.salt, folder=blind)
 
 
+def prove_each(together: Sequence[Wanted], blind: Path | None) -> list[Entry | Exception]:
+    """Prove one after another; of one that fails the error."""
+    out: list[Entry | Exception] = []
+    for wanted in together:
+        try:
+            out.append(prove(wanted, blind))
+        except Exception as error:  # the others have to do with it what they may
+            out.append(error)
+    return out
+
+
+def in_jobs(wanted: Sequence[Wanted]) -> list[list[Wanted]]:
+    """Return what each job proves: all selectors of a problem read the same diagnoses.
+
+    Side by side each would make them, all of them at the same time.
+    """
+    jobs: dict[object, list[Wanted]] = {}
+    for w in wanted:
+        jobs.setdefault(w.problem if w.track == "discrepancy" else w, []).append(w)
+    return list(jobs.values())
+
+
 def _quick(problem: str) -> str:
     return problem.removesuffix(QUICK) + QUICK
 
@@ -231,21 +253,22 @@ def fill(wanted: Sequence[Wanted], board: Path, workers: int, blind: Path | None
     todo, failed, begun = missing(wanted, board), 0, time.monotonic()
     print(f"{len(wanted) - len(todo)} of {len(wanted)} entries are on the board", flush=True)
     with Workers(workers, nested=True) as pool:  # diagnoses have workers of their own
-        jobs = {pool.submit(prove, w, blind): w for w in todo}
-        for done, job in enumerate(as_completed(jobs), 1):
-            if error := job.exception():
+        jobs = {pool.submit(prove_each, part, blind): part for part in in_jobs(todo)}
+        each = ((job, k) for job in as_completed(jobs) for k in range(len(jobs[job])))
+        for done, (job, k) in enumerate(each, 1):
+            w, entry = jobs[job][k], job.exception() or job.result()[k]
+            if isinstance(entry, BaseException):
                 failed += 1
-                told = f"FAILED: {error}"
+                told = f"FAILED: {entry}"
             else:
-                entry: Entry = job.result()
                 record = append(board, entry.shortened())
                 told = entry.level
                 most = MOST_OF_TASKS[entry.kind] if entry.track == "tasks" else MOST
-                place = jobs[job].bundle
-                if jobs[job].salt is None and not publish(board, record, place, most):
+                place = w.bundle
+                if w.salt is None and not publish(board, record, place, most):
                     told += ", bundle too large to publish"
             seconds = time.monotonic() - begun
-            print(f"{done}/{len(todo)} {seconds:.0f} s  {jobs[job]}: {told}", flush=True)
+            print(f"{done}/{len(todo)} {seconds:.0f} s  {w}: {told}", flush=True)
     return failed
 
 

@@ -243,9 +243,7 @@ def test_a_spring_that_swings_in_the_band_is_not_charged_for_the_noise(times, to
     Under little noise the damping is told; under much it comes out larger, with its deviation,
     and the spring gains about twice of what it does with the damping that fits best.
     """
-    candidate = next(
-        c for c in healthy(SYSTEM)[1] if c.name == "joint/elasticity at joint 3"
-    )
+    candidate = next(c for c in healthy(SYSTEM)[1] if c.name == "joint/elasticity at joint 3")
     log = played(SYSTEM, candidate.effect(np.array([4e-4, 14.0])))
     residuals, null = residuals_of(SYSTEM, noisy(log, times=times), candidate.ports)
     plain, found = (

@@ -33,6 +33,31 @@ def test_the_table_has_every_problem_and_nothing_twice():
     assert planners == set(PLANNERS) - {"bad-path", "refined-long"} - other_questions
 
 
+def test_selectors_that_read_the_same_diagnoses_are_one_job(monkeypatch):
+    table = filling.table(whole_blind=True)
+    jobs = filling.in_jobs(table)
+    assert [w for part in jobs for w in part if w.track != "discrepancy"] == [
+        w for w in table if w.track != "discrepancy"
+    ]
+    together = [part for part in jobs if part[0].track == "discrepancy"]
+    assert {part[0].problem for part in together} == {
+        "blind-development", f"blind-development{filling.QUICK}"
+    }  # fmt: skip
+    assert all({w.method for w in part} == set(SELECTORS) for part in together)
+
+    def prove(wanted, blind):
+        if wanted.method == SELECTORS[1]:
+            raise ValueError("no answer")
+        return wanted
+
+    monkeypatch.setattr(filling, "prove", prove)
+    entries = filling.prove_each(together[0], None)
+    assert sum(isinstance(e, ValueError) for e in entries) == 1
+    assert [w for w in together[0] if w.method != SELECTORS[1]] == [
+        e for e in entries if not isinstance(e, ValueError)
+    ]
+
+
 @pytest.mark.slow
 def test_filling_goes_on_where_it_stopped(tmp_path):
     board = tmp_path / "entries"

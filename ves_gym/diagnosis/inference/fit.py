@@ -204,9 +204,7 @@ def fit(
     )
 
 
-def _gentler(
-    candidates: Sequence[Candidate], x: Array, low: Array, high: Array
-) -> list[Array]:
+def _gentler(candidates: Sequence[Candidate], x: Array, low: Array, high: Array) -> list[Array]:
     """Return numbers by which effects pass on less noise than by those that fit best.
 
     Numbers are fitted to what comes on top of the noise, but no name is likelier by the noise
