@@ -111,9 +111,6 @@ ROUGH = {  # relative error, where it is more than 0.15
 
 LEFT = {  # deviance that is more than 20
     ("joint/backlash", "joint"): 1200.0,  # of 1,550: teeth meet between two samples
-    # what the platform swings within a period is taken by the one described
-    ("platform/bandwidth", "wrench"): 200.0,
-    ("platform/damping", "wrench"): 320.0,
 }
 
 

@@ -18,6 +18,7 @@ class PlatformBandwidth(LaboratoryEffect):
     """
 
     port = "platform"
+    shows = ("platform", "wrench")
     error: float = parameter("1", bounds=(-0.9, 10.0), start=(0.2, -0.4, 1.5))
 
     def edit(self, p: LoopParameters) -> None:

@@ -7,7 +7,7 @@ like a slow motion. What the arm makes of it follows from the platform as descri
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -17,7 +17,7 @@ from ves_gym._util.params import Array
 from ves_gym._util.signals import differentiated
 from ves_gym.diagnosis.data.measured_run import Kinematics, Run
 from ves_gym.diagnosis.machines.arm_load import Load, MeasuredMotion, base_motion
-from ves_gym.diagnosis.machines.platform import ridden
+from ves_gym.diagnosis.machines.platform import path_of, ridden
 from ves_gym.hardware.force_sensor import low_pass
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.spatial import matvec
@@ -38,6 +38,22 @@ class BetweenSamples:
     wrench: Array  # (T, k + 1, 6) on the base at the nodes of each period [N, N m]
     step: float = 0.0  # s between nodes
     swings: tuple[Array, ...] = ()  # (T, n) each, of the rate inside the period that ends there
+    joints: tuple[Kinematics, ...] = ()  # at the nodes: smooth, and with their swing
+
+    def on(self, run: Run, system: System) -> BetweenSamples:
+        """Return the same on another platform; joints hardly swing otherwise, the wrench does.
+
+        Args:
+            run: see `between_samples`.
+            system: with the platform.
+        """
+        if not self.joints:
+            return self
+        path = path_of(run, system)
+        smooth = _smooth(path.x[:, -1], run, path.x.shape[1])
+        slow, whole = self.joints
+        wrench = _load(system, whole, path)[1] - _load(system, slow, smooth)[1]
+        return replace(self, wrench=wrench)
 
     def reading(self, cutoff: float) -> Array:
         """Return what the sensor reads of it (T, 6) behind its filter [N, N m].
@@ -70,7 +86,8 @@ def between_samples(run: Run, described: System) -> BetweenSamples:
             swings = tuple(swing.v[:, :-1:_EVERY].swapaxes(0, 1))
     whole = Kinematics(*(x + y for x, y in zip(joints, swing, strict=True)))
     wrench = _load(described, whole, path)[1] - still[1]
-    return BetweenSamples(torque, swing.v[:, -1], wrench, described.physics_dt, swings)
+    step = described.physics_dt
+    return BetweenSamples(torque, swing.v[:, -1], wrench, step, swings, (joints, whole))
 
 
 def _giving_way(

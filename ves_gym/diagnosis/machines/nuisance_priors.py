@@ -173,4 +173,4 @@ def _of_the_laboratory(
                 GravityMoment(error=moment),
             )
     for kind, name in ((PlatformBandwidth, "bandwidth"), (PlatformDamping, "damping")):
-        yield effect(f"platform {name}", "platform", 0.01, _FILTER, kind(error=0.01))
+        yield effect(f"platform {name}", "platform wrench", 0.01, _FILTER, kind(error=0.01))

@@ -68,10 +68,15 @@ def ridden(run: Run, described: System) -> Kinematics | None:
     """
     if not on_its_clock(run, described):
         return None
-    return run.derived("ridden", followed(run, described), lambda: _ridden(run, described))
+    return run.derived("ridden", followed(run, described), lambda: path_of(run, described))
 
 
-def _ridden(run: Run, described: System) -> Kinematics:
+def path_of(run: Run, described: System) -> Kinematics:
+    """Return what `ridden` does, computed anew, for a log on the system's clock.
+
+    Args:
+        run, described: see `ridden`.
+    """
     settings = described.emulator_settings
     p = LoopParameters.nominal(described.arm, settings, 1).edited(described)
     first = Run(

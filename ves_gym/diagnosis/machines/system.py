@@ -469,6 +469,29 @@ class SystemMachine:
             return near[key]  # type: ignore[no-any-return]
         return run.derived(*key, lambda: between_samples(run, self.system))
 
+    def _reading_between(self, run: Run, system: System, loop: LoopParameters) -> Array:
+        """Return what the sensor reads of the platform's swing between samples (T, 6)."""
+        cutoff, platform = float(loop.sensor.cutoff[0]), (loop.bandwidth[0], loop.damping[0])
+        key = cutoff, *map(float, platform)
+        near = run.memory.get(NEAR, {}).get("swing", {})
+        if key in near:
+            return near[key]  # type: ignore[no-any-return]
+
+        def read() -> Array:
+            between = self._between(run)
+            if platform != self._platform:
+                between = between.on(run, system)
+            return between.reading(cutoff)
+
+        return kept(run.memory, "swing", key, read)  # type: ignore[no-any-return]
+
+    @cached_property
+    def _platform(self) -> tuple[float, float]:
+        """How much faster, and more damped, the platform described is than stated."""
+        settings = self.system.emulator_settings
+        loop = LoopParameters.nominal(self.system.arm, settings, 1).edited(self.system)
+        return float(loop.bandwidth[0]), float(loop.damping[0])
+
     def _load(self, run: Run, system: System) -> Load:
         """Torque that the motors must give (..., T, n), and wrench of the arm (..., T, 6)."""
         arm = system.actual.arm
@@ -580,14 +603,9 @@ class SystemMachine:
     def _sensed(self, system: System, wrench: Array, run: Run) -> Array:
         """Return the sensor's reading of a wrench (..., T, 6)."""
         spec = system.emulator_settings.sensor
-        p = (
-            LoopParameters.nominal(system.arm, system.emulator_settings, 1)
-            .edited(system)
-            .sensor
-        )
-        cutoff = float(p.cutoff[0])
-        swing = kept(run.memory, "swing", cutoff, lambda: self._between(run).reading(cutoff))
-        filtered = butterworth(wrench, cutoff, run.dt) + swing
+        loop = LoopParameters.nominal(system.arm, system.emulator_settings, 1).edited(system)
+        p, swing = loop.sensor, self._reading_between(run, system, loop)
+        filtered = butterworth(wrench, float(p.cutoff[0]), run.dt) + swing
         to_signal = (np.eye(6) + p.matrix[0]) @ spec.frame
         signal = filtered @ to_signal.T + p.bias[0] - np.array(spec.zero)
         return np.asarray(signal @ self._to_wrench.T)
