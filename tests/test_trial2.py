@@ -535,3 +535,18 @@ def test_modes_of_the_tenth_set_are_all_that_it_has_and_named() -> None:
         kinds = [{n["kind"] for n in answer["names"]} for answer in given]
         named[code] = sum("base/extra_mode" in k for k in kinds)
     assert named == {"before": 5, "sealed": 9}
+
+
+@pytest.mark.slow
+def test_a_fast_filter_of_the_sensor_has_one_name(tmp_path: Path) -> None:
+    """4.4 times as fast as described; answered with a calibration beside it."""
+    assert judged(15, 12, tmp_path) == "right"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "index"), [(15, 6), (13, 46)])
+def test_a_spring_that_passes_noise_on_is_named(
+    tmp_path: Path, number: int, index: int
+) -> None:
+    """Beside a tilt, an asymmetry; called unsteady, and missed."""
+    assert judged(number, index, tmp_path) == "right"
