@@ -118,6 +118,7 @@ def test_names_of_the_fifth_set_are_about_as_probable_as_they_say():
         ("thirteenth", (26, 24, 0), 0.95, (15, 16), (0, 0)),
         ("fourteenth", (38, 36, 0), 0.95, (31, 32), (0, 0)),
         ("fifteenth", (15, 13, 0), 0.98, (11, 12), (2, 1)),
+        ("sixteenth", (30, 30, 0), 0.95, (21, 21), (0, 0)),
     ],
 )
 def test_names_of_later_sets_can_be_believed(which, counts, most, above, held):
