@@ -70,7 +70,8 @@ def test_the_library_is_that_with_which_the_sealed_sets_were_answered():
     two distances, and viscous friction may have a cube, since the seventh. A payload may
     extend, not only sit elsewhere, since the eighth. A gear may harden, and teeth whose
     friction is of the load be pressed together, since the twelfth. Oil between teeth may be
-    thin since the fourteenth.
+    thin since the fourteenth. What a platform of another bandwidth or damping swings between
+    samples shows at the wrench since the sixteenth.
     """
     stored = json.loads((Path(__file__).parent / "library.json").read_text())
     found = emulated()
