@@ -249,7 +249,7 @@ def missing(wanted: Sequence[Wanted], board: Path) -> list[Wanted]:
 
 
 def fill(wanted: Sequence[Wanted], board: Path, workers: int, blind: Path | None) -> int:
-    """Prove what is missing and append it, each as soon as it is there; how many failed."""
+    """Prove what is missing and append it, as soon as a job is done; how many failed."""
     todo, failed, begun = missing(wanted, board), 0, time.monotonic()
     print(f"{len(wanted) - len(todo)} of {len(wanted)} entries are on the board", flush=True)
     with Workers(workers, nested=True) as pool:  # diagnoses have workers of their own
