@@ -195,7 +195,7 @@ def prove_each(together: Sequence[Wanted], blind: Path | None) -> list[Entry | E
     for wanted in together:
         try:
             out.append(prove(wanted, blind))
-        except Exception as error:  # the others have to do with it what they may
+        except Exception as error:  # it keeps no other from the board
             out.append(error)
     return out
 

@@ -66,6 +66,11 @@ class LoopParameters:
             platform_speed=np.zeros(n),
         )
 
+    @staticmethod
+    def of(system: System) -> LoopParameters:
+        """Parameters of one simulation of a system, its effects in them."""
+        return LoopParameters.nominal(system.arm, system.emulator_settings, 1).edited(system)
+
     @property
     def as_stated(self) -> bool:
         """True if every platform is as described."""

@@ -26,7 +26,8 @@ _CLEAR = 3.0  # standard deviations from zero
 # of one tells it from curves that do neither, such as a spring that hardens.
 _PERIODS = 2 / 3
 _SHARES = tuple(0.7**k for k in range(1, 9))  # of a size that fits best
-_TIMES, _LITTLE = (2.0, 4.0, 8.0), 0.25  # a damping that fits best; of its usual size
+_TIMES = (2.0, 4.0, 8.0)  # a damping that fits best
+_LITTLE = 0.25  # of its usual size: for what one is taken that fits best at none
 _ENOUGH = 0.05  # gain in deviance that is not worth another round
 
 

@@ -164,16 +164,12 @@ def _shape(system: System) -> LoopShape:
     return LoopShape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
 
 
-def _parameters(system: System) -> LoopParameters:
-    return LoopParameters.nominal(system.arm, system.emulator_settings, 1).edited(system)
-
-
 def _signals(run: Run, taken: Taken, system: System, described: System) -> dict[str, Array]:
     """Inertia (N, 6 + n, 6 + n) of the arm and gains (1, m) that the compensation knows."""
     memory = _memory(run)
     if "inertia" not in memory:
         memory["inertia"] = inertia(described.arm, taken.q)
-    H = (1 + _parameters(system).payload_scale[0]) * memory["inertia"]
+    H = (1 + LoopParameters.of(system).payload_scale[0]) * memory["inertia"]
     gains = run.meta["controller"] if _moving(described) else {"kp": (), "kd": ()}
     return {"inertia": H, **{k: np.array([gains[k]], float) for k in ("kp", "kd")}}
 
@@ -193,7 +189,7 @@ def _inverse(
     X = np.concatenate([at[:, :6], rates[:, :6]], axis=-1)
     N, none = len(X), np.zeros((len(X), 6))
     numbers = block.parameters(
-        _parameters(system), Bodies.of(system, False, False, np.empty(0))
+        LoopParameters.of(system), Bodies.of(system, False, False, np.empty(0))
     )
     signals = _signals(run, taken, system, described)
     coupled = np.zeros((N, 2 * k))

@@ -77,8 +77,7 @@ def path_of(run: Run, described: System) -> Kinematics:
     Args:
         run, described: see `ridden`.
     """
-    settings = described.emulator_settings
-    p = LoopParameters.nominal(described.arm, settings, 1).edited(described)
+    p = LoopParameters.of(described)
     first = Run(
         run.name,
         run.dt,

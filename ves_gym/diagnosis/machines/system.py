@@ -292,8 +292,7 @@ class SystemMachine:
         system = self.system
         if system.mode != "emulated":
             return self._inner_starts(run)
-        nominal = LoopParameters.nominal(system.arm, system.emulator_settings, 1)
-        sensor = nominal.edited(system).sensor
+        sensor = LoopParameters.of(system).sensor
         return tuple(
             Nuisance(
                 f"drift of {WRENCH[path.channel]} in {run.name}",
@@ -471,8 +470,8 @@ class SystemMachine:
 
     def _reading_between(self, run: Run, system: System, loop: LoopParameters) -> Array:
         """Return what the sensor reads of the platform's swing between samples (T, 6)."""
-        cutoff, platform = float(loop.sensor.cutoff[0]), (loop.bandwidth[0], loop.damping[0])
-        key = cutoff, *map(float, platform)
+        cutoff, platform = float(loop.sensor.cutoff[0]), _platform_of(loop)
+        key = cutoff, platform
         near = run.memory.get(NEAR, {}).get("swing", {})
         if key in near:
             return near[key]  # type: ignore[no-any-return]
@@ -488,9 +487,7 @@ class SystemMachine:
     @cached_property
     def _platform(self) -> tuple[float, float]:
         """How much faster, and more damped, the platform described is than stated."""
-        settings = self.system.emulator_settings
-        loop = LoopParameters.nominal(self.system.arm, settings, 1).edited(self.system)
-        return float(loop.bandwidth[0]), float(loop.damping[0])
+        return _platform_of(LoopParameters.of(self.system))
 
     def _load(self, run: Run, system: System) -> Load:
         """Torque that the motors must give (..., T, n), and wrench of the arm (..., T, 6)."""
@@ -603,7 +600,7 @@ class SystemMachine:
     def _sensed(self, system: System, wrench: Array, run: Run) -> Array:
         """Return the sensor's reading of a wrench (..., T, 6)."""
         spec = system.emulator_settings.sensor
-        loop = LoopParameters.nominal(system.arm, system.emulator_settings, 1).edited(system)
+        loop = LoopParameters.of(system)
         p, swing = loop.sensor, self._reading_between(run, system, loop)
         filtered = butterworth(wrench, float(p.cutoff[0]), run.dt) + swing
         to_signal = (np.eye(6) + p.matrix[0]) @ spec.frame
@@ -620,8 +617,8 @@ class SystemMachine:
 
     def _gravity(self, run: Run, system: System) -> Array:
         """Estimate subtracted by the machine less the stated estimate, (..., T, 6)."""
-        spec, q, y = system.emulator_settings, run.angles.x, run.base.x
-        p = LoopParameters.nominal(system.arm, spec, 1).edited(system)
+        q, y = run.angles.x, run.base.x
+        p = LoopParameters.of(system)
         late = float(p.gravity_delay[0])
         if late:
             q, y = (
@@ -640,6 +637,11 @@ def _memoized(run: Run, key: Any, make: Callable[[], Any]) -> Any:
     if key not in run.memory:
         run.memory[key] = make()
     return run.memory[key]
+
+
+def _platform_of(loop: LoopParameters) -> tuple[float, float]:
+    """Return how much faster, and more damped, a platform is than stated."""
+    return float(loop.bandwidth[0]), float(loop.damping[0])
 
 
 def _moved(system: System) -> Hashable:
