@@ -22,8 +22,9 @@ from benchmarks.trial2.kinds import KINDS
 from benchmarks.trial2.motions import Quintics
 from benchmarks.trial2.platforms import read_platform
 from benchmarks.trial2.publish import published
-from benchmarks.trial2.seal import check, seal
-from benchmarks.trial2.targets import can_be_told
+from benchmarks.trial2.report import every_case, goals, read, set_by_set
+from benchmarks.trial2.seal import canonical, check, drawn, seal
+from benchmarks.trial2.targets import as_described, can_be_told
 from tests.running_blocks import leg_platform
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.diagnosis.machines.tolerances import StatedErrors
@@ -31,6 +32,8 @@ from ves_gym.system.system import System
 
 HERE = Path(__file__).parents[1]
 ROOT = HERE / "benchmarks" / "trial2"
+SETS = HERE / "docs" / "trial2"
+PUBLISHED = sorted(path.parent for path in SETS.glob("set-*/answers.json"))
 SECRET = "trial 2, tests"
 
 
@@ -161,6 +164,42 @@ def test_a_set_is_published_as_far_as_it_is_answered(tmp_path: Path) -> None:
     assert [label["index"] for label in out["labels"]] == [0, 1]
     assert [len(out["answers"][k]["withheld"]) for k in ("000", "001")] == [1, 0]
     assert "value" not in out["answers"]["000"]["withheld"][0]
+
+    picked = published(tmp_path, gaps=True)
+    assert [label["index"] for label in picked["labels"]] == [0, 1, 3]
+
+
+@pytest.mark.parametrize("folder", PUBLISHED, ids=lambda f: f.name)
+def test_a_published_set_is_the_one_that_was_sealed(folder: Path) -> None:
+    """Its salt draws what the seal says, and its first cases were answered, none left out."""
+    salt = (folder / "salt.txt").read_text("utf-8").strip()
+    assert drawn(salt) == json.loads((folder / "seal.json").read_text("utf-8"))["drawn"]
+    labels = [label for label, _ in read(folder / "answers.json")]
+    assert [label["index"] for label in labels] == list(range(len(labels)))
+    for label in labels:
+        case = asdict(cases.draw(salt, label["index"]))
+        assert canonical({k: label[k] for k in case}) == json.loads(json.dumps(canonical(case)))
+
+
+def test_nulls_answered_besides_are_the_first_from_300_on() -> None:
+    """Of the seventeenth set, those with tolerances as described, as they were drawn."""
+    salt = salt_of(17)
+    numbers = [label["index"] for label, _ in read(SETS / "set-17" / "nulls.json")]
+    usual = [k for k in range(300, 600) if as_described(asdict(cases.draw(salt, k)))]
+    assert len(numbers) > 10 and numbers == usual[: len(numbers)]
+
+
+def test_the_overview_is_what_the_sets_say() -> None:
+    """Its tables, by the command that it gives."""
+    text = (HERE / "docs" / "diagnosis-trial2.md").read_text("utf-8")
+    assert goals(PUBLISHED[9:]) in text
+    for row in set_by_set(PUBLISHED).splitlines()[2:]:
+        assert row.partition(" | ")[2] in text
+
+
+@pytest.mark.parametrize("folder", PUBLISHED[12:], ids=lambda f: f.name)
+def test_every_case_of_a_set_is_on_its_page(folder: Path) -> None:
+    assert every_case(folder) in (folder / "README.md").read_text("utf-8")
 
 
 def test_answers_are_judged() -> None:
@@ -471,7 +510,7 @@ def test_play_is_named_under_noise(index: int, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_spring_that_hardens_is_named_with_its_stiffness(tmp_path: Path) -> None:
     """Case 67 of the tenth set, whose sealed code answered `joint/backlash`."""
-    salt = (HERE / "docs" / "trial2-salt-10.txt").read_text("utf-8").strip()
+    salt = salt_of(10)
     label = write.write_case(salt, 67, tmp_path / "case")
     given = scoring.answer(tmp_path / "case", tmp_path / "answer")
     found = json.loads((tmp_path / "answer" / "answer.json").read_text("utf-8"))["effects"]
@@ -481,9 +520,14 @@ def test_a_spring_that_hardens_is_named_with_its_stiffness(tmp_path: Path) -> No
     assert found[0]["value"]["compliance"] == pytest.approx(true, rel=0.03)  # 8 % if linear
 
 
+def salt_of(number: int) -> str:
+    """Return the salt of a set whose labels are open."""
+    return (SETS / f"set-{number:02d}" / "salt.txt").read_text("utf-8").strip()
+
+
 def judged(number: int, index: int, folder: Path) -> str:
     """Return how today's answer to a case of a set whose labels are open is judged."""
-    salt = (HERE / "docs" / f"trial2-salt-{number}.txt").read_text("utf-8").strip()
+    salt = salt_of(number)
     label = write.write_case(salt, index, folder / "case")
     given = scoring.answer(folder / "case", folder / "answer")
     print(label["effects"], given["names"])
@@ -518,8 +562,8 @@ def test_a_mode_on_a_satellite_is_named(tmp_path: Path, number: int, index: int)
 
 def test_modes_of_the_tenth_set_are_all_that_it_has_and_named() -> None:
     """Those on vehicles that are held, of numbers not answered otherwise; drawn by its salt."""
-    found = json.loads((HERE / "docs" / "diagnosis-trial2-modes.json").read_text("utf-8"))
-    salt = (HERE / "docs" / "trial2-salt-10.txt").read_text("utf-8").strip()
+    found = json.loads((SETS / "set-10" / "modes.json").read_text("utf-8"))
+    salt = salt_of(10)
     drawn = [cases.draw(salt, k) for k in range(84, 600)]
     expected = [
         c

@@ -9,6 +9,7 @@ from typing import Any
 from benchmarks.trial2 import machines, nominal, scoring
 from benchmarks.trial2.detectability import detectability
 from benchmarks.trial2.publish import published
+from benchmarks.trial2.report import every_case, goals, set_by_set
 from benchmarks.trial2.seal import check, seal
 from benchmarks.trial2.targets import targets
 from benchmarks.trial2.write import write_case
@@ -112,7 +113,14 @@ def score(args: argparse.Namespace) -> None:
 
 def publish(args: argparse.Namespace) -> None:
     """Print the labels opened and the answers as one file."""
-    print(json.dumps(published(args.out), indent=1))
+    print(json.dumps(published(args.out, gaps=args.gaps), indent=1))
+
+
+def report(args: argparse.Namespace) -> None:
+    """Print the goals over published sets, and every case of one, or the sets of several."""
+    print(goals(args.sets))
+    several = len(args.sets) > 1
+    print("\n" + (set_by_set(args.sets) if several else every_case(args.sets[0])))
 
 
 def limit(args: argparse.Namespace) -> None:
@@ -156,6 +164,7 @@ def main() -> None:
         ("trial", trial),
         ("score", score),
         ("publish", publish),
+        ("report", report),
         ("limit", limit),
         ("nominal", agreement),
     ):
@@ -163,7 +172,16 @@ def main() -> None:
         command.set_defaults(action=action)
         if name == "nominal":
             continue
+        if name == "report":
+            command.add_argument(
+                "sets", type=Path, nargs="+", metavar="SET", help="docs/trial2/set-NN"
+            )
+            continue
         command.add_argument("out", type=Path, metavar="DIR", help="folder of the set")
+        if name == "publish":
+            command.add_argument(
+                "--gaps", action="store_true", help="go on behind a gap in the numbers"
+            )
         if name in ("write", "seal", "trial", "limit"):
             command.add_argument("--set", choices=("dev", "sealed"), default="dev")
             command.add_argument(

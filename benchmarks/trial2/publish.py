@@ -8,15 +8,18 @@ SCHEMA = "ves-trial2-answers/1"
 KEPT = ("kind", "slot", "gain", "strain", "reliability")  # of names withheld
 
 
-def published(folder: Path) -> dict[str, Any]:
+def published(folder: Path, *, gaps: bool = False) -> dict[str, Any]:
     """Return labels and answers of the cases answered so far, without a gap in their numbers.
 
     Args:
         folder: of the set, with `labels`, `answers` and `diagnoses`.
+        gaps: go on behind a gap; of cases that were picked by their labels.
     """
     labels: list[Any] = []
     answers: dict[str, Any] = {}
-    while (path := folder / "answers" / f"{len(labels):03d}.json").exists():
+    for index, path in enumerate(sorted((folder / "answers").glob("*.json"))):
+        if not gaps and path.stem != f"{index:03d}":
+            break
         given = json.loads(path.read_text("utf-8"))
         whole = folder / "diagnoses" / path.stem / "answer.json"
         found = json.loads(whole.read_text("utf-8")) if whole.exists() else {}

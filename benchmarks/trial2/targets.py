@@ -16,12 +16,14 @@ SURE, BINS = 0.99, 10
 NEEDED = 35.0  # deviance that a name needs: what gains less in any runs cannot be told
 
 
-def _share(hits: Iterable[bool]) -> str:
-    """Return a share as `hits of n, low to high %`."""
+def share(hits: Iterable[bool], *, interval: bool = True) -> str:
+    """Return a share as `hits of n (%; low to high %)`, or as `hits of n`."""
     marks = list(hits)
     k, n = sum(marks), len(marks)
     if not n:
         return "no case"
+    if not interval:
+        return f"{k} of {n}"
     low = st.beta.ppf(0.025, k, n - k + 1) if k else 0.0
     high = st.beta.ppf(0.975, k + 1, n - k) if k < n else 1.0
     return f"{k} of {n} ({100 * k / n:.0f} %; {100 * low:.0f} to {100 * high:.0f} %)"
@@ -41,7 +43,17 @@ def _removed(given: Answer) -> float:
     return 1 - after / before if before else 0.0
 
 
-def _names(pairs: list[tuple[Label, Answer]]) -> list[tuple[float, bool]]:
+def alarms(nulls: Iterable[tuple[Label, Answer]], *, interval: bool = True) -> str:
+    """Return the share of nulls that are not silent."""
+    return share((judge(a, given) != "right" for a, given in nulls), interval=interval)
+
+
+def as_described(label: Label) -> bool:
+    """Return True for a null whose tolerances are those that its description states."""
+    return label["category"] == "null" and (label["factor"] == 1 or label["stated"])
+
+
+def names_told(pairs: list[tuple[Label, Answer]]) -> list[tuple[float, bool]]:
     """Return probability and truth of every name given."""
     return [
         (float(name["probability"]), any(in_place(t, name) for t in label["effects"]))
@@ -69,7 +81,7 @@ def _f1(pairs: list[tuple[Label, Answer]]) -> str:
         for label, given in pairs
         for t in label["effects"]
     )
-    given_names = _names(pairs)
+    given_names = names_told(pairs)
     right, truths = sum(r for _, r in given_names), sum(len(a["effects"]) for a, _ in pairs)
     precision = right / len(given_names) if given_names else 0.0
     recall = found / truths
@@ -97,15 +109,15 @@ def targets(labels: list[Label], answers: dict[int, Answer]) -> str:
         return [(a, given) for a, given in every if a["category"] == category]
 
     large = [(a, g) for a, g in of("single") if min(e["gap"] for e in a["effects"]) >= 2.7]
-    usual = [(a, g) for a, g in of("null") if a["factor"] == 1 or a["stated"]]
-    beyond = [(a, g) for a, g in of("null") if not (a["factor"] == 1 or a["stated"])]
-    outside, pairs, names = of("outside"), of("pair"), _names(every)
+    usual = [(a, g) for a, g in of("null") if as_described(a)]
+    beyond = [(a, g) for a, g in of("null") if not as_described(a)]
+    outside, pairs, names = of("outside"), of("pair"), names_told(every)
     unknown = [_removed(g) for a, g in outside if g["verdict"] == "not in the library"]
     sure = [right for p, right in names if p > SURE]
     times = sorted(g["seconds"]["cpu"] for _, g in every)
 
     def mark(part: list[tuple[Label, Answer]], *wanted: str) -> str:
-        return _share(marks[a["index"]] in wanted for a, _ in part)
+        return share(marks[a["index"]] in wanted for a, _ in part)
 
     rows = [
         ("singles >= 3 x: named alone, kind and place", mark(large, "right"), ">= 92 %"),
@@ -117,12 +129,12 @@ def targets(labels: list[Label], answers: dict[int, Answer]) -> str:
         ),
         (
             "nulls, tolerances as described: false alarms",
-            mark(usual, "wrong", "unknown", "refused"),
+            alarms(usual),
             "<= 1 of 120",
         ),
         (
             "nulls, tolerances 3 and 10 times those described, unsaid: alarms",
-            mark(beyond, "wrong", "unknown", "refused"),
+            alarms(beyond),
             "",
         ),
         ("outside: unknown", mark(outside, "right"), ">= 90 %"),
@@ -134,11 +146,11 @@ def targets(labels: list[Label], answers: dict[int, Answer]) -> str:
             "",
         ),
         ("pairs: F1", _f1(pairs), ">= 0.9"),
-        (f"names with p > {SURE} that are right", _share(sure), ">= 97 %"),
+        (f"names with p > {SURE} that are right", share(sure), ">= 97 %"),
         ("calibration error", _calibration(names), "<= 0.04"),
         (
             "a channel worse by 2 % on the run held back",
-            _share(bool(g.get("worse")) for _, g in every),
+            share(bool(g.get("worse")) for _, g in every),
             "0",
         ),
         (

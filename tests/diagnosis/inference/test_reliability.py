@@ -14,7 +14,6 @@ from ves_gym.diagnosis.inference.unknown import NONE_OF_THESE, NOTHING, doubting
 
 DOCS = Path(__file__).parents[3] / "docs"
 COUNTED = DOCS / "diagnosis-reliability.jsonl"
-SEALED = DOCS / "diagnosis-trial2-third.json"
 
 
 def test_constants_are_those_of_the_names_counted():
@@ -38,7 +37,7 @@ def test_probabilities_of_what_is_left_out_are_calibrated_better_than_without(se
 
 def test_names_of_a_sealed_set_are_as_probable_as_they_say():
     """The third of trial 2, answered by the sealed code, whose constants are of the second."""
-    found = json.loads(SEALED.read_text("utf-8"))
+    found = answers_of("set-03")
     p, reliable, right = np.array(
         [
             (
@@ -69,10 +68,15 @@ def test_more_gain_and_less_strain_are_more_reliable(strained):
     assert reliability(100.0, strained) > reliability(100.0, 2 * strained)
 
 
-def told_of(which):
+def answers_of(folder):
+    """Labels and answers of a sealed set."""
+    return json.loads((DOCS / "trial2" / folder / "answers.json").read_text("utf-8"))
+
+
+def told_of(number):
     """Probabilities of the names of a sealed set, which are right, errors of calibration that
     exact probabilities would have, names withheld that are right, and alarms among nulls."""
-    found = json.loads((DOCS / f"diagnosis-trial2-{which}.json").read_text("utf-8"))
+    found = answers_of(f"set-{number:02d}")
     given, withheld, alarms = [], [], 0
     for label in found["labels"]:
         answer = found["answers"][f"{label['index']:03d}"]
@@ -88,7 +92,7 @@ def told_of(which):
 
 def test_names_of_the_fourth_set_can_be_believed():
     """Of the diagnosis that withholds names below one half, by its sealed code."""
-    p, right, exact, withheld, alarms = told_of("fourth")
+    p, right, exact, withheld, alarms = told_of(4)
     assert (len(p), right.sum(), alarms) == (37, 30, 0)
     assert 0.05 < np.quantile(exact, 0.05) < calibration_error(p, right) < np.median(exact)
     assert right[p > 0.95].all() and (p > 0.95).sum() == 14
@@ -98,7 +102,7 @@ def test_names_of_the_fourth_set_can_be_believed():
 
 def test_names_of_the_fifth_set_are_about_as_probable_as_they_say():
     """Of the diagnosis that uses measured rates, by its sealed code."""
-    p, right, exact, _, alarms = told_of("fifth")
+    p, right, exact, _, alarms = told_of(5)
     low, high = np.quantile(exact, (0.05, 0.95))
     assert (len(p), right.sum(), alarms) == (20, 15, 0)
     assert low < calibration_error(p, right) < high
@@ -106,28 +110,29 @@ def test_names_of_the_fifth_set_are_about_as_probable_as_they_say():
 
 
 @pytest.mark.parametrize(
-    ("which", "counts", "most", "above", "held"),
+    ("number", "counts", "most", "above", "held"),
     [
-        ("sixth", (35, 32, 0), 0.5, (15, 15), (7, 1)),
-        ("seventh", (43, 40, 1), 0.5, (27, 28), (1, 1)),
-        ("eighth", (43, 41, 0), 0.5, (31, 32), (4, 3)),
-        ("ninth", (55, 55, 0), 0.95, (35, 35), (4, 2)),
-        ("tenth", (53, 51, 0), 0.95, (25, 25), (2, 1)),
-        ("eleventh", (35, 34, 0), 0.95, (22, 22), (0, 0)),
-        ("twelfth", (23, 23, 0), 0.95, (12, 12), (1, 1)),
-        ("thirteenth", (26, 24, 0), 0.95, (15, 16), (0, 0)),
-        ("fourteenth", (38, 36, 0), 0.95, (31, 32), (0, 0)),
-        ("fifteenth", (15, 13, 0), 0.98, (11, 12), (2, 1)),
-        ("sixteenth", (30, 30, 0), 0.95, (21, 21), (0, 0)),
+        (6, (35, 32, 0), 0.5, (15, 15), (7, 1)),
+        (7, (43, 40, 1), 0.5, (27, 28), (1, 1)),
+        (8, (43, 41, 0), 0.5, (31, 32), (4, 3)),
+        (9, (55, 55, 0), 0.95, (35, 35), (4, 2)),
+        (10, (53, 51, 0), 0.95, (25, 25), (2, 1)),
+        (11, (35, 34, 0), 0.95, (22, 22), (0, 0)),
+        (12, (23, 23, 0), 0.95, (12, 12), (1, 1)),
+        (13, (26, 24, 0), 0.95, (15, 16), (0, 0)),
+        (14, (38, 36, 0), 0.95, (31, 32), (0, 0)),
+        (15, (15, 13, 0), 0.98, (11, 12), (2, 1)),
+        (16, (30, 30, 0), 0.95, (21, 21), (0, 0)),
+        (17, (35, 34, 0), 0.98, (25, 25), (2, 1)),
     ],
 )
-def test_names_of_later_sets_can_be_believed(which, counts, most, above, held):
+def test_names_of_later_sets_can_be_believed(number, counts, most, above, held):
     """By the code sealed with each.
 
     Names, right ones and alarms; right of those above 0.95, and those; withheld, and right ones
     of these. `most` is a quantile of the error that exact probabilities would have.
     """
-    p, right, exact, withheld, alarms = told_of(which)
+    p, right, exact, withheld, alarms = told_of(number)
     assert (len(p), right.sum(), alarms) == counts
     low, high = np.quantile(exact, (0.05, most))
     assert low <= calibration_error(p, right) < high
@@ -136,9 +141,9 @@ def test_names_of_later_sets_can_be_believed(which, counts, most, above, held):
 
 
 @cache
-def categories_of(which):
+def categories_of(folder):
     """Category of each case of a set, by number."""
-    found = json.loads((DOCS / f"diagnosis-trial2-{which}.json").read_text("utf-8"))
+    found = answers_of(folder)
     return {k["index"]: k["category"] for k in found["labels"]}
 
 
@@ -159,7 +164,7 @@ def test_names_given_are_mostly_right_and_none_is_an_alarm():
     assert (right & withheld).sum() <= 5 < 252 == right.sum()
     assert right[~withheld].mean() > 0.95 > 0.7 > right[withheld].mean()
     cases = [n["case"].split("/") for n in names]
-    nulls = [categories_of(which)[int(number)] == "null" for which, number in cases]
+    nulls = [categories_of(folder)[int(number)] == "null" for folder, number in cases]
     assert sum(nulls) == 2
     library = np.array([n["library"] for n in names])
     assert (library * left_out(names))[nulls].max() < DOUBT
