@@ -11,9 +11,16 @@ from typing import Any
 
 from benchmarks.trial2.publish import SCHEMA
 from benchmarks.trial2.scoring import Label, judge
-from benchmarks.trial2.targets import Answer, alarms, as_described, names_told, share, targets
+from benchmarks.trial2.targets import (
+    LARGE,
+    Answer,
+    alarms,
+    as_described,
+    names_told,
+    share,
+    targets,
+)
 
-RIGHT = ("singles >= 3 x", "pairs", "outside")
 Cases = list[tuple[Label, Answer]]
 
 
@@ -80,30 +87,40 @@ def _placed(kind: str, slot: Any) -> str:
     return kind if slot in (None, "") else f"{kind} {slot}"
 
 
+def _right(cases: Cases, category: str, least: float = 0.0) -> str:
+    """Return how many of a category, and of this gap over noise at least, are judged right."""
+    return share(
+        (
+            judge(label, given) == "right"
+            for label, given in cases
+            if label["category"] == category
+            and min((e["gap"] for e in label["effects"]), default=0.0) >= least
+        ),
+        interval=False,
+    )
+
+
 def set_by_set(folders: Sequence[Path]) -> str:
     """Return one row of each set as Markdown, in shares."""
-    head = ("set", "cases", *RIGHT, "nulls: alarms", "names right")
+    head = (
+        "set",
+        "cases",
+        "singles >= 3 x",
+        "pairs",
+        "outside",
+        "nulls: alarms",
+        "names right",
+    )
     lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
     for folder in folders:
         cases = read(folder / "answers.json")
-        marks = [(label, judge(label, given)) for label, given in cases]
-
-        def right(category: str, least: float = 0.0, marks: Any = marks) -> str:
-            part = [
-                mark == "right"
-                for label, mark in marks
-                if label["category"] == category
-                and min((e["gap"] for e in label["effects"]), default=0.0) >= least
-            ]
-            return share(part, interval=False)
-
         nulls = [(a, g) for a, g in cases if a["category"] == "null"]
         row = (
             folder.name.removeprefix("set-").lstrip("0"),
             str(len(cases)),
-            right("single", 2.7),
-            right("pair"),
-            right("outside"),
+            _right(cases, "single", LARGE),
+            _right(cases, "pair"),
+            _right(cases, "outside"),
             alarms(nulls, interval=False),
             share((r for _, r in names_told(cases)), interval=False),
         )

@@ -13,6 +13,7 @@ from benchmarks.trial2.scoring import Label, in_place, judge
 
 Answer = dict[str, Any]
 SURE, BINS = 0.99, 10
+LARGE = 2.7  # gap over noise of singles that are owed a name: sizes are drawn for 3, and vary
 NEEDED = 35.0  # deviance that a name needs: what gains less in any runs cannot be told
 
 
@@ -108,7 +109,7 @@ def targets(labels: list[Label], answers: dict[int, Answer]) -> str:
     def of(category: str) -> list[tuple[Label, Answer]]:
         return [(a, given) for a, given in every if a["category"] == category]
 
-    large = [(a, g) for a, g in of("single") if min(e["gap"] for e in a["effects"]) >= 2.7]
+    large = [(a, g) for a, g in of("single") if min(e["gap"] for e in a["effects"]) >= LARGE]
     usual = [(a, g) for a, g in of("null") if as_described(a)]
     beyond = [(a, g) for a, g in of("null") if not as_described(a)]
     outside, pairs, names = of("outside"), of("pair"), names_told(every)
