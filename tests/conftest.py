@@ -1,17 +1,62 @@
 """What tests of several rooms share."""
 
+import hashlib
+import os
+import time
+
 import pytest
 
 from tests.browser import NAMES, Browser, find_browser
 
+# Set by .ci/run: every package of the system that tests need has been installed.
+COMPLETE = os.environ.get("VES_GYM_TESTS_COMPLETE") == "1"
+
+
+_BEGUN = pytest.StashKey[float]()
+
+
+def pytest_addoption(parser):
+    """The share of the slow ring that every CI run draws."""
+    parser.addoption(
+        "--share",
+        type=float,
+        metavar="SECONDS",
+        help="run tests in an order drawn by --draw, and begin none after so many seconds",
+    )
+    parser.addoption("--draw", default="", help="text that draws the order, as a commit")
+
+
+def pytest_collection_modifyitems(config, items):
+    """Shuffle by the text, so that every commit looks at other tests first."""
+    if config.getoption("--share"):
+        text = config.getoption("--draw")
+        items.sort(key=lambda k: hashlib.sha256(f"{text} {k.nodeid}".encode()).digest())
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item):
+    """Pass over a test once the share's time is up: it is not reported at all."""
+    share = item.config.getoption("--share")
+    begun = item.config.stash.setdefault(_BEGUN, time.monotonic())
+    return True if share and time.monotonic() - begun > share else None
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    """Where every program is there, a test that is skipped for want of one has failed."""
+    report = yield
+    if COMPLETE and report.skipped and "needs " in str(report.longrepr):
+        report.outcome = "failed"
+    return report
+
 
 @pytest.fixture(scope="session")
-def chromium(tmp_path_factory):
+def chromium():
     """A browser, started once; without one its tests are skipped."""
     path = find_browser()
     if path is None:
-        pytest.skip(f"no browser: looked for {', '.join(NAMES)}")
-    driven = Browser(path, tmp_path_factory.mktemp("profile"))
+        pytest.skip(f"needs a browser: looked for {', '.join(NAMES)}")
+    driven = Browser(path)
     yield driven
     driven.close()
 

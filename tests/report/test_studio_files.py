@@ -116,8 +116,6 @@ def texts(browser):
 
 def test_the_page_opens_what_is_json(browser, files, data, tmp_path):
     open_page(browser, data, tmp_path)
-    root = browser.send("DOM.getDocument")["root"]["nodeId"]
-    node = browser.send("DOM.querySelector", nodeId=root, selector="#files")["nodeId"]
     expected = {
         "diagnosis.json": ("Opened: diagnosis.json.", "straight line"),
         "motion.json": ("Opened: motion.json.", "motion"),
@@ -125,7 +123,7 @@ def test_the_page_opens_what_is_json(browser, files, data, tmp_path):
         "run.csv": ("ves-gym studio --open", "plan (straight)"),
     }
     for name, (note, chosen) in expected.items():
-        browser.send("DOM.setFileInputFiles", nodeId=node, files=[str(files / name)])
+        browser.page.set_input_files("#files", files / name)
         said = f"document.getElementById('files-note').textContent.includes({json.dumps(name)})"
         until(browser, said)
         assert note in browser.do("document.getElementById('files-note').textContent")
