@@ -28,6 +28,7 @@ ROOMS = (
     "rendering",
     "envs",
     "planners",
+    "damping",
     "diagnosis",
     "baselines",
     "experiments",

@@ -19,6 +19,7 @@ import pinocchio as pin
 import pytest
 import scipy.linalg
 
+from ves_gym.damping.plant import plant_at
 from ves_gym.engine.backends.mujoco import compile_model
 from ves_gym.engine.kernel.sensitivity import rollout_gradients
 from ves_gym.engine.linear import linearise_ideal
@@ -27,7 +28,6 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import VEHICLES, MatrixVehicle
-from ves_gym.planners.damped_plant import plant_at
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.energy import base_energy, internal_motion

@@ -2,7 +2,7 @@
 
 Starts of task damp (bent beam: thesis mass, and finite elements): joints about (45, 0, 0) deg,
 25 J of strain, the direction uniform over the sphere. Reference: the best diagonal gains for
-that very release (`planners.pped_tuning.tune`). Both on the nonlinear system, torque bounded;
+that very release (`damping.tuning.tune`). Both on the nonlinear system, torque bounded;
 time integral of strain energy over 30 s, for the controllers over the 8 s of an episode:
 
     planner damp, 4 s of motion, then the high gains hold    median <= 0.75, limits kept
@@ -17,12 +17,12 @@ import pytest
 
 from ves_gym.baselines.damping import Receding, TunedGains
 from ves_gym.baselines.evaluate import evaluate
+from ves_gym.damping.free_vibration import simulate_free_vibration
+from ves_gym.damping.plant import plant_at
+from ves_gym.damping.tuning import tune
 from ves_gym.envs.damp import Damp as Task
 from ves_gym.mechanics.vehicle import get_vehicle
 from ves_gym.planners.damp import DampRelease
-from ves_gym.planners.damped_plant import plant_at
-from ves_gym.planners.free_vibration import simulate_free_vibration
-from ves_gym.planners.pped_tuning import tune
 from ves_gym.planners.prediction import BaseState
 from ves_gym.planners.query import Query, solve
 from ves_gym.simulation.playback import play_motions

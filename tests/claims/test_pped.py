@@ -14,16 +14,16 @@ import pytest
 from scipy.stats import spearmanr
 
 from tests.claims.test_the_history import printed_inertia
+from ves_gym.damping.analysis import THESIS_DISPLACEMENT, analyse, respond
+from ves_gym.damping.configurations import best_configurations, estimated_integral
+from ves_gym.damping.free_vibration import simulate_free_vibration
+from ves_gym.damping.plant import GainMatrices, LinearPlant, plant_at, plants
+from ves_gym.damping.tuning import Tuned, tune
+from ves_gym.damping.virtual_manipulator import tune_virtual
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.coupling import coupling_matrix
-from ves_gym.planners.damped_plant import GainMatrices, LinearPlant, plant_at, plants
-from ves_gym.planners.damping_map import best_configurations, estimated_integral
-from ves_gym.planners.free_vibration import simulate_free_vibration
-from ves_gym.planners.pped import THESIS_DISPLACEMENT, analyse, respond
-from ves_gym.planners.pped_tuning import Tuned, tune
-from ves_gym.planners.virtual_manipulator import tune_virtual
 from ves_gym.system.system import System
 
 Q45 = np.deg2rad([45.0, 0.0, 0.0])

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tests.arms import six_joint_arm
+from ves_gym.damping.analysis import analyse
+from ves_gym.damping.plant import GainMatrices, plant_at
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED
-from ves_gym.planners.damped_plant import GainMatrices, plant_at
-from ves_gym.planners.pped import analyse
 from ves_gym.system.system import System
 
 QUICK = ("pped", "--objective", "strain", "--no-figures")

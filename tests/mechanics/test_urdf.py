@@ -10,7 +10,6 @@ from ves_gym._util.params import ParameterError, from_plain, to_plain
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import frames, inertia, inverse_dynamics
 from ves_gym.mechanics.gravity import GravityModel, mass_parameters, moment_regressor
-from ves_gym.planners.virtual_manipulator import virtual_links
 
 GRAVITY = (1.0, -2.0, -9.81)
 
@@ -166,23 +165,6 @@ def test_the_weight_s_minimal_parameters_hold_for_any_axes(write):
     from ves_gym.mechanics.gravity import minimal_model
 
     np.testing.assert_allclose(minimal_model(arm).regressor(q) @ model.P, full, atol=1e-12)
-
-
-def test_virtual_links_lead_from_the_centre_of_mass_to_base_and_tool(write):
-    arm = Arm.from_urdf(write(chain(5, seed=4)))
-    q = list(np.random.default_rng(0).normal(size=5))
-    links = frames(arm, q)
-    turns = [np.eye(3), *(np.array(k.rotation, float).T for k in links)]
-    places = [np.zeros(3), *(np.array(k.position, float) for k in links)]
-    bodies = [arm.base, *(k.inertial for k in arm.links)]
-    com = sum(
-        b.mass * (p + R @ np.array(b.com))
-        for b, R, p in zip(bodies, turns, places, strict=True)
-    )
-    com = com / arm.mass
-    for to, point in (("base", np.zeros(3)), ("tool", places[-1])):
-        way = sum(R @ r for R, r in zip(turns, virtual_links(arm, to), strict=True))
-        np.testing.assert_allclose(com + way, point, atol=1e-13)
 
 
 def test_an_arm_from_a_file_survives_toml(write):

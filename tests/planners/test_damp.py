@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
+from ves_gym.damping.free_vibration import simulate_free_vibration
+from ves_gym.damping.plant import GainMatrices
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.damp import DampRelease
-from ves_gym.planners.damped_plant import GainMatrices
 from ves_gym.planners.direct import Direct
-from ves_gym.planners.free_vibration import simulate_free_vibration
 from ves_gym.planners.prediction import BaseState, predict
 from ves_gym.planners.query import NoPlan, Query, solve
 from ves_gym.simulation.playback import play_motions

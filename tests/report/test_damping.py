@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from ves_gym.damping.analysis import analyse
+from ves_gym.damping.configurations import damping_map
+from ves_gym.damping.free_vibration import linear_free_vibration, simulate_free_vibration
+from ves_gym.damping.plant import GainMatrices, plant_at
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS
-from ves_gym.planners.damped_plant import GainMatrices, plant_at
-from ves_gym.planners.damping_map import damping_map
-from ves_gym.planners.free_vibration import linear_free_vibration, simulate_free_vibration
-from ves_gym.planners.pped import analyse
 from ves_gym.simulation.stability import poles_in_space
 from ves_gym.system.system import System
 

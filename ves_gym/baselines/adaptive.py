@@ -25,6 +25,7 @@ from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym._util.threads import on_one_thread
 from ves_gym.baselines.braced import base_torque
 from ves_gym.baselines.controllers import reference_action
+from ves_gym.damping.observer import BaseObserver
 from ves_gym.effects.payload_mass import PayloadMass
 from ves_gym.envs.rest_to_rest import RestToRest
 from ves_gym.envs.vector import VesVectorEnv
@@ -32,7 +33,6 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.direct import Direct
-from ves_gym.planners.observer import BaseObserver
 from ves_gym.planners.prediction import BaseState
 from ves_gym.planners.query import Query, solve
 

@@ -10,16 +10,16 @@ from gymnasium.envs.registration import EnvSpec
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym._util.threads import on_one_thread
 from ves_gym.baselines.controllers import gains_action, reference_action
+from ves_gym.damping.observer import BaseObserver
+from ves_gym.damping.plant import plant_at
+from ves_gym.damping.tuning import WIDE, tune
 from ves_gym.envs.control import Gains
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.spatial import matvec
-from ves_gym.planners.damped_plant import plant_at
 from ves_gym.planners.direct import MotionProblem
-from ves_gym.planners.observer import BaseObserver
-from ves_gym.planners.pped_tuning import WIDE, tune
 from ves_gym.planners.query import Query
 from ves_gym.planners.sequential import minimise
 
@@ -30,7 +30,7 @@ _STARTS = 8  # of a search for gains: the best of 24 is 0.1 % better
 class TunedGains:
     """Holds the joints by the diagonal gains that are best for the displacement, by PPED.
 
-    The gains are those of `planners.pped_tuning.tune`: least time integral of the strain energy
+    The gains are those of `damping.tuning.tune`: least time integral of the strain energy
     of the nominal linear model after the release, found for every episode.
     """
 

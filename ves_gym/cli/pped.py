@@ -24,23 +24,23 @@ from ves_gym.cli.common import (
     write_json,
 )
 from ves_gym.cli.motions import disturbance, joint_angles
-from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
-from ves_gym.mechanics.vehicle import vehicle_name
-from ves_gym.planners.damped_plant import GainMatrices, LinearPlant, plant_at
-from ves_gym.planners.damping_map import (
+from ves_gym.damping.analysis import THESIS_DISPLACEMENT, DampingAnalysis, analyse
+from ves_gym.damping.configurations import (
     Configuration,
     DampingMap,
     best_configurations,
     damping_map,
 )
-from ves_gym.planners.free_vibration import (
+from ves_gym.damping.free_vibration import (
     FreeVibration,
     linear_free_vibration,
     simulate_free_vibration,
 )
-from ves_gym.planners.pped import THESIS_DISPLACEMENT, DampingAnalysis, analyse
-from ves_gym.planners.pped_tuning import OBJECTIVES, WIDE, Bounds, tune
-from ves_gym.planners.virtual_manipulator import tune_virtual
+from ves_gym.damping.plant import GainMatrices, LinearPlant, plant_at
+from ves_gym.damping.tuning import OBJECTIVES, WIDE, Bounds, tune
+from ves_gym.damping.virtual_manipulator import tune_virtual
+from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
+from ves_gym.mechanics.vehicle import vehicle_name
 from ves_gym.simulation.divergence import Divergence
 from ves_gym.system.system import System
 

@@ -286,9 +286,9 @@ def motions(problem: Problem) -> Plain:
 
 def releases(problem: Problem) -> Plain:
     """Return the rows of fixed gains, full matrices among them, on the first releases."""
+    from ves_gym.damping.tuning import WIDE
     from ves_gym.leaderboard.tracks.registry import get_track
     from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
-    from ves_gym.planners.pped_tuning import WIDE
 
     excerpt = Excerpt(problem.track, problem.name, _RELEASES)
     track: Any = get_track(problem.track)

@@ -128,10 +128,16 @@ class CouplingMap(Viewable):
         return trace_lines(self.axes, self.direction, spacing, step)
 
 
-def require_section(
-    system: System, joints: tuple[int, int], fixed: npt.ArrayLike, points: int, *, least: int
-) -> Array:
-    """Check a cross-section of joint space and return the configuration it is laid through.
+def cross_section(
+    system: System,
+    joints: tuple[int, int],
+    fixed: npt.ArrayLike,
+    points: int,
+    *,
+    least: int,
+    limits: tuple[tuple[float, float], tuple[float, float]] | None = None,
+) -> tuple[tuple[Array, Array], Array]:
+    """Return the grid of a cross-section of joint space.
 
     Args:
         system: its arm has n joints.
@@ -139,22 +145,33 @@ def require_section(
         fixed: (n,) configuration of the others [rad].
         points: of the grid, per axis.
         least: points needed.
+        limits: (low, high) of both joints [rad]; default their range.
 
     Returns:
-        `fixed` as an array (n,) [rad].
+        Both axes (points,) and the configurations (points, points, n) [rad].
 
     Raises:
-        ParameterError: no two joints of the arm, too few points, or a joint beyond its limits.
+        ParameterError: no two joints of the arm, bad limits, too few points, or a joint beyond
+            its limits.
     """
-    system.arm.require_rigid("a coupling map")
-    system.arm.require_turning("a coupling map")
-    n = system.arm.n
-    i, j = joints
-    if not (0 <= i < n and 0 <= j < n and i != j):
-        raise ParameterError(f"joints must be two different numbers in [0, {n}), got {joints}")
+    arm, (i, j) = system.arm, joints
+    arm.require_rigid("a coupling map")
+    arm.require_turning("a coupling map")
+    if not (0 <= i < arm.n and 0 <= j < arm.n and i != j):
+        raise ParameterError(
+            f"joints must be two different numbers in [0, {arm.n}), got {joints}"
+        )
     if points < least:
         raise ParameterError(f"points must be >= {least}, got {points}")
-    return system.arm.require_within_limits(fixed, "fixed")
+    at = arm.require_within_limits(fixed, "fixed")
+    ranges = limits or tuple((arm.links[k].q_min, arm.links[k].q_max) for k in joints)
+    for low, high in ranges:
+        if not (np.isfinite([low, high]).all() and low < high):
+            raise ParameterError(f"limits must be (low, high) in rad, got ({low}, {high})")
+    first, second = (np.linspace(low, high, points) for low, high in ranges)
+    q = np.tile(at, (points, points, 1))
+    q[..., i], q[..., j] = np.meshgrid(first, second, indexing="ij")
+    return (first, second), q
 
 
 def coupling_map(
@@ -199,16 +216,8 @@ def coupling_map(
             f"others must be one of {', '.join(OTHERS)}, got {others!r}"
             f"{did_you_mean(others, OTHERS)}"
         )
-    i, j = joints
-    at = require_section(system, joints, fixed, points, least=4)
-    arm = system.arm
-    ranges = limits or tuple((arm.links[k].q_min, arm.links[k].q_max) for k in joints)
-    for low, high in ranges:
-        if not (np.isfinite([low, high]).all() and low < high):
-            raise ParameterError(f"limits must be (low, high) in rad, got ({low}, {high})")
-    axes = tuple(np.linspace(*r, points) for r in ranges)
-    q = np.broadcast_to(at, (points, points, len(at))).copy()
-    q[..., i], q[..., j] = np.meshgrid(*axes, indexing="ij")
+    arm, (i, j) = system.arm, joints
+    axes, q = cross_section(system, joints, fixed, points, least=4, limits=limits)
 
     def block(angles: Array) -> Array:
         if disturbance:
@@ -232,8 +241,8 @@ def coupling_map(
     values, vectors = np.linalg.eigh(block(q))
     return CouplingMap(
         (i, j),
-        (axes[0], axes[1]),
-        at,
+        axes,
+        np.asarray(fixed, float),
         duration,
         values[..., 0],
         values[..., 1],

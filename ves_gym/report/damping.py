@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from ves_gym.planners.damping_map import DampingMap
-from ves_gym.planners.free_vibration import FreeVibration
-from ves_gym.planners.pped import Complexes
+from ves_gym.damping.analysis import Complexes
+from ves_gym.damping.configurations import DampingMap
+from ves_gym.damping.free_vibration import FreeVibration
 from ves_gym.report.figures import _IN_SPACE, _darker, _panels
 from ves_gym.report.planner_styles import COLOURS
 

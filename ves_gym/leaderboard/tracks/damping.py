@@ -15,6 +15,9 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.evaluate import Evaluation
 from ves_gym.baselines.registry import get_controller
+from ves_gym.damping.free_vibration import simulate_free_vibration
+from ves_gym.damping.plant import GainMatrices, plant_at
+from ves_gym.damping.tuning import OBJECTIVES, WIDE, tune
 from ves_gym.envs.damp import Damp
 from ves_gym.leaderboard import lower_bounds
 from ves_gym.leaderboard.errors import BundleError, Code
@@ -38,9 +41,6 @@ from ves_gym.leaderboard.tracks.base import (
 from ves_gym.leaderboard.tracks.policies import PolicyTrack, evaluated
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import get_vehicle
-from ves_gym.planners.damped_plant import GainMatrices, plant_at
-from ves_gym.planners.free_vibration import simulate_free_vibration
-from ves_gym.planners.pped_tuning import OBJECTIVES, WIDE, tune
 from ves_gym.simulation.divergence import Divergence
 from ves_gym.system.system import System
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
+from ves_gym.damping.analysis import THESIS_DISPLACEMENT, analyse
+from ves_gym.damping.free_vibration import linear_free_vibration, simulate_free_vibration
+from ves_gym.damping.plant import GainMatrices, plant_at
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS, STRAIGHT_VERTICAL_THESIS
-from ves_gym.planners.damped_plant import GainMatrices, plant_at
-from ves_gym.planners.free_vibration import linear_free_vibration, simulate_free_vibration
-from ves_gym.planners.pped import THESIS_DISPLACEMENT, analyse
 from ves_gym.simulation.divergence import Divergence
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.energy import energies

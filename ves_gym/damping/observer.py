@@ -13,7 +13,7 @@ import scipy.linalg
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.planners.prediction import BaseState, LinearBase
+from ves_gym.planners.prediction import BaseState, LinearBase, hold
 from ves_gym.system.system import System
 
 # Standard deviations, this project: what is unknown of the motion against what is of a pose.
@@ -51,12 +51,8 @@ class BaseObserver:
         self._M = self._linear.mass(inertia(system.arm, angles))
         A, B = self._linear.plant(self._M)
         n, size = len(angles), 2 * b
-        block = np.zeros((n, size + 12, size + 12))
-        block[:, :size, :size], block[:, :size, size : size + 6] = A * dt, B[..., :6] * dt
-        block[:, size : size + 6, size + 6 :] = np.eye(6)
-        step = np.asarray(scipy.linalg.expm(block), float)
-        self._Phi, late = step[:, :size, :size], step[:, :size, size + 6 :]
-        self._drive = np.stack([step[:, :size, size : size + 6] - late, late])
+        self._Phi, *drive = hold(A, B[..., :6], dt)
+        self._drive = np.stack(drive)
         # a mode that nothing unknown ever moved would be believed for good
         force = np.r_[np.asarray(wrench, float), np.full(b - 6, _MODE)]
         unknown = np.vstack([np.zeros((b, b)), np.diag(force) * np.sqrt(dt)])

@@ -14,50 +14,16 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import Array
+from ves_gym.damping.analysis import THESIS_DISPLACEMENT
+from ves_gym.damping.plant import GainMatrices, LinearPlant, plant_at
+from ves_gym.damping.tuning import WIDE, Bounds, Tuned, tune
 from ves_gym.mechanics.arm import Arm, skew
-from ves_gym.mechanics.dynamics import inertia, start
-from ves_gym.planners.damped_plant import GainMatrices, LinearPlant, plant_at
-from ves_gym.planners.pped import THESIS_DISPLACEMENT
-from ves_gym.planners.pped_tuning import WIDE, Bounds, Tuned, tune
+from ves_gym.mechanics.dynamics import inertia
 from ves_gym.system.system import System
 
 # of the Cartesian spring and damper, far wider than what any joint gives
 CARTESIAN = Bounds(K=(1.0, 1e7), B=(0.1, 1e6))  # N/m, N s/m
-
-
-def virtual_links(arm: Arm, to: str = "base") -> Array:
-    """Virtual link vectors from the centre of mass to the base or the tool.
-
-    Row j turns with link j (row 0 with the base): in its DH frame, as thesis B.5 and B.6
-    print them. Row 0 ends in the platform-top origin, theirs in the base link's centre.
-
-    Args:
-        arm: n links.
-        to: base or tool.
-
-    Returns:
-        (n + 1, 3) [m].
-
-    Raises:
-        ParameterError: another end.
-    """
-    if to not in ("base", "tool"):
-        raise ParameterError(f"to must be base or tool, got {to!r}")
-    bodies = [arm.base, *(link.inertial for link in arm.links)]
-    masses = np.array([b.mass for b in bodies])
-    beyond = np.cumsum(masses[::-1])[::-1]  # mass of body j and of all after it
-    out = np.array([-b.mass * np.array(b.com) for b in bodies])
-    turn, place = start(arm)
-    lengths = np.zeros((arm.n, *out.shape))  # of each link, by the bodies they turn with
-    for j, link in enumerate(arm.links):
-        # d lies along the axis before the link, a along the link's own x before beta
-        lengths[j, j] = link.d * np.array(turn.z if j == 0 else (0.0, 0.0, 1.0))
-        lengths[j, j + 1] = link.a * link.far_end[0][0]
-    lengths[0, 0] += place
-    out -= np.tensordot(beyond[1:], lengths, axes=1)
-    out /= arm.mass
-    return out + lengths.sum(axis=0) if to == "tool" else out
 
 
 def virtual_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
@@ -163,7 +129,7 @@ def tune_virtual(
     Args:
         system: arm and vehicle, on motor drives.
         q: (n,) configuration [rad].
-        objective: one of `pped.OBJECTIVES`.
+        objective: one of `tuning.OBJECTIVES`.
         y: (6,) initial displacement of "strain" [m, rad].
         full: symmetric K_d and B_d instead of diagonal ones.
         bounds: of the joint gains [N m/rad, N m s/rad].

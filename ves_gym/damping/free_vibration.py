@@ -13,10 +13,10 @@ import numpy.typing as npt
 from scipy.integrate import trapezoid
 
 from ves_gym._util.params import Array, ParameterError, finite
+from ves_gym.damping.analysis import THESIS_DISPLACEMENT, respond
+from ves_gym.damping.plant import GainMatrices, plant_at
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.planners.coupling import modes
-from ves_gym.planners.damped_plant import GainMatrices, plant_at
-from ves_gym.planners.pped import THESIS_DISPLACEMENT, respond
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.energy import SETTLED, base_energy
 from ves_gym.system.system import System

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
+from ves_gym.damping.observer import BaseObserver
 from ves_gym.mechanics.arm import matrix
 from ves_gym.mechanics.vehicle import BENT_THESIS, MatrixVehicle
-from ves_gym.planners.observer import BaseObserver
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 

@@ -7,14 +7,14 @@ import pytest
 
 from tests.arms import planar_arm
 from ves_gym._util.params import ParameterError
+from ves_gym.damping.analysis import analyse
+from ves_gym.damping.configurations import best_configurations, damping_map, estimated_integral
+from ves_gym.damping.plant import GainMatrices, plant_at
+from ves_gym.damping.tuning import tune
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.coupling import coupling_matrix, modes
-from ves_gym.planners.damped_plant import GainMatrices, plant_at
-from ves_gym.planners.damping_map import best_configurations, damping_map, estimated_integral
-from ves_gym.planners.pped import analyse
-from ves_gym.planners.pped_tuning import tune
 from ves_gym.system.system import System
 
 Q = np.deg2rad([45.0, 0.0, 0.0])

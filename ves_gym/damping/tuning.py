@@ -14,13 +14,13 @@ import scipy.optimize
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.planners.damped_plant import GainMatrices, LinearPlant
-from ves_gym.planners.pped import (
+from ves_gym.damping.analysis import (
     THESIS_DISPLACEMENT,
     Lyapunov,
     require_decay,
     worst_displacement,
 )
+from ves_gym.damping.plant import GainMatrices, LinearPlant
 
 Objective = Callable[[Array], tuple[float, Array]]  # closed A -> value to minimise, d / dA
 

@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError, finite
+from ves_gym.damping.analysis import THESIS_DISPLACEMENT
+from ves_gym.damping.plant import plants
+from ves_gym.damping.tuning import WIDE, Bounds, Tuned, tune
 from ves_gym.planners.coupling import blocks, coupling_matrix, modes
-from ves_gym.planners.coupling_map import require_section
-from ves_gym.planners.damped_plant import plants
-from ves_gym.planners.pped import THESIS_DISPLACEMENT
-from ves_gym.planners.pped_tuning import WIDE, Bounds, Tuned, tune
+from ves_gym.planners.coupling_map import cross_section
 from ves_gym.system.system import System
 
 _STARTS = 3  # random starts at each configuration
@@ -168,13 +168,8 @@ def damping_map(
     Raises:
         ParameterError: bad joints or points, or a base that PPED cannot damp.
     """
-    i, j = joints
-    at = require_section(system, joints, fixed, points, least=2)
-    links = system.arm.links
-    axes = tuple(np.linspace(links[k].q_min, links[k].q_max, points) for k in joints)
-    q = np.broadcast_to(at, (points, points, len(at))).copy()
-    q[..., i], q[..., j] = np.meshgrid(*axes, indexing="ij")
-    flat = q.reshape(-1, len(at))
+    axes, q = cross_section(system, joints, fixed, points, least=2)
+    flat = q.reshape(-1, system.arm.n)
     integrals: list[float] = []
     near = None  # gains of the neighbour
     for plant in plants(system, flat):
@@ -185,12 +180,11 @@ def damping_map(
         integrals.append(tuned.value)
         if progress is not None:
             progress(len(integrals) / len(flat))
-    shape = points, points
     return DampingMap(
-        joints=(i, j),
-        axes=(axes[0], axes[1]),
-        fixed=at,
+        joints=joints,
+        axes=axes,
+        fixed=np.asarray(fixed, float),
         coupling=np.trace(coupling_matrix(system, q), axis1=-2, axis2=-1),
         estimated=estimated_integral(system, q, y),
-        tuned=np.reshape(integrals, shape),
+        tuned=np.reshape(integrals, (points, points)),
     )
