@@ -1,7 +1,7 @@
 """Physics and environment steps a second on a GPU, n = 1,024 to 65,536, and PPO fed from them.
 
-`python -m benchmarks.gpu` on a machine with a GPU: our kernel against MuJoCo Warp and MJX where
-they are installed, on the base of one body that those can simulate, and alone on `bent` with
+`python -m benchmarks.gpu` on a machine with a GPU: our kernel against MuJoCo Warp where
+it is installed (`pip install mujoco-warp`), on a base of one body, and alone on `bent` with
 its internal modes. Without a GPU it says so and runs few simulations on Warp's CPU device,
 against the kernel.
 """
@@ -23,10 +23,13 @@ import numpy as np
 import torch
 
 from benchmarks.device_ppo import Progress, train
-from ves_gym._util.optional import lacking
+from ves_gym._util.mujoco_loader import mujoco
+from ves_gym._util.optional import installed, lacking
 from ves_gym.engine.backends.base import BackendWarning
+from ves_gym.engine.backends.mujoco import compile_model
 from ves_gym.engine.backends.registry import make_backend
 from ves_gym.engine.kernel.warp_code import load_warp
+from ves_gym.engine.mjcf import TO_Y
 from ves_gym.envs.device import DeviceVectorEnv
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
@@ -35,7 +38,15 @@ SIZES = (1_024, 4_096, 16_384, 65_536)
 FEW = (64, 256)  # without a GPU
 PERIODS = 20  # control periods that are timed at once
 RUNS = 5
+STIFFNESS, DAMPING = 1000.0, 30.0  # of the joints' servos [N m/rad], [N m s/rad]
 FIRST = 10  # periods whose copies are counted
+
+
+def starts(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates and rates (n, 9) of n simulations: base pose, joint angles."""
+    start = np.random.default_rng(0).uniform(-0.1, 0.1, (4, n, 6))
+    z = np.hstack([0.1 * start[0], start[1, :, :3]])
+    return z, np.hstack([start[2], start[3, :, :3]])
 
 
 def engine(name: str, system: System, n: int) -> Any:
@@ -43,13 +54,8 @@ def engine(name: str, system: System, n: int) -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BackendWarning)
         backend: Any = make_backend(name, system, n, 0)
-    start = np.random.default_rng(0).uniform(-0.1, 0.1, (4, n, 6))
-    z, zd = (
-        np.hstack([0.1 * start[0], start[1, :, :3]]),
-        np.hstack([start[2], start[3, :, :3]]),
-    )
-    backend.write(np.arange(n), np.zeros(n), z, zd)
-    backend.set_gains(np.arange(n), np.full((n, 3), 1000.0), np.full((n, 3), 30.0))
+    backend.write(np.arange(n), np.zeros(n), *starts(n))
+    backend.set_gains(np.arange(n), np.full((n, 3), STIFFNESS), np.full((n, 3), DAMPING))
     return backend
 
 
@@ -70,10 +76,18 @@ def ours(name: str, system: System, n: int) -> Callable[[], None]:
 
 def mujoco_warp(system: System, n: int) -> Callable[[], None]:
     """The same steps of MuJoCo Warp, a control period captured as a CUDA graph."""
-    backend = engine("warp", system, n)
-    backend._load()
-    wp, package = backend._warp, backend._engine
-    model, data = backend._model, backend._data
+    wp, package = load_warp(), importlib.import_module("mujoco_warp")
+    host = compile_model(system)
+    order = np.r_[TO_Y, 6 + np.arange(system.arm.n)]
+    drives = slice(host.nu - system.arm.n, None)
+    host.actuator_biasprm[drives, 1], host.actuator_biasprm[drives, 2] = -STIFFNESS, -DAMPING
+    # there is no automatic reset to switch off
+    host.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    model, data = package.put_model(host), package.make_data(host, nworld=n)
+    for target, values in zip((data.qpos, data.qvel), starts(n), strict=True):
+        placed = np.zeros(values.shape, np.float32)
+        placed[:, order] = values
+        target.assign(placed)
     for _ in range(3):
         package.step(model, data)  # compiles
     with wp.ScopedCapture() as capture:
@@ -83,26 +97,8 @@ def mujoco_warp(system: System, n: int) -> Callable[[], None]:
     def work() -> None:
         for _ in range(PERIODS):
             wp.capture_launch(capture.graph)
-        # by `backend` the arrays live on: a graph holds no more than their addresses
-        wp.synchronize_device(backend._data.qpos.device)
-
-    return work
-
-
-def mjx(system: System, n: int) -> Callable[[], None]:
-    """The same steps of MJX, a control period a launch, states kept on the device."""
-    backend = engine("mjx", system, n)
-    jax = importlib.import_module("jax")
-    put = jax.numpy.asarray
-    bias, push = put(backend._bias), put(backend._push)
-    slopes = put(np.zeros((n, system.substeps, backend.host.nu)))
-    start = tuple(put(part) for part in (backend._q, backend._v, backend._act))
-
-    def work() -> None:
-        state = start
-        for _ in range(PERIODS):
-            state = backend._rollout(bias, *state, push, slopes)
-        jax.block_until_ready(state)
+        # by `data` the arrays live on: a graph holds no more than their addresses
+        wp.synchronize_device(data.qpos.device)
 
     return work
 
@@ -181,28 +177,29 @@ def report(sizes: tuple[int, ...]) -> dict[str, Any]:
     device = wp.get_device()
     print(f"Warp {wp.config.version}, {device.name if device.is_cuda else 'CPU device'}")
     where = str(wp.device_to_torch(device))
-    others = {"mujoco warp": (mujoco_warp, "mujoco_warp"), "mjx": (mjx, "mujoco.mjx")}
-    for name, (_, module) in list(others.items()):
-        missing = lacking("the comparison", module)
-        if missing or not device.is_cuda:
-            del others[name]
-        if missing and device.is_cuda:
-            print(missing)
+    foreign = device.is_cuda and installed("mujoco_warp")
+    if device.is_cuda and not foreign:
+        print("mujoco-warp is not installed: nothing to compare with")
     for n in sizes:
         row: dict[str, float] = {}
         for name in ("gpu-kernel", "gpu-kernel-float32"):
             row[name], first = steps_per_second(ours(name, system, n), system, n)
             row[f"{name} first"] = first
         row["gpu-kernel, bent"], _ = steps_per_second(ours("gpu-kernel", whole, n), whole, n)
-        for name, (make, _) in others.items():
-            row[name], row[f"{name} first"] = steps_per_second(make(system, n), system, n)
+        if foreign:
+            work = mujoco_warp(system, n)
+            row["mujoco warp"], row["mujoco warp first"] = steps_per_second(work, system, n)
         if not device.is_cuda:
             row["kernel"], _ = steps_per_second(kernel(system, n), system, n)
         rates = ", ".join(f"{k} {v:,.0f}" for k, v in row.items() if "first" not in k)
         print(f"n = {n:<6} physics steps/s: {rates}")
-        for name in others:
-            double, single = (row[k] / row[name] for k in ("gpu-kernel", "gpu-kernel-float32"))
-            print(f"           {double:.1f} x {name} in float64, {single:.1f} x in float32")
+        if foreign:
+            double, single = (
+                row[k] / row["mujoco warp"] for k in ("gpu-kernel", "gpu-kernel-float32")
+            )
+            print(
+                f"           {double:.1f} x MuJoCo Warp in float64, {single:.1f} x in float32"
+            )
         row["environment"], row["copies"] = environment(n, where)
         print(f"           {row['environment']:,.0f} environment steps/s (PumaRestToRest)")
         results[f"n{n}"] = row

@@ -71,8 +71,7 @@ def simulate(
         latch: when the tool's latch acts on the system's payload [s], at records: (0.5,
             "grasp"), (2.0, "release").
         seed: of sensor noise and drift.
-        backend: engine: auto, kernel, mujoco, gpu-kernel, gpu-kernel-float32, mjx
-            or warp.
+        backend: engine: auto, kernel, mujoco, gpu-kernel or gpu-kernel-float32.
         note: text for the log.
 
     Returns:

@@ -280,10 +280,6 @@ def test_what_does_not_fit_is_refused(tmp_path):
         plain.point([1.0, 0, 0, 0])
     with pytest.raises(ParameterError, match="mode emulated knows a satellite's body"):
         System(vehicle=SERVICER, mode="emulated")
-    jets_only = Satellite(body=SERVICER.body, jets=SERVICER.jets)
-    for backend in ("mjx", "warp"):
-        with pytest.raises(ParameterError, match=f"{backend} has no jets .* use kernel"):
-            Simulator(System(vehicle=jets_only), backend=backend)
     SERVICER_FLEXIBLE.save(tmp_path / "servicer.toml")
     assert get_vehicle(tmp_path / "servicer.toml") == SERVICER_FLEXIBLE
 

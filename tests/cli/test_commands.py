@@ -219,7 +219,7 @@ def test_list_names_everything(call):
     assert {"bent", "free-floating"} <= names["vehicles"]
     assert {"straight", "direct"} <= names["planners"]
     assert {"reach100", "thesis"} <= names["suites"]
-    engines = {"auto", "kernel", "mujoco", "gpu-kernel", "gpu-kernel-float32", "mjx", "warp"}
+    engines = {"auto", "kernel", "mujoco", "gpu-kernel", "gpu-kernel-float32"}
     assert names["backends"] == engines
     assert names["commands"] == set(COMMANDS)
     assert "ves/PumaDamp-v0" in {row["environment"] for row in result["policies"]}

@@ -136,8 +136,3 @@ def test_the_most_that_jets_give():
 def test_refused(settings, message):
     with pytest.raises(ParameterError, match=message):
         build_task(TASK, **settings)
-
-
-def test_another_engine_is_refused():
-    with pytest.raises(ParameterError, match="backend"):
-        VesVectorEnv(1, TASK, backend="mjx", **BOTH)

@@ -99,7 +99,7 @@ def test_threads_are_a_whole_number(threads):
 def test_other_bad_arguments():
     assert Simulator(System(vehicle=BENT_THESIS), np.int64(2)).n == 2
     with pytest.raises(
-        ParameterError, match="mujoco, gpu-kernel, gpu-kernel-float32, mjx, warp, got 'bullet'"
+        ParameterError, match="mujoco, gpu-kernel, gpu-kernel-float32, got 'bullet'"
     ):
         Simulator(System(vehicle=BENT_THESIS), backend="bullet")
     with pytest.raises(

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError
-from ves_gym.engine.backends.base import Carrier
 from ves_gym.mechanics.attitude import (
     conjugate,
     from_angles,
@@ -97,10 +96,6 @@ class Cargo:
 
     def __init__(self, sim: Simulator) -> None:
         sim.system.arm.require_rigid("a payload")
-        if not isinstance(sim.backend, Carrier):
-            raise ParameterError(
-                f"backend {sim.backend.name} carries no payload: use kernel or mujoco"
-            )
         sim.system.arm.require_rigid("a latch at the tool")
         self.sim, self.engine, n = sim, sim.backend, sim.n
         self.events: list[Capture] = []

@@ -39,8 +39,8 @@ class Simulator:
         n: number of simulations, >= 1.
         servo: joint servo, or None for bare torque input; ignored by a prescribed drive.
         backend: engine, "auto" (the compiled kernel wherever it can be had), "kernel",
-            "mujoco", "gpu-kernel" (the same equations on a GPU; "gpu-kernel-float32": in single
-            precision), "mjx" or "warp" (MuJoCo's on a GPU); `backend_name` says which one runs.
+            "mujoco", or "gpu-kernel" (the same equations on a GPU; "gpu-kernel-float32": in
+            single precision); `backend_name` says which one runs.
         threads: threads of the engine, 0 = one per processor.
         seed: root of the per-simulation random generators; simulation i draws the same
             numbers whatever n is.
@@ -91,7 +91,7 @@ class Simulator:
         self._charts = Charts(self.n) if free else None
         self.base_actuators: BaseActuators | None = None  # wheels and jets
         acts = blows(system.vehicle) or bool(system.base.carried)
-        if system.mode == "ideal" and acts and self.backend.has_actuators:
+        if system.mode == "ideal" and acts:
             self.base_actuators = BaseActuators(system, self.n)
         self.on_divergence = on_divergence
         self.generators: list[np.random.Generator] = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol
 
 from ves_gym._util.params import Array, Index, Mask
 
@@ -24,7 +24,6 @@ class Backend(Protocol):
 
     name: str  # as in `registry.BACKENDS`
     n: int
-    has_actuators: bool  # `set_actuators` and `set_carried` work
     contact: Toucher | None  # of the tool, where the system and the engine have it
 
     def read(self) -> tuple[Array, Array, Array]:
@@ -70,6 +69,25 @@ class Backend(Protocol):
         Args:
             ids: (k,) which simulations.
             at, rate: (k, c).
+        """
+
+    def set_rates(self, ids: Index, zd: Array, gears: Array) -> None:
+        """Let the rates of some simulations jump, nothing else (`mechanics/latch.py`).
+
+        Args:
+            ids: (k,) which.
+            zd: (k, 6 + joints).
+            gears: (k, g + c) rates of the gears' deflections [rad/s], of wheels, appendages.
+        """
+
+    def set_last_link(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
+        """Change the last link of some simulations: it carries something, or no longer.
+
+        Args:
+            ids: (k,) which.
+            mass: (k,) [kg].
+            com: (k, 3) in the link's frame [m].
+            inertia: (k, 3, 3) about it [kg m^2].
         """
 
     def set_actuators(self, ids: Index, wrench: Array | None, torque: Array | None) -> None:
@@ -154,30 +172,6 @@ class Backend(Protocol):
         """Return to a state handed out by `get_state`."""
 
 
-@runtime_checkable
-class Carrier(Protocol):
-    """An engine whose simulations grasp and carry payloads."""
-
-    def set_rates(self, ids: Index, zd: Array, gears: Array) -> None:
-        """Let the rates of some simulations jump, nothing else (`mechanics/latch.py`).
-
-        Args:
-            ids: (k,) which.
-            zd: (k, 6 + joints).
-            gears: (k, g + c) rates of the gears' deflections [rad/s], of wheels, appendages.
-        """
-
-    def set_last_link(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
-        """Change the last link of some simulations: it carries something, or no longer.
-
-        Args:
-            ids: (k,) which.
-            mass: (k,) [kg].
-            com: (k, 3) in the link's frame [m].
-            inertia: (k, 3, 3) about it [kg m^2].
-        """
-
-
 class Toucher(Protocol):
     """The body that the tool touches in n simulations. Poses in the engine's frame of space."""
 
@@ -232,23 +226,3 @@ class Toucher(Protocol):
 
 
 MEANINGLESS = 1e10  # m, rad and their rates; where MuJoCo, too, gives a state up
-
-
-class Remembering:
-    """State kept in the arrays that `state_names` names, faults in `_fault`."""
-
-    state_names: ClassVar[tuple[str, ...]]
-    _fault: Mask
-
-    def faults(self) -> Mask:
-        """See `Backend`."""
-        return self._fault.copy()
-
-    def get_state(self) -> object:
-        """See `Backend`."""
-        return tuple(getattr(self, name).copy() for name in self.state_names)
-
-    def set_state(self, state: Any) -> None:
-        """See `Backend`."""
-        for name, part in zip(self.state_names, state, strict=True):
-            getattr(self, name)[:] = part

@@ -4,26 +4,28 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 
-from ves_gym._util.params import Array, Index
-from ves_gym.engine.backends.base import Remembering, Toucher
+from ves_gym._util.params import Array, Index, Mask
+from ves_gym.engine.backends.base import Toucher
 from ves_gym.engine.batch_parameters import ParameterRows, bodies_of
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import System
 
 
-class CompiledBackend(Remembering, ABC):
+class CompiledBackend(ABC):
     """Sizes of state, input and output, and the systems of the simulations.
 
     The state x stacks (Y, q), what is hidden (deflections of gears, oscillators of the
     vehicle) and the rates of both; see `trace.Equations`.
     """
 
-    has_actuators = True
     contact: Toucher | None = None
+    state_names: ClassVar[tuple[str, ...]]  # the arrays that a simulation's state lies in
+    _fault: Mask
 
     def __init__(self, system: System, n: int) -> None:
         self.n, self.joints = n, system.arm.n
@@ -86,7 +88,7 @@ class CompiledBackend(Remembering, ABC):
                 self._set_parameter(self.names.index(f"{name}{i + 1}"), ids, values[:, i])
 
     def set_last_link(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
-        """See `Carrier`."""
+        """See `Backend`."""
         link = f"link{self.joints}"
         numbers = {f"{link}.mass": mass}
         numbers |= {f"{link}.com{k + 1}": com[:, k] for k in range(3)}
@@ -144,3 +146,16 @@ class CompiledBackend(Remembering, ABC):
             at = self.rows.place(name, values)
             if at is not None:
                 self._set_parameter(at, ids, values)
+
+    def faults(self) -> Mask:
+        """See `Backend`."""
+        return self._fault.copy()
+
+    def get_state(self) -> object:
+        """See `Backend`."""
+        return tuple(getattr(self, name).copy() for name in self.state_names)
+
+    def set_state(self, state: Any) -> None:
+        """See `Backend`."""
+        for name, part in zip(self.state_names, state, strict=True):
+            getattr(self, name)[:] = part

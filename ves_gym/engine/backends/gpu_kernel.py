@@ -174,6 +174,12 @@ class GpuKernelBackend(CompiledBackend):
         x[ids, first:last], x[ids, order + first : order + last] = at, rate
         self._put(x)
 
+    def set_rates(self, ids: Index, zd: Array, gears: Array) -> None:
+        x, first, order = self._states_now, 6 + self.joints, self._order
+        x[ids, order : order + first] = zd
+        x[ids, order + first : order + first + gears.shape[1]] = gears
+        self._put(x)
+
     def internal_state(self) -> tuple[Array, Array]:
         x, first, order = self._states_now, 6 + self.joints, self._order
         return x[:, first:order], x[:, order + first :]

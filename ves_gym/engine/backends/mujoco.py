@@ -132,7 +132,6 @@ class MujocoBackend:
     """`Backend` on `mujoco.batch.Batch`; see `Backend` for what each method does."""
 
     name = "mujoco"
-    has_actuators = True
 
     def __init__(self, system: System, n: int, threads: int) -> None:
         self.n = n

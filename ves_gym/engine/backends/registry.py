@@ -13,7 +13,7 @@ from ves_gym.engine.backends.base import Backend, BackendWarning
 if TYPE_CHECKING:
     from ves_gym.system.system import System
 
-BACKENDS = ("auto", "kernel", "mujoco", "gpu-kernel", "gpu-kernel-float32", "mjx", "warp")
+BACKENDS = ("auto", "kernel", "mujoco", "gpu-kernel", "gpu-kernel-float32")
 
 
 def make_backend(name: str, system: System, n: int, threads: int) -> Backend:
@@ -39,7 +39,10 @@ def make_backend(name: str, system: System, n: int, threads: int) -> Backend:
             )
         name = "mujoco"
     if name not in ("auto", "kernel", "mujoco"):
-        return _on_a_device(name, system, n, threads)
+        require(f"backend {name}", "warp")
+        from ves_gym.engine.backends.gpu_kernel import KINDS
+
+        return next(kind for kind in KINDS.values() if kind.name == name)(system, n, threads)
     if name != "mujoco":
         try:
             from ves_gym.engine.backends.kernel import KernelBackend
@@ -53,27 +56,3 @@ def make_backend(name: str, system: System, n: int, threads: int) -> Backend:
     from ves_gym.engine.backends.mujoco import MujocoBackend
 
     return MujocoBackend(system, n, threads)
-
-
-def _on_a_device(name: str, system: System, n: int, threads: int) -> Backend:
-    for part in ("wheels", "jets", "appendages", "pointing"):
-        if name in ("mjx", "warp") and getattr(system.vehicle, part, None):
-            raise ParameterError(
-                f"backend {name} has no {part} of a satellite, which act anew in every control"
-                " period: use kernel, mujoco or gpu-kernel, or a vehicle of the body alone,"
-                " Satellite(body=vehicle.body)"
-            )
-    if name == "mjx":
-        require("backend mjx", "jax", "mujoco.mjx")
-        from ves_gym.engine.backends.mjx import MjxBackend
-
-        return MjxBackend(system, n, threads)
-    if name != "warp":
-        require(f"backend {name}", "warp")
-        from ves_gym.engine.backends.gpu_kernel import KINDS
-
-        return next(kind for kind in KINDS.values() if kind.name == name)(system, n, threads)
-    require("backend warp", "mujoco_warp", "warp")
-    from ves_gym.engine.backends.warp import WarpBackend
-
-    return WarpBackend(system, n, threads)
