@@ -409,3 +409,9 @@ def test_benchmarks_name_what_exists(path):
             module = importlib.import_module(node.module)
             missing = [alias.name for alias in node.names if not hasattr(module, alias.name)]
             assert not missing, f"{path.name}:{node.lineno}: {node.module} has no {missing}"
+
+
+def test_the_page_of_claims_is_written_from_the_tests():
+    script = runpy.run_path(str(ROOT / "scripts" / "claims.py"))
+    said = (ROOT / "docs" / "claims.md").read_text("utf-8")
+    assert said == script["page"](), "out of date: python scripts/claims.py"
