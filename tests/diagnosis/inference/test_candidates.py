@@ -63,7 +63,7 @@ def test_the_library_is_that_with_which_the_sealed_sets_were_answered():
     """Reference: the library written by hand that these declarations replace.
 
     It let tilts go to 0.3 rad, which no effect can have: its bounds are 0.1 rad. Play has
-    begun at smaller gaps, and had a form, since the second sealed set of trial 2; filters have
+    begun at smaller gaps, and had a form, since the second set of the trial; filters have
     begun on both sides of the described since the fourth, and a ripple has had a second
     harmonic as a form since the fifth. What the controller is given shows at the joints,
     too, and play is looked for between stiff teeth, since the sixth. Friction builds up over

@@ -80,7 +80,7 @@ def test_runs_held_back_are_judged_by_the_form_that_a_law_has_taken():
     """Claim: friction that builds up over a distance holds on runs held back.
 
     A fit may have it in part (docs/diagnosis.md, other forms of an effect); by the plain law
-    alone a Stribeck friction of trial 2 (case 11) made the run held back worse than none.
+    alone a Stribeck friction of the trial made the run held back worse than none.
     """
     building = DESCRIBED.replace(effects=(E.JointMemory(
         lasting=(12.0, 0.0, 0.0), rested=(0.0,) * 3, rested_fast=(0.0,) * 3,

@@ -72,7 +72,7 @@ def test_runs_share_the_colour_of_the_one_that_moves_least(log):
 
 @pytest.mark.parametrize(("size", "names"), [(0.8, 0), (2.0, 1)])
 def test_a_drift_below_the_noise_stated_is_part_of_it(size, names):
-    """F_y wanders by parts of its noise: above it, it drifts (trial 2, seventh set, 45)."""
+    """F_y wanders by parts of its noise: above it, it drifts."""
     quiet = played(SYSTEM, HISS)
     wave = np.sqrt(2) * np.cos(2.5 * np.pi * np.linspace(0, 1, len(quiet)))
     moved = quiet.w + np.outer(wave, size * STD["w"] * (np.arange(6) == 1))

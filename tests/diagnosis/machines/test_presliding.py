@@ -52,7 +52,7 @@ def rubbing(quiet, torque):
 
 @pytest.mark.parametrize("distance", [3e-4, 5e-4, 1e-3])
 def test_bristles_of_any_usual_length_are_coulomb_friction(quiet, distance):
-    """As told of rates alone it was Stribeck's: a tenth more below 0.2 rad/s (trial 2)."""
+    """As told of rates alone it was Stribeck's: a tenth more below 0.2 rad/s (the trial)."""
     residuals, coulomb, stribeck = rubbing(quiet, LEVEL * dahl(quiet, distance))
     null = fit(residuals, (), ()).deviance
     plain = fit(residuals, [coulomb], [np.array([2.0])])

@@ -4,9 +4,9 @@ Probabilities among members of a library hold if one of them is the truth, and t
 description's errors are as large as it says. Neither is sure: a law that the library does not
 have takes the nearest name, and an error larger than stated takes that of an effect. Such names
 gain less than true ones, and leave the description's errors strained. So right and wrong names
-were counted where the truth is known, on machines of a second generator, and a logistic curve
+were counted where the truth is known, on machines of the trial, and a logistic curve
 through them is the reliability (docs/diagnosis.md, "How often a name is right";
-`python -m benchmarks.reliability`).
+`python -m benchmarks.trial.reliability fit`).
 """
 
 from __future__ import annotations

@@ -1,7 +1,0 @@
-"""Trial 2: a second generator of machines in which something is hidden.
-
-It takes nothing from `ves_gym`: a machine comes as the plain table of a `system.toml`, logs
-leave as CSV with metadata in JSON. What it computes with is its own: MuJoCo for the arm's
-inertia and velocity terms (`arm.py`), frame elements for beams (`structure.py`), Runge-Kutta in
-space (`space.py`), the laboratory's loop (`laboratory.py`), laws of what is hidden (`laws.py`).
-"""
