@@ -154,6 +154,25 @@ def test_import_stays_light():
     assert not HEAVY & set(loaded)
 
 
+@pytest.mark.parametrize("name", ["PumaRestToRest", "PoseReach", "PumaReachEmulated"])
+def test_a_first_step_loads_little(name):
+    """Of SciPy its linear algebra, whose rest takes a second; and few modules of all."""
+    code = (
+        "import sys, gymnasium as gym; before = set(sys.modules);"
+        f"env = gym.make('ves_gym:ves/{name}-v0'); env.reset(seed=0);"
+        "env.step(env.action_space.sample()); print(*(set(sys.modules) - before))"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    loaded = result.stdout.split()
+    heavy = {
+        f"scipy.{part}" for part in ("interpolate", "optimize", "signal", "sparse", "stats")
+    }
+    assert not (heavy | HEAVY - {"llvmlite"}) & set(loaded)
+    assert len(loaded) < 450
+
+
 def imported(tree: ast.AST, package: str):
     """(line, absolute dotted name) of every import, those inside functions included."""
     for node in ast.walk(tree):

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy.optimize
 
 from ves_gym._util.params import (
     Array,
@@ -76,13 +75,15 @@ def allocated(jets: tuple[Jet, ...], wrench: Array) -> Array:
     Returns:
         (n, k) [N].
     """
+    from scipy.optimize import nnls  # heavy, and most systems have no jets
+
     k, scale = len(jets), np.r_[np.ones(3), np.full(3, 1 / _LEVER)]
     most = np.array([jet.thrust for jet in jets])
     rows = np.vstack([scale[:, None] * wrench_matrix(jets), _THRIFT * np.eye(k)])
     out = np.zeros((len(wrench), k))
     for i, asked in enumerate(wrench):
         if asked.any():
-            out[i] = scipy.optimize.nnls(rows, np.r_[scale * asked, np.zeros(k)])[0]
+            out[i] = nnls(rows, np.r_[scale * asked, np.zeros(k)])[0]
     over = np.max(out / most, axis=1, initial=1.0)
     return np.asarray(out / over[:, None], dtype=np.float64)
 

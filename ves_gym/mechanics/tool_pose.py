@@ -7,8 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
-from scipy.stats import qmc
 
 from ves_gym._util.params import (
     Array,
@@ -58,6 +56,8 @@ class ToolPose:
 
 def tool_pose(arm: Arm, q: npt.ArrayLike) -> ToolPose:
     """Return the tool's pose at one configuration (n,) [rad], base at rest."""
+    from scipy.spatial.transform import Rotation  # heavy, and not for every arm
+
     place, turn = tool_frame(arm, finite(q, (arm.n,), "q"))
     z, y, x = Rotation.from_matrix(turn).as_euler("ZYX")
     return ToolPose(position=tuple(place.tolist()), angles=(float(x), float(y), float(z)))
@@ -206,6 +206,8 @@ def _missing(arm: Arm, position: Array, rotation: Array | None, q: Array) -> Arr
     missing: Array = position - place
     if rotation is None:
         return missing
+    from scipy.spatial.transform import Rotation
+
     turned = rotation @ np.swapaxes(turn, -1, -2)
     vectors = Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec()
     return np.concatenate([missing, vectors.reshape(missing.shape)], axis=-1)
@@ -317,6 +319,8 @@ def _starts(arm: Arm, count: int) -> Array:
     if count < 1:
         raise ParameterError(f"starts must be >= 1, got {count}")
     low, high = arm.column("q_min"), arm.column("q_max")
+    from scipy.stats import qmc  # half a second, which no `gym.make` needs
+
     points = qmc.Halton(arm.n, scramble=False).random(count)
     return np.asarray(qmc.scale(points, low, high), dtype=np.float64)
 

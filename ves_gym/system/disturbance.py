@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.interpolate
 
 from ves_gym._util.params import Array, ParameterError, unit
 from ves_gym.mechanics.arm import Arm
@@ -168,6 +167,8 @@ def disturbance(
     Raises:
         ParameterError: a run that is too short.
     """
+    from scipy.interpolate import CubicSpline  # heavy, and no environment asks for it
+
     clock = t - t[0]
     if clock[-1] < duration + tail - 1e-6:
         raise ParameterError(
@@ -180,7 +181,7 @@ def disturbance(
     fine = np.linspace(0.0, clock[count - 1], (count - 1) * parts + 1)
     end = int(np.searchsorted(fine, duration - 1e-9))
     if ydd is None:
-        ydd = scipy.interpolate.CubicSpline(clock, yd)(clock, 1)
+        ydd = CubicSpline(clock, yd)(clock, 1)
     hides = bool(system.base.hidden + arm.bends)  # motion beside pose and joints
     if not hides:
         internal = np.zeros((len(t), 0)), np.zeros((len(t), 0))
@@ -190,7 +191,7 @@ def disturbance(
     error = tool_error(arm, q, q_cmd, y, internal[0][:, : arm.bends] if arm.bends else None)
     # one spline for all: between samples 12.5 ms apart a peak at 14 Hz may be 15 % higher
     columns = np.hstack([y, yd, ydd, error, q, *internal])
-    at = scipy.interpolate.CubicSpline(clock, columns)(fine)
+    at = CubicSpline(clock, columns)(fine)
     edges = np.cumsum([6, 6, 6, 3, arm.n, internal[0].shape[1]])
     y, yd, ydd, missed, angles, u, ud = np.split(at, edges, axis=1)
 

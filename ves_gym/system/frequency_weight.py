@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.signal
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
 
@@ -108,12 +107,14 @@ class FrequencyWeight:
         Returns:
             The filtered coordinates and their rates, (N, k) each.
         """
+        from scipy.signal import lfilter  # heavy, and few energies are weighted
+
         out, rate = self.gains[-1] * z, self.gains[-1] * zd
         for w, share in zip(self.rates, self.steps, strict=True):
             decay = math.exp(-w * step)
             mean = (1 - decay) / (w * step)
             parts = [1 - mean, mean - decay], [1.0, -decay]
-            low, _ = scipy.signal.lfilter(*parts, z, axis=0, zi=mean * z[:1])  # from z[0] on
+            low, _ = lfilter(*parts, z, axis=0, zi=mean * z[:1])  # from z[0] on
             out = out + share * low
             rate = rate + share * w * (z - low)
         return out, rate
