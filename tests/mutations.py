@@ -49,9 +49,10 @@ def _operators(node: ast.AST) -> Iterator[Edit]:
 
 
 def _indices(node: ast.AST) -> Iterator[Edit]:
-    if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Constant):
-        if isinstance(node.slice.value, int) and isinstance(node.ctx, ast.Load):
-            yield _edit("index", node, f"{ast.unparse(node.value)}[{1 - node.slice.value}]")
+    if not (isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Constant)):
+        return
+    if isinstance(node.slice.value, int) and isinstance(node.ctx, ast.Load):
+        yield _edit("index", node, f"{ast.unparse(node.value)}[{1 - node.slice.value}]")
 
 
 def _guards(node: ast.AST) -> Iterator[Edit]:
