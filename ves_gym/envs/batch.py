@@ -31,7 +31,6 @@ from ves_gym.envs.period import Period, period_of
 from ves_gym.envs.randomize import Draws
 from ves_gym.envs.tail import tail_energy
 from ves_gym.envs.task import Scene, Task
-from ves_gym.envs.yardstick import yardstick_of
 from ves_gym.mechanics.servo import own_gains
 from ves_gym.simulation.simulator import Simulator
 
@@ -139,7 +138,6 @@ class Batch:
         if compiled and self.sim.base_actuators is None:  # they act period by period
             self._period = period_of(self, self._scenes, self._torques)
         self.recorder = None if dump is None else Recorder(self, dump)
-        self._yardstick = yardstick_of(self, backend=backend, threads=threads)
 
     @property
     def shape(self) -> Shape | None:
@@ -206,9 +204,6 @@ class Batch:
         sim.reset(q=q, v=v, y=begin.y, yd=begin.yd, ids=ids)
         s.ref[ids, 0], s.ref[ids, 1], s.ref[ids, 2] = q, v, 0.0
         s.goal[ids], s.memory[ids], s.tail[ids] = begin.goal, 0.0, 0.0
-        if self._yardstick is not None:
-            measured = self._yardstick(keys, self.episode_ids(), options or {})
-            s.goal[ids, -1] = np.where(np.isnan(measured), s.goal[ids, -1], measured)
         for k in (e.steps, e.clipped, e.once, e.total, e.sums):
             k[ids] = 0
         if task.interacts:

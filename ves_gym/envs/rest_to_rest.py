@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
@@ -28,10 +28,8 @@ class RestToRest(Task):
     reward adds up to -E_mean / E_straight, so the straight line returns about -1.
 
     E_straight is the energy that a straight motion is expected to leave on the machine as
-    described (`scales.straight_energy`). With `saving`, in the laboratory, with effects or with
-    anything drawn (`randomize`) it is what the straight motion does leave on that very machine,
-    simulated at every reset with the same errors and noise; the observation shows the expected
-    one.
+    described (`scales.straight_energy`), in the laboratory and with effects too: what a machine
+    that is not as described does differently is for the policy to find out.
 
     Solved: at the goal and at rest there; with `saving`, only where E_mean is at most that
     share of E_straight. Control `guided` arrives whatever the action: without `saving` a
@@ -61,21 +59,12 @@ class RestToRest(Task):
         if self.saving is not None:
             require_positive(self, "saving")
 
-    @property
-    def yardstick(self) -> RestToRest | None:
-        """See `Task`. The straight motion, where the machine is not as described."""
-        described = self.system.mode == "ideal" and not (self.system.effects or self.randomize)
-        if self.saving is None or described:
-            return None
-        control = self.control if isinstance(self.control, Guided) else Guided()
-        return replace(self, saving=None, control=control, context=None, base_control=None)
-
     @cached_property
     def _straight(self) -> straight_energy:
         return straight_motion(self, self.duration)
 
     def start(self, u: Array, **options: Array) -> Start:
-        """See `Task`. Goal: joint angles (joints), E_straight; with `saving` the yardstick."""
+        """See `Task`. Goal: joint angles (joints), E_straight."""
         n = self.system.arm.n
         middle, span = middle_and_half(self.system.arm, (0.0,), self.span)
         ends = middle + (2 * u.reshape(len(u), _TRIES, 2, -1)[..., :n] - 1) * span
@@ -89,7 +78,7 @@ class RestToRest(Task):
         goal = options.get("goal", q + (chosen[:, 1] - q) / shrink)
         q = options.get("q", q)
         scale = self._straight(q, goal)
-        return Start(q, np.column_stack([goal, scale, *([scale] * (self.saving is not None))]))
+        return Start(q, np.column_stack([goal, scale]))
 
     def remember(self, s: Scene, dt: float) -> None:
         """See `Task`."""
@@ -154,5 +143,4 @@ class RestToRest(Task):
 
     def _scale(self, s: Scene) -> Array:
         """(n,) integral of E that counts as one [J s]."""
-        column = self.system.arm.n + (self.saving is not None)
-        return s.goal[:, column] * (self.duration + self.tail)
+        return s.goal[:, self.system.arm.n] * (self.duration + self.tail)

@@ -172,14 +172,6 @@ class Task(ABC):
         beside = 0 if base is None else base.width(self.system)
         return self.control.width(self.system.arm) + beside
 
-    @property
-    def yardstick(self) -> Task | None:
-        """Task of the same draws whose E_mean without action becomes the goal's last number.
-
-        None: what `start` gives stands. See `envs.yardstick`.
-        """
-        return None
-
     @abstractmethod
     def start(self, u: Array, **options: Array) -> Start:
         """Beginnings of k episodes from uniform numbers u (k, draws) in [0, 1).

@@ -29,6 +29,8 @@ from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.emulator_settings import require_carried
 from ves_gym.system.system import System
 
+_AHEAD = 16  # periods whose noise a generator draws at once: a call costs as much as 18 numbers
+
 
 class EmulationLoop:
     """n emulators at work on one system.
@@ -64,6 +66,8 @@ class EmulationLoop:
         self.table: Array | None = None  # (n, m, 6): replaces the estimate, row by row
         self.events: list[Event] = []
         self.time = np.zeros(n)  # s since the reset
+        self._noise = np.zeros((n, _AHEAD, 18))  # of the coming periods
+        self._next = np.full(n, _AHEAD)  # place of the next in it; beyond: none is drawn
         self._needs = self._asked()
         self._build()
         self._load()
@@ -211,7 +215,7 @@ class EmulationLoop:
         if self.events:
             begun = set(ids.tolist())
             self.events = [e for e in self.events if e.simulation not in begun]
-        self.time[rows] = 0.0
+        self.time[rows], self._next[rows] = 0.0, _AHEAD
         for block in self.wiring.blocks:
             x, outputs = block.start(self._of(block.name, rows), u)
             u |= outputs
@@ -243,13 +247,14 @@ class EmulationLoop:
 
     def get_state(self) -> Any:
         """Everything needed to continue exactly from here; picklable."""
-        others = copy.deepcopy((self.time, self.events, self.table))
+        parts = (self.time, self.events, self.table, self._noise, self._next)
+        others = copy.deepcopy(parts)
         return self.memory.copied(self._carried), others
 
     def set_state(self, state: Any) -> None:
         """Return to a state handed out by `get_state`."""
         memory, others = state
-        self.time, self.events, self.table = copy.deepcopy(others)
+        self.time, self.events, self.table, self._noise, self._next = copy.deepcopy(others)
         self._rewire()
         self.memory.take_over(memory, self._carried)
 
@@ -320,7 +325,12 @@ class EmulationLoop:
 
     def draws(self) -> Array:
         """(n, 18) standard normal numbers that the sensors take in a period."""
-        return self._drawn(np.arange(self.n), 18)
+        spent = np.flatnonzero(self._next == _AHEAD)
+        if len(spent):
+            self._noise[spent], self._next[spent] = self._drawn(spent, _AHEAD, 18), 0
+        out = self._noise[np.arange(self.n), self._next]
+        self._next += 1
+        return out
 
     @property
     def code(self) -> CompiledLoop | None:

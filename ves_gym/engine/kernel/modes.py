@@ -84,7 +84,7 @@ class ModeMap:
         m, size = len(M), b.shape[1] * self._columns
         fill(self._M, M[:, *self._lower])
         fill(self._b, b.reshape(m, size))
-        self._run(0, self._blocks)
+        self._run(0, -(-m // LANES))  # the blocks that hold them
         out = unlane(self._out, m)
         omega = np.sqrt(np.maximum(out[:, self._diagonal], 0.0))
         return omega, out[:, -size:].reshape(b.shape)
