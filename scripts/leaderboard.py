@@ -59,7 +59,7 @@ AUTHOR = "ves_gym"
 PLANNERS = (
     "straight", "direct", "refined", "shaped-zv", "shaped-zvd", "smooth-jerk", "reaction-null",
 )  # fmt: skip
-SEARCHES = ("hotspot-q", "hotspot-qt", "ompl-time", "ompl-q", "ompl-qt", "ompl-energy")
+SEARCHES = ("hotspot-q", "hotspot-qt", "ompl-time", "ompl-q", "ompl-qt")
 # Beside the released policies: what can act on a task and is not the same as another there.
 BESIDE = {
     "PumaRestToRest": ("zero", "random", "straight", "hotspot", "direct"),

@@ -29,7 +29,7 @@ from ves_gym.planners.best_known import near_best
 from ves_gym.planners.suites import get_suite
 from ves_gym.system.system import System
 
-HISTORY = ("hotspot-q", "hotspot-qt", "ompl-q", "ompl-qt", "ompl-energy")
+HISTORY = ("hotspot-q", "hotspot-qt", "ompl-q", "ompl-qt")
 MOST = ("smooth-jerk", "shaped-zv", "shaped-zvd", *HISTORY, "direct", "refined")
 MISS = pytest.mark.xfail(
     reason="miss: 0.629 (95 %: 0.57 to 0.68) on the whole suite, 0.60 without any limit of"
@@ -118,17 +118,14 @@ def test_neither_the_peak_nor_the_end_rises_on_the_whole_suite(duration):
 def history(names: tuple[str, ...], count: int) -> None:
     """Raw Q goes by what instantaneous motions do; at 1 s it is worse than a straight line.
 
-    At every duration the refined motion beats all that go by coupling length, and the search
-    that is relaxed by E_mean comes to its minimum: to seven digits on the first three queries.
+    At every duration the refined motion beats all that go by coupling length.
     """
     for duration, worse in ((1.0, True), (4.0, False)):
         found = rows(names, duration, count)
         median = {name: np.median(ratios(found, name)) for name in (*HISTORY, "refined")}
         if worse:
             assert max(ratios(found, "hotspot-q").max(), ratios(found, "ompl-q").max()) > 1
-        searched = median.pop("ompl-energy")
         assert median.pop("refined") < min(median.values())
-        assert searched == pytest.approx(np.median(ratios(found, "refined")), rel=0.02)
 
 
 def prediction(asked: list[tuple[tuple[str, ...], int]], durations: tuple[float, ...]) -> None:

@@ -57,7 +57,6 @@ class Metric:
         if kind != "disturbance" and not base.K.any():
             kind = "kinetic"
         self._graph = partial(_form, self.system, kind)
-        self._slope_graph = partial(_with_slopes, self._graph)
         self._key = f"metric {kind} {_SWEEPS} {structure(self.system)}"
         # internal modes follow the interface here: what guides a search need not swing
         condensed = base.condensed()
@@ -109,27 +108,6 @@ class Metric:
         squares = self.squares(at, np.broadcast_to(step[..., None, :], at.shape))
         out: Array = np.sqrt(np.maximum(squares, 0.0)) @ _WEIGHTS
         return out
-
-    def slopes(self, a: npt.ArrayLike, b: npt.ArrayLike) -> tuple[Array, Array]:
-        """Lengths of straight edges and their exact derivatives.
-
-        Args:
-            a, b: (..., n) ends [rad].
-
-        Returns:
-            Lengths (...), as `lengths` has them, and their derivatives (..., 2, n) by a and b.
-        """
-        start, step = np.asarray(a, float), np.asarray(b, float) - np.asarray(a, float)
-        at = start[..., None, :] + _NODES[:, None] * step[..., None, :]
-        x = np.concatenate([at, np.broadcast_to(step[..., None, :], at.shape)], axis=-1)
-        out = evaluate(f"slopes {self._key}", self._slope_graph, x, self._p, 1 + 2 * self.n)
-        roots = np.sqrt(np.maximum(out[..., 0], 0.0))
-        by = out[..., 1:] / (2 * np.maximum(roots, 1e-150))[..., None]
-        by_q, by_step = by[..., : self.n], by[..., self.n :]
-        back = np.einsum("...gi,g->...i", by_q, _WEIGHTS * (1 - _NODES))
-        ahead = np.einsum("...gi,g->...i", by_q, _WEIGHTS * _NODES)
-        turn = np.einsum("...gi,g->...i", by_step, _WEIGHTS)
-        return roots @ _WEIGHTS, np.stack([back - turn, ahead + turn], axis=-2)
 
     def length(self, path: npt.ArrayLike) -> float:
         """Length of a polyline (N, n)."""
@@ -201,17 +179,6 @@ def _form(system: System, kind: str) -> casadi.Function:
         }[kind]()
     out = value + numbers[-1] * ca.sumsqr(step)
     return ca.Function("form", [x, numbers], [ca.cse(ca.densify(out))])
-
-
-def _with_slopes(graph: partial[casadi.Function]) -> casadi.Function:
-    """The form and its derivatives by q and dq, by reverse differentiation."""
-    import casadi as ca
-
-    form = graph()
-    x, p = ca.SX.sym("x", form.size1_in(0)), ca.SX.sym("p", form.size1_in(1))
-    value = form(x, p)
-    out = ca.vertcat(value, ca.gradient(value, x))
-    return ca.Function("slopes", [x, p], [ca.cse(ca.densify(out))])
 
 
 def _rows(matrix: casadi.SX) -> list[list[Any]]:

@@ -1,37 +1,35 @@
 """Minimum-coupling paths by sampling-based search (OMPL) in joint space.
 
 A search adds up costs edge by edge, so it minimises coupling length, on raw Q (thesis 4.2)
-or Q_T. The energy of a timed path is not a sum over its edges: objective "energy" searches
-on Q_T and judges every path the search comes up with, and those between it and the straight
-line, by predicted E_mean.
+or Q_T, or time. The energy of a timed path is not a sum over its edges: `refined` takes these
+paths, where there are obstacles, to motions of least energy.
 """
 
 from __future__ import annotations
 
 import os
+import pickle
+import select
 import subprocess
 import sys
 import tempfile
-import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError, require_choice
+from ves_gym._util.process_pool import ONE_THREAD
 from ves_gym.mechanics.motion import Motion, quintic
 from ves_gym.planners.hotspot import feasible_part, resample
 from ves_gym.planners.ompl_worker import ALGORITHMS, PathSearchResult, Request
 from ves_gym.planners.query import NoPlan, Query, broken_limit, require_possible
-from ves_gym.planners.search_costs import speed_limits
 
 OBJECTIVES = {
     "q": "coupling length on raw Q (thesis 4.2)",
     "qt": "coupling length on Q_T",
-    "energy": "predicted E_mean of the timed path",
     "time": "least time at the speed limits",
 }
 _START = 120.0  # s for a child to come up, on a busy machine
@@ -49,7 +47,6 @@ class Ompl:
     algorithm: str = "bitstar"
     evaluations: int = 5000  # budget of edge costs; repeatable, unlike seconds
     seconds: float = 30.0
-    relax: bool = True  # half of the budget takes what was found to a minimum near it
 
     def __post_init__(self) -> None:
         require_choice(self, "objective", tuple(OBJECTIVES))
@@ -83,9 +80,7 @@ class Ompl:
         require_possible(query)
         result = self.search(query, seed)
         assert result.path is not None
-        motion, share = result.motion, 1.0
-        if motion is None:
-            motion, share = time_path(query, result.path)
+        motion, share = time_path(query, result.path)
         hurried = broken_limit(query, motion) is not None and self.objective != "time"
         if hurried:  # no time for this path: the fastest is the next best
             fast = replace(self, objective="time").search(query, seed)
@@ -95,7 +90,6 @@ class Ompl:
             "objective": self.objective,
             "algorithm": self.algorithm,
             "cost": result.cost,
-            "searched": result.searched,  # cost before relaxation
             "bound": result.bound,  # no path costs less
             "evaluations": result.evaluations,
             "checks": result.checks,
@@ -126,7 +120,6 @@ class Ompl:
             seed=seed,
             evaluations=self.evaluations,
             seconds=self.seconds,
-            relax=self.relax,
         )
         result = SEARCH_PROCESS.request(request, self.seconds + _GRACE)
         if result.path is None:
@@ -158,7 +151,7 @@ def time_path(query: Query, path: Array) -> tuple[Motion, float]:
         return feasible_part(query, resample(path, _POINTS))
     for law in (quintic, cruise):
         for controls in _FOLLOWED:
-            motion = follow(path, query.duration, speed_limits(query), controls, law)
+            motion = follow(path, query.duration, query.speed, controls, law)
             if broken_limit(query, motion) is None:
                 return motion, 1.0
     return motion, 1.0
@@ -205,7 +198,8 @@ def cruise(u: Array) -> Array:
 class SearchProcess:
     """The searching process: started when first asked, started anew after it was killed.
 
-    Not for several threads at once; a forked process starts its own.
+    A planner that crashes or hangs takes this process with it, and nothing else. It ends when
+    its standard input does, so none is left behind; a forked process starts its own.
     """
 
     def __init__(self, program: str = "") -> None:
@@ -218,79 +212,57 @@ class SearchProcess:
 
         Args:
             request: what to search.
-            limit: time after which the child is killed [s].
+            limit: time after which the child is killed [s], its start not counted.
 
         Raises:
             NoPlan: the child crashed, failed or did not answer in time.
         """
+        fresh = self._owner != os.getpid() or self._process is None
+        process = self._start() if fresh or self._process is None else self._process
+        assert process.stdin is not None and process.stdout is not None
+        answer: object = None
         try:
-            self._require_running()
-            self._requests.send(request)
-            if not self._answers.poll(limit):
+            pickle.dump(request, process.stdin)
+            process.stdin.flush()
+            if not select.select([process.stdout], [], [], limit + fresh * _START)[0]:
                 raise NoPlan(f"the search did not answer within {limit:g} s and was killed")
-            answer = self._answers.recv()
-        except (EOFError, OSError):
-            raise NoPlan(f"the search crashed: {self._kill()}") from None
-        except BaseException:  # or the next request would get this one's answer
-            self._kill()
-            raise
+            answer = pickle.load(process.stdout)
+        except (EOFError, OSError, pickle.UnpicklingError):
+            raise NoPlan(f"the search crashed: {self._end()}") from None
+        finally:
+            if answer is None:  # or the next request would get this one's answer
+                self._end()
         if not isinstance(answer, PathSearchResult):
             raise NoPlan(f"the search failed: {answer}")
         return answer
 
-    def _require_running(self) -> None:
-        if self._owner != os.getpid():
-            self._process = None  # the process this one was forked from keeps it
-        if self._process is not None and self._process.poll() is None:
-            return
-        self._kill()
-        self._start()
-        if not self._answers.poll(_START):
-            raise NoPlan(f"the search did not start within {_START:g} s")
-        self._answers.recv()  # it is there
-
-    def _start(self) -> None:
+    def _start(self) -> subprocess.Popen[bytes]:
         paths = os.pathsep.join(p or os.getcwd() for p in sys.path)
-        threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - `_end` closes it
-        process = subprocess.Popen(
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the child
+        self._owner = os.getpid()
+        self._process = subprocess.Popen(
             [sys.executable, "-c", self.program],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._errors,
-            env={**os.environ, "PYTHONPATH": paths, **threads},
+            stderr=self._said,
+            env={**os.environ, "PYTHONPATH": paths, **ONE_THREAD},
         )
-        assert process.stdin is not None and process.stdout is not None
-        self._process, self._owner = process, os.getpid()
-        self._requests = Connection(os.dup(process.stdin.fileno()), readable=False)
-        self._answers = Connection(os.dup(process.stdout.fileno()), writable=False)
-        process.stdin.close()
-        process.stdout.close()
-        files = self._requests, self._answers, self._errors
-        self._end = weakref.finalize(self, _end, process, *files)
+        return self._process
 
-    def _kill(self) -> str:
+    def _end(self) -> str:
         """End the child, if there is one; how it had ended, and the last thing it said."""
-        if self._process is None:
+        process, self._process = self._process, None
+        if process is None:
             return "not started"
-        try:  # a child that crashed is still about to end
-            code: int | None = self._process.wait(timeout=1.0)
+        try:  # one that crashed is still about to end
+            process.wait(timeout=1.0)
         except subprocess.TimeoutExpired:
-            code = None
-        self._errors.seek(0)
-        messages = self._errors.read().decode(errors="replace").strip().splitlines()
-        self._end()
-        self._process = None
-        how = "killed" if code is None else f"exit status {code}"
-        return f"{how}; {messages[-1][:200]}" if messages else how
-
-
-def _end(process: subprocess.Popen[bytes], *files: Any) -> None:
-    for file in files:
-        file.close()
-    if process.poll() is None:
-        process.kill()
-    process.wait()
+            process.kill()
+        process.communicate()
+        self._said.seek(0)
+        said = self._said.read().decode(errors="replace").strip().splitlines()
+        how = f"exit status {process.returncode}"
+        return f"{how}; {said[-1][:200]}" if said else how
 
 
 SEARCH_PROCESS = SearchProcess()

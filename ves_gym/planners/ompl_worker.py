@@ -7,29 +7,27 @@ on standard output, one pickle each.
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
+import pickle
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.motion import Motion
+from ves_gym.planners.metric import Metric
 from ves_gym.planners.obstacles import RESOLUTION, collisions
 from ves_gym.planners.query import Query
-from ves_gym.planners.search_costs import cost_of
 
 CHECKPOINTS = 20  # of the anytime curve
 _CHECKS = 5  # validity checks allowed per cost evaluation of the budget
 _GUESSES = 20  # lower bounds likewise
-_SEARCHED = 0.5  # of the budget, where the rest goes to relaxing what the search found
 _PROVEN = 1 + 1e-9  # times the lower bound: a cost that cannot be improved
-_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the way from the straight line that are judged
 _ORPHAN = 60.0  # s beyond its time after which a search that nobody kills ends by itself
 _OVERRUN = 1.5  # of the budget, after which a planner that does not stop is stopped
 
@@ -49,20 +47,11 @@ class Request:
     """One search. The same request gives the same path while `seconds` is not reached."""
 
     query: Query
-    objective: str  # q, qt, time or energy
+    objective: str  # q, qt or time
     algorithm: str  # of ALGORITHMS
     seed: int
     evaluations: int  # of edge costs
     seconds: float
-    relax: bool = True  # what the search finds, in the same budget; never objective time
-
-
-class Point(NamedTuple):
-    """The best of a search at a moment."""
-
-    seconds: float
-    evaluations: int
-    cost: float  # coupling length [J^(1/2)], time [s], or predicted E_mean [J]
 
 
 @dataclass(frozen=True)
@@ -70,13 +59,15 @@ class PathSearchResult:
     """The best path of a search, its cost and the effort."""
 
     path: Array | None  # (k, n) way-points
-    cost: float
-    curve: tuple[Point, ...]  # anytime
+    cost: float  # coupling length [J^(1/2)] or time [s]
+    curve: tuple[tuple[float, int, float], ...]  # anytime: (seconds, evaluations, cost)
     evaluations: int
     checks: int  # of validity
-    bound: float = 0.0  # no path costs less; E_mean has no such bound
-    searched: float = math.nan  # cost before relaxation
-    motion: Motion | None = None  # along the path, where its timing was relaxed as well
+    bound: float  # no path costs less
+
+
+EdgeCost = Callable[[Array, Array], float]
+Bound = Callable[[Sequence[float], Sequence[float]], float]
 
 
 class BadCost(Exception):
@@ -89,13 +80,11 @@ class _BudgetSpent(Exception):
 
 def serve() -> None:
     """Answer requests until standard input ends."""
-    requests = Connection(os.dup(0), writable=False)
-    answers = Connection(os.dup(1), readable=False)
+    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what OMPL prints is not an answer
-    answers.send("ready")
     while True:
         try:
-            request = requests.recv()
+            request = pickle.load(requests)
         except EOFError:
             return
         signal.alarm(math.ceil(min(request.seconds + _ORPHAN, 1e9)))
@@ -104,7 +93,8 @@ def serve() -> None:
         except Exception as error:  # all of it is the parent's to report
             answer = f"{type(error).__name__}: {error}"
         signal.alarm(0)
-        answers.send(answer)
+        pickle.dump(answer, answers)
+        answers.flush()
 
 
 def search(request: Request) -> PathSearchResult:
@@ -115,8 +105,12 @@ def search(request: Request) -> PathSearchResult:
 
     ou.setLogLevel(ou.LOG_NONE)
     ou.RNG.setSeed(request.seed + 1)  # zero would mean a random seed
-    run = _Search(request)
-    space = run.space(ob)
+    run, query = _Search(request), request.query
+    space, bounds = ob.RealVectorStateSpace(run.n), ob.RealVectorBounds(run.n)
+    for i, link in enumerate(query.system.arm.links):
+        bounds.setLow(i, link.q_min)
+        bounds.setHigh(i, link.q_max)
+    space.setBounds(bounds)
     information = ob.SpaceInformation(space)
     validity, objective = run.validity(ob, information), run.objective(ob, information)
     information.setStateValidityChecker(validity)
@@ -124,7 +118,7 @@ def search(request: Request) -> PathSearchResult:
     information.setup()
     problem = ob.ProblemDefinition(information)
     ends = [space.allocState() for _ in range(2)]
-    for state, q in zip(ends, request.query.ends, strict=True):
+    for state, q in zip(ends, query.ends, strict=True):
         for i, angle in enumerate(q):
             state[i] = float(angle)
     problem.setStartAndGoalStates(*ends)
@@ -133,92 +127,78 @@ def search(request: Request) -> PathSearchResult:
     planner.setProblemDefinition(problem)
     planner.setup()
     for k in range(CHECKPOINTS):
-        run.share = run.searched * (k + 1) / CHECKPOINTS
+        run.share = (k + 1) / CHECKPOINTS
         try:
-            planner.solve(ob.PlannerTerminationCondition(run.enough))
+            planner.solve(ob.PlannerTerminationCondition(run.is_enough))
         except _BudgetSpent:
-            run.share = run.searched
+            run.share = 1.0
         if problem.hasExactSolution():
             path = problem.getSolutionPath()
             states = (path.getState(i) for i in range(path.getStateCount()))
             run.consider(np.array([[s[j] for j in range(run.n)] for s in states]))
-        if run.over:
+        if run.share >= 1.0 or run.used >= 1.0 or run.cost <= _PROVEN * run.bound:
             break
-    run.relax()
-    return run.result()
+    return PathSearchResult(
+        run.path, run.cost, tuple(run.curve), run.evaluations, run.checks, run.bound
+    )
 
 
 class _Search:
     """Budget, costs and the best path of one request."""
 
     def __init__(self, request: Request) -> None:
-        query = request.query
-        self.request, self.n = request, query.system.arm.n
-        self.cost = cost_of(query, request.objective)
-        self.shares = _SHARES if request.objective == "energy" else (1.0,)
+        self.request, self.n = request, request.query.system.arm.n
+        self.edge, self.least = _costs(request.query, request.objective)
+        self.bound = self.least(request.query.start, request.query.goal)
         self.begin = time.perf_counter()
         self.share = 0.0  # of the budget that may be used now
         self.evaluations = self.checks = self.guesses = 0
-        # breaks limits, cost, path, motion if that was relaxed as well
-        self.best: tuple[bool, float, Array, Motion | None] | None = None
-        self.paths: list[Array] = []  # as the search found them, latest last
-        self.curve: list[Point] = []
-        relaxes = request.relax and self.cost.relaxes
-        self.searched = _SEARCHED if relaxes else 1.0
-        self.cost_searched = math.nan
-        self.bound = self.cost.floor()
+        self.path: Array | None = None
+        self.cost = math.inf
+        self.curve: list[tuple[float, int, float]] = []
 
     @property
     def used(self) -> float:
         """Share of the budget used up; alike on every machine until the time is up."""
-        request = self.request
-        late = time.perf_counter() - self.begin > request.seconds
-        return math.inf if late else self._work / request.evaluations
+        if time.perf_counter() - self.begin > self.request.seconds:
+            return math.inf
+        work = max(self.evaluations, self.checks / _CHECKS, self.guesses / _GUESSES)
+        return work / self.request.evaluations
 
-    @property
-    def _work(self) -> float:
-        """Effort in cost evaluations."""
-        return max(self.evaluations, self.checks / _CHECKS, self.guesses / _GUESSES)
-
-    @property
-    def over(self) -> bool:
-        return self.share >= self.searched or self.used >= self.searched or self._proven
-
-    @property
-    def _proven(self) -> bool:
-        return self.best is not None and self.best[1] <= _PROVEN * self.bound
-
-    def enough(self) -> bool:
+    def is_enough(self) -> bool:
+        """OMPL's termination condition."""
         return self.used >= self.share
 
-    def space(self, ob: Any) -> Any:
-        space, bounds = ob.RealVectorStateSpace(self.n), ob.RealVectorBounds(self.n)
-        for i, link in enumerate(self.request.query.system.arm.links):
-            bounds.setLow(i, link.q_min)
-            bounds.setHigh(i, link.q_max)
-        space.setBounds(bounds)
-        return space
+    def stop_if_overrun(self) -> None:
+        """Leave a planner that looks at its termination condition too seldom."""
+        if self.used > _OVERRUN + 1000 / self.request.evaluations:
+            raise _BudgetSpent
+
+    def consider(self, path: Array) -> None:
+        """Keep the better path (k, n) [rad], and a point of the curve."""
+        cost = sum(require_cost(self.edge(a, b)) for a, b in itertools.pairwise(path))
+        if cost < self.cost:
+            self.path, self.cost = path, cost
+        self.curve.append((time.perf_counter() - self.begin, self.evaluations, self.cost))
 
     def validity(self, ob: Any, information: Any) -> Any:
-        query, n = self.request.query, self.n
+        """OMPL's checker of one configuration."""
+        query, search, joints = self.request.query, self, range(self.n)
         if query.surroundings is None:
             return ob.AllValidStateValidityChecker(information)
-        checker, search = collisions(query.system.ideal(), query.surroundings), self
+        checker = collisions(query.system, query.surroundings)
 
         class Validity(ob.StateValidityChecker):
             def isValid(self, state: Any) -> bool:
                 search.checks += 1
                 search.stop_if_overrun()
-                return checker.is_clear(np.array([state[i] for i in range(n)]))
+                return checker.is_clear(np.array([state[i] for i in joints]))
 
         return Validity(information)
 
     def objective(self, ob: Any, information: Any) -> Any:
-        search, n, cost = self, self.n, self.cost
-        identity, joints = ob.Cost(0.0), range(n)
-
-        def configuration(state: Any) -> Array:
-            return np.array([state[i] for i in joints])
+        """OMPL's objective: the cost of a straight edge, and what none is below."""
+        search, joints, identity = self, range(self.n), ob.Cost(0.0)
 
         # of the class itself: costs of a subclass of StateCostIntegralObjective are ignored
         class Coupling(ob.OptimizationObjective):
@@ -228,97 +208,36 @@ class _Search:
             def motionCost(self, a: Any, b: Any) -> Any:
                 search.evaluations += 1
                 search.stop_if_overrun()
-                return ob.Cost(require_cost(cost.edge(configuration(a), configuration(b))))
+                ends = (np.array([state[i] for i in joints]) for state in (a, b))
+                return ob.Cost(require_cost(search.edge(*ends)))
 
             def motionCostHeuristic(self, a: Any, b: Any) -> Any:
                 search.guesses += 1
-                return ob.Cost(cost.bound([a[i] for i in joints], [b[i] for i in joints]))
+                return ob.Cost(search.least([a[i] for i in joints], [b[i] for i in joints]))
 
         return Coupling(information)
 
-    def stop_if_overrun(self) -> None:
-        """Leave a planner that looks at its termination condition too seldom."""
-        if self._work > _OVERRUN * self.searched * self.request.evaluations + 1000:
-            raise _BudgetSpent
 
-    def consider(self, path: Array) -> None:
-        """Keep the better path, and a point of the curve.
+def _costs(
+    query: Query, objective: str
+) -> tuple[
+    Callable[[Array, Array], float], Callable[[Sequence[float], Sequence[float]], float]
+]:
+    """Cost of a straight edge, and what no path between two configurations is below.
 
-        For a cost that is not a sum over edges, also what lies between the path and the
-        straight line, where that is clear; and a motion that keeps the limits is better than
-        one that breaks them.
+    Time at the speed limits is a norm: the straight edge's is the least. A step of 1 rad is
+    nowhere shorter than the metric's `floor`.
+    """
+    if objective == "time":
+        speed = query.speed.tolist()
 
-        Args:
-            path: (k, n) way-points [rad].
-        """
-        self.paths.append(path)
-        straight = straight_counterpart(path)
-        for share in self.shares:
-            candidate = straight + share * (path - straight)
-            candidate[[0, -1]] = path[[0, -1]]  # not to rounding only
-            self._judge(candidate, clear=share == 1.0)
-        self._note()
+        def least(a: Sequence[float], b: Sequence[float]) -> float:
+            return max(abs(y - x) / v for x, y, v in zip(a, b, speed, strict=True))
 
-    def _note(self) -> None:
-        spent, least = time.perf_counter() - self.begin, self.best[1] if self.best else math.inf
-        self.curve.append(Point(spent, self.evaluations, least))
-
-    def _judge(self, path: Array, motion: Motion | None = None, *, clear: bool) -> None:
-        value = require_cost(self.cost.value(path, motion))
-        if self.best is not None and not self.best[0] and value >= self.best[1]:
-            return  # no better, whether or not it keeps the limits
-        if not (clear or self._clear(path)):
-            return
-        broken = self.cost.breaks(path, motion)
-        if self.best is None or (broken, value) < self.best[:2]:
-            self.best = broken, value, path, motion
-
-    def relax(self) -> None:
-        """Take the paths found and the straight line down to minima near them."""
-        if self.best is None or self.evaluations == 0 or self.searched == 1.0 or self._proven:
-            return
-        request, self.cost_searched = self.request, self.best[1]
-        starts = [self.best[2], np.array(request.query.ends), *self.paths[::-1]]
-        remaining = request.evaluations - math.ceil(self._work)
-        self.share = 1.0
-        for relaxed in self.cost.relax(_different(starts), request.seed, remaining):
-            self.evaluations += relaxed.evaluations
-            self.checks += relaxed.checks
-            self._judge(relaxed.path, relaxed.motion, clear=False)
-            self._note()
-            if self.used >= 1.0:
-                return
-
-    def _clear(self, path: Array) -> bool:
-        query = self.request.query
-        if query.surroundings is None:
-            return True
-        gaps = np.linalg.norm(np.diff(path, axis=0), axis=1) / RESOLUTION
-        fine = [
-            np.linspace(a, b, 2 + int(gap))
-            for a, b, gap in zip(path[:-1], path[1:], gaps, strict=True)
-        ]
-        checker = collisions(query.system.ideal(), query.surroundings)
-        return checker.first_contact(np.vstack(fine)) is None
-
-    def result(self) -> PathSearchResult:
-        _, cost, path, motion = self.best or (True, math.nan, None, None)
-        if path is not None and len(path) > 2 and self.evaluations == 0:
-            raise BadCost(f"{self.request.algorithm} never asked for the cost")
-        effort = self.evaluations, self.checks
-        searched = cost if math.isnan(self.cost_searched) else self.cost_searched
-        return PathSearchResult(
-            path, cost, tuple(self.curve), *effort, self.bound, searched, motion
-        )
-
-
-def _different(paths: Sequence[Array]) -> list[Array]:
-    """Each path once, in order."""
-    out: list[Array] = []
-    for path in paths:
-        if not any(np.array_equal(path, other) for other in out):
-            out.append(path)
-    return out
+        return lambda a, b: least(a.tolist(), b.tolist()), least
+    metric = Metric(query.system, objective, query.duration if objective == "qt" else None)
+    floor = metric.floor
+    return metric.edge, lambda a, b: floor * math.dist(a, b)
 
 
 def require_cost(cost: float) -> float:
@@ -326,11 +245,3 @@ def require_cost(cost: float) -> float:
     if not (math.isfinite(cost) and cost >= 0):
         raise BadCost(f"a cost must be finite and >= 0, got {cost}")
     return cost
-
-
-def straight_counterpart(path: Array) -> Array:
-    """Points of the straight line at the same share of the length as those of a path."""
-    length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
-    u = (length / max(length[-1], 1e-300))[:, None]
-    out: Array = path[0] + u * (path[-1] - path[0])
-    return out

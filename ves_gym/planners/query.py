@@ -123,6 +123,11 @@ class Query:
         return rate, acceleration
 
     @property
+    def speed(self) -> Array:
+        """Speed limits (n,) of the query, or of the arm where it has none [rad/s]."""
+        return self.system.arm.column("v_max") if self.v_max is None else np.array(self.v_max)
+
+    @property
     def ends_in_words(self) -> str:
         """Start, goal [deg] and duration as text."""
         start, goal = (

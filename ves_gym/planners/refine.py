@@ -89,7 +89,7 @@ class Refined:
         starts, why = [problem.straight], None
         for objective in ("time", "qt"):
             try:
-                result = Ompl(objective=objective, relax=False).search(query, seed)
+                result = Ompl(objective=objective).search(query, seed)
             except NoPlan as error:
                 why = error
             else:

@@ -37,10 +37,9 @@ STYLES: dict[str, Style] = {
     "refined-long": Style(4, _DASHES[1]),
     "robust": Style(4, _DASHES[2]),
     "robust-worst": Style(4, _DASHES[3]),
-    "ompl-energy": Style(5),
-    "ompl-qt": Style(5, _DASHES[1]),
-    "ompl-q": Style(5, _DASHES[2]),
-    "ompl-time": Style(5, _DASHES[3]),
+    "ompl-qt": Style(5),
+    "ompl-q": Style(5, _DASHES[1]),
+    "ompl-time": Style(5, _DASHES[2]),
     "shaped-zv": Style(6),
     "shaped-zvd": Style(6, _DASHES[1]),
 }
