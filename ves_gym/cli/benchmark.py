@@ -24,7 +24,6 @@ from ves_gym.cli.common import (
 )
 from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.best_known import merge_best
-from ves_gym.planners.gap import NOT_ASKED
 from ves_gym.planners.objective import parse_weights
 from ves_gym.planners.registry import PLANNERS, get_planner, weighted
 from ves_gym.planners.suites import OBSTACLES, SUITES, Suite, get_suite
@@ -62,12 +61,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f" {', '.join(MEASURES)}",
     )
     add_frequency_weight(parser)
-    parser.add_argument(
-        "--bound",
-        action="store_true",
-        help="certify how little energy any motion can have, for the column gap = E_mean over"
-        " that bound (three joints, no internal modes; 2 to 15 s of a processor a query)",
-    )
     parser.add_argument("--workers", type=int, metavar="N", help="planning processes")
     parser.add_argument(
         "--keep-best", metavar="FILE", help="merge the least energies into FILE (best known)"
@@ -110,7 +103,6 @@ def run(args: argparse.Namespace) -> int:
             planners=names,
             seed=args.seed,
             workers=args.workers,
-            bound=args.bound,
             command=shlex.join(["ves-gym", *sys.argv[1:]]),
             progress=on_progress,
         )
@@ -197,7 +189,6 @@ def _print_tables(result: dict[str, Any]) -> None:
 
     emulated = result["mode"] == "emulated"
     scores = any(row["score_median"] is not None for row in result["summary"])
-    gaps = any(row["gap_median"] is not None for row in result["summary"])
     width = 164 if emulated else 136
     console = Console(width=None if sys.stdout.isatty() else width, markup=False)
     for vehicle in result["systems"]:
@@ -211,7 +202,6 @@ def _print_tables(result: dict[str, Any]) -> None:
             "E_res",
             "E_peak",
             "acc.\npeak",
-            *(("gap",) if gaps else ()),
             *(("emulation\nerror", "base\nerror") if emulated else ()),
             "off",
             "success",
@@ -232,7 +222,6 @@ def _print_tables(result: dict[str, Any]) -> None:
                 _number(row["E_res_ratio_median"], ".3f"),
                 _number(row["E_peak_ratio_median"], ".3f"),
                 _number(row["acceleration_peak_ratio_median"], ".2f"),
-                *((_number(row["gap_median"], ".2f"),) if gaps else ()),
                 *_errors(row),
                 _number(row["prediction_error_median"], ".2%"),
                 f"{100 * row['success_rate']:.0f} %",
@@ -242,13 +231,12 @@ def _print_tables(result: dict[str, Any]) -> None:
     console.print(
         "Medians over queries. ratio: E_mean over the straight line's on the same query, with\n"
         "the 95 % interval of the median; E_res, E_peak and the base's largest acceleration:\n"
-        "likewise; gap: E_mean over what no motion goes below; score: 0 the straight line,\n"
-        "1 the best known; off: predicted E_mean against the simulated one; success: of\n"
-        "all queries; plan: median and longest planning time.",
+        "likewise; score: 0 the straight line, 1 the best known; off: predicted E_mean\n"
+        "against the simulated one; success: of all queries; plan: median and longest\n"
+        "planning time.",
         style="dim",
     )
     _print_disturbances(result, console)
-    _print_gaps(result, console)
     _print_failures(result, console)
     _print_limits(result, console)
     if emulated:
@@ -296,14 +284,6 @@ def _print_disturbances(result: dict[str, Any], console: Any) -> None:
         f"weighted: mean energy after a filter of gain {result['frequency_weight']}.",
         style="dim",
     )
-
-
-def _print_gaps(result: dict[str, Any], console: Any) -> None:
-    """Say why rows have no gap, where bounds were asked for."""
-    reasons = Counter(row["no_gap"] for row in result["rows"] if row["no_gap"])
-    for why, count in reasons.most_common():
-        if why != NOT_ASKED:
-            console.print(f"no gap {count} x: {why}", soft_wrap=True)
 
 
 def _print_failures(result: dict[str, Any], console: Any) -> None:

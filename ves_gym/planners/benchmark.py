@@ -31,7 +31,6 @@ from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo
 from ves_gym.mechanics.limits import LimitCheck
 from ves_gym.planners.benchmark_summary import BASELINE, anytime, rank_correlation, summarise
 from ves_gym.planners.best_known import add_scores
-from ves_gym.planners.gap import add_gaps
 from ves_gym.planners.ompl_search import Ompl
 from ves_gym.planners.played import broken_in_play, solve_with_reserve
 from ves_gym.planners.query import Plan, Query
@@ -57,7 +56,6 @@ def run_benchmark(
     planners: Sequence[str] | None = None,
     seed: int = 0,
     workers: int | None = None,
-    bound: bool = False,
     command: str = "",
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -69,8 +67,6 @@ def run_benchmark(
             since every energy is also given relative to it.
         seed: of every planner and of the laboratory's noise, >= 0.
         workers: planning processes; default one per processor, 1 plans in this process.
-        bound: find the least energy that any motion can have, where that can be certified,
-            for the column `gap` (2 to 15 s of a processor a query).
         command: the command line that the result names.
         progress: called with a stage name and the fraction done.
 
@@ -105,7 +101,6 @@ def run_benchmark(
         if (query.name, name) in suite.uncompensated_runs:
             runs.append(_Run(name + _UNCOMPENSATED, vehicle, plan, uncompensated(query.system)))
     rows, groups = _simulate_all(runs, seed, report)
-    add_gaps(rows, suite.queries, bound, workers, report)
     add_scores(rows, {v: q.system.ideal().hash for v, q in suite.queries}, BASELINE)
     first = suite.queries[0][1].system
     listed = [{"name": n, "summary": get_planner(n).summary} for n in names]

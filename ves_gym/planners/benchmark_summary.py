@@ -69,7 +69,6 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                     f"{k}_ratio_median": _median(_shares(members, baseline, k))
                     for k in MEASURES
                 },
-                "gap_median": _median(_numbers(members, "gap")),
                 "solvable": len(possible),
                 "solvable_rate": float(np.mean(possible)) if possible else None,
                 "prediction_error_median": _median(errors),

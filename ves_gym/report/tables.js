@@ -14,7 +14,6 @@ function ratioOf(row) {
 
 const SCORES = (data.summary ?? []).some((row) => typeof row.score_median === "number");
 const MOVES = (data.summary ?? []).some((row) => typeof row.acceleration_peak_median === "number");
-const GAPS = (data.summary ?? []).some((row) => typeof row.gap_median === "number");
 const BAR = { w: 190, h: 22, pad: 5 };
 
 /** Median as a bar, its interval as a whisker, every query as a dot; 1 is the straight line. */
@@ -57,7 +56,7 @@ function summaryTable(groups) {
     ["case", ""], ["planner", ""], ["ratio to straight", `0 to ${number(top, 2)}`],
     ["E_mean", "ratio"], ["95 %", "interval"], ["E_mean", "J"], ["E_res", "ratio"],
     ["E_peak", "ratio"], ...(MOVES ? [["acceleration", "peak, ratio"], ["tip", "peak, ratio"]] : []),
-    ...(GAPS ? [["gap", "E / bound"]] : []), ...(SCORES ? [["score", "best = 1"]] : []),
+    ...(SCORES ? [["score", "best = 1"]] : []),
     ...(EMULATED ? [["emulation", "error"], ["base", "error"]] : []), ["predicted", "error"],
     ["planning", "s"], ["95 %", "below s"], ["success", ""], ["solvable", "solved"], ["queries", ""],
   ];
@@ -90,7 +89,6 @@ function summaryGroup(group, top, headings) {
       ...(MOVES ? [
         cell(number(row.acceleration_peak_ratio_median)), cell(number(row.tip_peak_ratio_median)),
       ] : []),
-      ...(GAPS ? [cell(number(row.gap_median))] : []),
       ...(SCORES ? [cell(number(row.score_median))] : []),
       ...(EMULATED ? [
         row.stopped === row.n ? cell("stopped", "bad") : cell(signed(row.emulation_error_median)),
@@ -149,7 +147,6 @@ const COLUMNS = [
     ["attitude_end", "attitude", "at the end, rad", number],
     ["E_weighted", "E_weighted", "J", number],
   ] : []),
-  ...(GAPS ? [["gap", "gap", "E / bound", number], ["no_gap", "no gap", ""]] : []),
   ...(EMULATED ? [
     ["E_mean_ideal", "E_mean", "J in space", number],
     ["emulation_error", "emulation", "error", signed], ["base_error", "base", "error", percent],
