@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode
 
 from ves_gym._util.params import ParameterError
 from ves_gym.baselines.evaluate import evaluate, make_vector
-from ves_gym.baselines.mppi import Mppi, believed, returns
+from ves_gym.baselines.mppi import Mppi, nominal_model, returns
 from ves_gym.baselines.registry import get_controller
 
 REST = "ves/PumaRestToRest-v1"
@@ -27,7 +27,7 @@ def test_returns_of_the_model_are_those_of_the_environment() -> None:
     actions = rng.uniform(-0.2, 0.2, (2, env.task.steps, 3))
     for k in range(40):
         env.step(actions[:, k])
-    model = believed(env, 3)
+    model = nominal_model(env, 3)
     model.fan_out(env, 1)
     found = returns(model, np.repeat(actions[1:, 40:], 3, axis=0))
     total = 0.0
@@ -73,5 +73,5 @@ def test_what_it_cannot_do_is_refused() -> None:
         Mppi().reset(env, np.arange(1))
     with pytest.raises(ParameterError, match="lanes >= 2"):
         Mppi(lanes=1)
-    model = believed(make_vector(REST, 1, AutoresetMode.DISABLED, threads=1), 2)
+    model = nominal_model(make_vector(REST, 1, AutoresetMode.DISABLED, threads=1), 2)
     assert replace(model.task, randomize=()) == model.task

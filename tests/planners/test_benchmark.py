@@ -22,7 +22,7 @@ from ves_gym.planners.benchmark import (
     run_query,
     summarise,
 )
-from ves_gym.planners.played import solve_with_reserve
+from ves_gym.planners.execution_check import solve_with_reserve
 from ves_gym.planners.query import NoPlan, Plan, Query
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import Suite, get_suite, reach100, uncompensated

@@ -16,7 +16,7 @@ from ves_gym.planners.obstacles import (
     link_radius,
     read_surroundings,
 )
-from ves_gym.planners.query import Query, broken_limit, is_feasible, sample_path
+from ves_gym.planners.query import Query, first_violation, is_feasible, sample_path
 from ves_gym.system.system import System
 
 BALL = Sphere(centre=(0.6, 0.0, 1.0), radius=0.2)
@@ -162,7 +162,7 @@ def test_a_motion_is_checked_finely():
         surroundings=Surroundings(obstacles=(thorn,), clearance=0.0),
     )
     assert is_feasible(free, free.straight)
-    assert "obstacle 1 (sphere)" in broken_limit(query, query.straight)
+    assert "obstacle 1 (sphere)" in first_violation(query, query.straight)
     path = sample_path(query.straight, 0.01)
     assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() < 0.012
     np.testing.assert_array_equal(path[[0, -1]], [start, goal])

@@ -19,7 +19,7 @@ from ves_gym.planners.metric import Metric
 from ves_gym.planners.obstacles import Box, Sphere, Surroundings, collisions
 from ves_gym.planners.ompl_search import OBJECTIVES, Ompl, SearchProcess, cruise, follow
 from ves_gym.planners.ompl_worker import ALGORITHMS, BadCost, require_cost
-from ves_gym.planners.query import NoPlan, Query, broken_limit, solve
+from ves_gym.planners.query import NoPlan, Query, first_violation, solve
 from ves_gym.planners.suites import SPEED_LIMITS
 from ves_gym.system.system import System
 
@@ -84,7 +84,7 @@ def test_the_same_seed_gives_the_same_path(algorithm):
 
 
 def test_it_goes_around():
-    assert "obstacle 1 (box)" in broken_limit(ACROSS, ACROSS.straight)
+    assert "obstacle 1 (box)" in first_violation(ACROSS, ACROSS.straight)
     plan = solve(Ompl(evaluations=5000), ACROSS)
     assert plan.feasible
     assert plan.info["checks"] > 0

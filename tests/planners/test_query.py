@@ -20,7 +20,7 @@ from ves_gym.mechanics.vehicle import (
 )
 from ves_gym.planners.direct import Direct
 from ves_gym.planners.prediction import FINE, BaseState, predict
-from ves_gym.planners.query import Plan, Query, broken_limit, is_feasible, solve
+from ves_gym.planners.query import Plan, Query, first_violation, is_feasible, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import SPEED_LIMITS
 from ves_gym.simulation.playback import play_motions
@@ -99,7 +99,7 @@ def test_a_motion_continues_what_the_joints_do():
         assert Motion.from_dict(motion.to_dict()) == motion
     at_rest = query()
     assert not is_feasible(moving, at_rest.straight)
-    assert "do not move at the start" in broken_limit(at_rest, moving.straight)
+    assert "do not move at the start" in first_violation(at_rest, moving.straight)
 
 
 def test_a_plan_against_a_moving_base_is_kept_with_it(tmp_path):
@@ -125,11 +125,11 @@ def test_a_limit_broken_by_little_is_not_said_to_be_kept():
     fast = query()
     peak = np.abs(fast.straight.at(np.linspace(0, fast.duration, 2001)).v).max(axis=0)
     limited = dataclasses.replace(fast, v_max=tuple((peak + 1) * (1, 1, 1)))
-    assert broken_limit(limited, fast.straight) is None
+    assert first_violation(limited, fast.straight) is None
     joint = int(peak.argmax())
     limit = peak + 1
     limit[joint] = peak[joint] / (1 + 1e-4)
-    reason = broken_limit(dataclasses.replace(fast, v_max=tuple(limit)), fast.straight)
+    reason = first_violation(dataclasses.replace(fast, v_max=tuple(limit)), fast.straight)
     assert reason == f"velocity of joint {joint + 1} reaches 1.0001 of its limit"
 
 

@@ -18,7 +18,7 @@ from ves_gym.planners import sequential
 from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.obstacles import Box, Sphere, Surroundings, collisions
 from ves_gym.planners.prediction import predict
-from ves_gym.planners.query import NoPlan, Query, broken_limit, solve
+from ves_gym.planners.query import NoPlan, Query, first_violation, solve
 from ves_gym.planners.refine import Refined, detours, refine, refine_duration
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import SPEED_LIMITS, reach100
@@ -72,7 +72,7 @@ def test_any_motion_may_be_refined(planner):
     query = QUERIES["reach-2s-000"]
     start = solve(get_planner(planner), query).motion
     motion, info = refine(query, start)
-    assert broken_limit(query, motion) is None
+    assert first_violation(query, motion) is None
     assert energy(query, motion) < energy(query, start)
     assert info["starts"] == 1
     slow = start.retimed(5.0)  # at whatever speed it was
@@ -87,7 +87,7 @@ def test_another_start_can_find_less():
 
 
 def test_it_goes_around_obstacles():
-    assert "obstacle 1 (box)" in broken_limit(ACROSS, ACROSS.straight)
+    assert "obstacle 1 (box)" in first_violation(ACROSS, ACROSS.straight)
     plan = solve(Refined(), ACROSS)
     assert plan.feasible
     checker = collisions(System(vehicle=BENT_THESIS), PILLAR)
@@ -206,7 +206,7 @@ def test_the_duration_may_be_chosen():
     hurried, paid = refine_duration(query, 1.5, 4.0, price=0.02, free=12)
     assert hurried.duration < motion.duration
     timed = dataclasses.replace(query, duration=hurried.duration)
-    assert broken_limit(timed, hurried) is None
+    assert first_violation(timed, hurried) is None
     assert paid["cost"] == pytest.approx(
         energy(timed, hurried) + 0.02 * hurried.duration, rel=0.02
     )

@@ -5,7 +5,7 @@ import pytest
 
 from tests.report.studio_page import open_page, ready
 from ves_gym.planners.query import Query
-from ves_gym.report.studio import quiet_via, render_studio, studio_data
+from ves_gym.report.studio import low_energy_waypoint, render_studio, studio_data
 from ves_gym.system.system import System
 
 QUERY = Query(
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def data():
-    return studio_data(QUERY, quiet_via(QUERY))
+    return studio_data(QUERY, low_energy_waypoint(QUERY))
 
 
 @pytest.mark.parametrize("dark", [False, True])

@@ -21,7 +21,7 @@ import numpy as np
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym._util.threads import on_one_thread
 from ves_gym.baselines.decision_clock import DecisionClock
-from ves_gym.baselines.mppi import AT_REST, believed, unrest
+from ves_gym.baselines.mppi import AT_REST, nominal_model, residual_motion_cost
 from ves_gym.engine.kernel.sensitivity import rollout_gradients
 from ves_gym.envs.control import Guided
 from ves_gym.envs.rest_to_rest import RestToRest
@@ -89,7 +89,7 @@ class Ilqr:
                 f" {task.kind} through control {control.kind}"
             )
         if self._of != task or len(self._motion) != env.num_envs:
-            self._model, self._of = believed(env, len(_STEPS)), task
+            self._model, self._of = nominal_model(env, len(_STEPS)), task
             width = env.batch.width
             still = np.zeros((task.steps, width))
             size = state_of(self._model, measured=False).shape[1]
@@ -186,7 +186,7 @@ def play(
         cost = cost - model.batch.step(u)[0]
         states.append(state_of(model, measured=False))
         actions.append(u)
-    cost = cost + unrest(model)
+    cost = cost + residual_motion_cost(model)
     return np.nan_to_num(cost, nan=np.inf), np.stack(states), np.stack(actions)
 
 

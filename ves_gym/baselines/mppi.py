@@ -98,7 +98,7 @@ class Mppi:
                 f" {task.kind} through control {task.control.kind}"
             )
         if self._of != task or len(self._actions) != env.num_envs:
-            self._model, self._of = believed(env, self.lanes), task
+            self._model, self._of = nominal_model(env, self.lanes), task
             self._splines = basis(self.knots, np.linspace(0.0, 1.0, task.steps), 0)
             self._actions = np.zeros((env.num_envs, task.steps, env.batch.width))
             self._rng = [np.random.default_rng()] * env.num_envs
@@ -132,7 +132,7 @@ class Mppi:
             e[0] = 0.0  # the present sequence itself
             model.fan_out(env, i)
             cost = -returns(model, np.clip(rest + splines @ e, -1.0, 1.0))
-            cost += unrest(model)
+            cost += residual_motion_cost(model)
             spread = float(cost.std())
             if not spread > _LEAST:
                 break
@@ -142,7 +142,7 @@ class Mppi:
             scale *= _FADES
 
 
-def believed(env: VesVectorEnv, lanes: int) -> VesVectorEnv:
+def nominal_model(env: VesVectorEnv, lanes: int) -> VesVectorEnv:
     """Return a model of an environment: in space, without errors, begun.
 
     Args:
@@ -172,7 +172,7 @@ def returns(model: VesVectorEnv, actions: Array) -> Array:
     return total
 
 
-def unrest(model: VesVectorEnv) -> Array:
+def residual_motion_cost(model: VesVectorEnv) -> Array:
     """Return a price of joints that still move (lanes,), which the reward does not have.
 
     Args:

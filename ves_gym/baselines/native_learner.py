@@ -17,7 +17,7 @@ from ves_gym.baselines.perceptron import ActorCritic
 from ves_gym.baselines.policy import Network, Policy
 from ves_gym.baselines.ppo import PPO, Settings, Sight, flat
 from ves_gym.baselines.registry import get_controller
-from ves_gym.baselines.relative import lean
+from ves_gym.baselines.relative import init_goal_difference
 from ves_gym.envs.vector import VesVectorEnv
 
 
@@ -55,7 +55,7 @@ class NativeLearner:
             for net in (self.agent.actor, self.agent.critic):
                 newest = net.layers[0][0][-size:]
                 space = env.single_observation_space
-                lean(
+                init_goal_difference(
                     newest, env.task, space, config.relative, lambda *k: rng.standard_normal(k)
                 )
         self.ppo = PPO(self.decisions, self.agent, self.sight, settings, rng, on_endings)

@@ -13,7 +13,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym.envs.task import Task
 
 
-def lean(
+def init_goal_difference(
     W: Any, task: Task, space: spaces.Space[Any], length: float, normal: Callable[..., Any]
 ) -> None:
     """Make a first layer look at the way to the target, in lengths [m].

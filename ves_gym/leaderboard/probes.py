@@ -32,7 +32,7 @@ from ves_gym.leaderboard.stored_results import golden, probe_names
 from ves_gym.leaderboard.tracks.base import Method
 from ves_gym.mechanics.limits import limit_ratios
 from ves_gym.mechanics.motion import Motion
-from ves_gym.planners import played
+from ves_gym.planners import execution_check
 
 Plain = dict[str, Any]
 Measure = Callable[[], Plain]
@@ -123,8 +123,8 @@ def _tolerances(problem: Problem) -> Plain:
         out |= {
             "planned": protocol.PLANNED,
             "ledger": protocol.LEDGER_PATHS,
-            "ripple": played.RIPPLE,
-            "aim": played.AIM,
+            "ripple": execution_check.RIPPLE,
+            "aim": execution_check.AIM,
         }
     elif problem.track == "damping":
         out |= {"planned": protocol.PLANNED}
@@ -260,7 +260,7 @@ def queries(problem: Problem) -> Plain:
 def motions(problem: Problem) -> Plain:
     """Return energies, predictions and verdicts of fixed motions on the first questions."""
     from ves_gym.planners.prediction import predict
-    from ves_gym.planners.query import broken_limit
+    from ves_gym.planners.query import first_violation
 
     excerpt = Excerpt(problem.track, problem.name, _QUERIES)
     track, seeds = _paths(), seeds_of(problem, None)
@@ -277,7 +277,7 @@ def motions(problem: Problem) -> Plain:
         "predicted": [
             predict(q.system, m, q.servo).to_dict() for q, m in pairs[: 2 * len(asked_queries)]
         ],
-        "inside the limits": [broken_limit(q, m) is None for q, m in pairs],
+        "inside the limits": [first_violation(q, m) is None for q, m in pairs],
         "shares of the limits": [
             {k: v.tolist() for k, v in limit_ratios(q.system.arm, m).items()} for q, m in pairs
         ],

@@ -6,7 +6,7 @@ is for the space system. In mode emulated the laboratory plays the motions, the 
 system plays them again, and the difference is the emulation error.
 
 An answer is a success by the rule of the leaderboard: inside its limits as it is commanded,
-and as the arm plays it (`played.py`).
+and as the arm plays it (`execution_check.py`).
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo
 from ves_gym.mechanics.limits import LimitCheck
 from ves_gym.planners.benchmark_summary import BASELINE, anytime, rank_correlation, summarise
 from ves_gym.planners.best_known import add_scores
+from ves_gym.planners.execution_check import executed_violation, solve_with_reserve
 from ves_gym.planners.ompl_search import Ompl
-from ves_gym.planners.played import broken_in_play, solve_with_reserve
 from ves_gym.planners.query import Plan, Query
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.scenes import PlayedPlan, coupling_maps, scene, trace
@@ -245,7 +245,7 @@ def _simulate_all(
                 check = recording.limit_check(k, v_max=run.plan.query.v_max)
                 rows[i] = _row(run, measured[k], in_space[k], check, moved[k])
                 if rows[i]["success"]:
-                    why = broken_in_play(run.plan.query, recording, k)
+                    why = executed_violation(run.plan.query, recording, k)
                     rows[i] |= {"success": why is None, "failure": why}
                 if ideal is not None:
                     rows[i] |= _emulation(recording, ideal, k, rows[i], in_space[k])

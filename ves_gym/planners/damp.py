@@ -16,7 +16,7 @@ import numpy as np
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.direct import MotionProblem
-from ves_gym.planners.query import Query, broken_limit, require_time
+from ves_gym.planners.query import Query, first_violation, require_time
 from ves_gym.planners.sequential import minimise
 
 _POINTS = 6.0  # free control points per second
@@ -69,7 +69,7 @@ class DampRelease:
             energies.append(minimum.energy)
             iterations += minimum.iterations
             evaluations += minimum.evaluations
-            if last and broken_limit(query, motion) is None:
+            if last and first_violation(query, motion) is None:
                 break
         info = minimum.info() | {"iterations": iterations, "evaluations": evaluations}
         return motion, info | {"rounds": energies}

@@ -25,7 +25,7 @@ from ves_gym._util.process_pool import ONE_THREAD
 from ves_gym.mechanics.motion import Motion, quintic
 from ves_gym.planners.hotspot import feasible_part, resample
 from ves_gym.planners.ompl_worker import ALGORITHMS, PathSearchResult, Request
-from ves_gym.planners.query import NoPlan, Query, broken_limit, require_possible
+from ves_gym.planners.query import NoPlan, Query, first_violation, require_possible
 
 OBJECTIVES = {
     "q": "coupling length on raw Q (thesis 4.2)",
@@ -81,7 +81,7 @@ class Ompl:
         result = self.search(query, seed)
         assert result.path is not None
         motion, share = time_path(query, result.path)
-        hurried = broken_limit(query, motion) is not None and self.objective != "time"
+        hurried = first_violation(query, motion) is not None and self.objective != "time"
         if hurried:  # no time for this path: the fastest is the next best
             fast = replace(self, objective="time").search(query, seed)
             assert fast.path is not None
@@ -145,14 +145,14 @@ def time_path(query: Query, path: Array) -> tuple[Motion, float]:
         The motion, and the share of the way from the straight line that is left [1].
     """
     smooth = Motion.through(path, query.duration)
-    if broken_limit(query, smooth) is None:
+    if first_violation(query, smooth) is None:
         return smooth, 1.0
     if query.surroundings is None:
         return feasible_part(query, resample(path, _POINTS))
     for law in (quintic, cruise):
         for controls in _FOLLOWED:
             motion = follow(path, query.duration, query.speed, controls, law)
-            if broken_limit(query, motion) is None:
+            if first_violation(query, motion) is None:
                 return motion, 1.0
     return motion, 1.0
 

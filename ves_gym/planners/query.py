@@ -277,7 +277,7 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
             failure: str | None = str(error)
         else:
             predicted = predict(query.system, motion, query.servo, base=query.base, parts=FINE)
-            failure = broken_limit(query, motion)
+            failure = first_violation(query, motion)
     seconds = time.perf_counter() - begin
     return Plan(planner.name, query, motion, predicted, seconds, failure, info)
 
@@ -290,12 +290,12 @@ def is_feasible(query: Query, motion: Motion) -> bool:
         motion: a candidate.
 
     Returns:
-        `broken_limit` is None.
+        `first_violation` is None.
     """
-    return broken_limit(query, motion) is None
+    return first_violation(query, motion) is None
 
 
-def broken_limit(query: Query, motion: Motion) -> str | None:
+def first_violation(query: Query, motion: Motion) -> str | None:
     """Name the first limit that keeps a motion from being an answer to a query.
 
     Ends, duration, position, the query's speed and acceleration limits, on motor drives the
@@ -323,7 +323,7 @@ def broken_limit(query: Query, motion: Motion) -> str | None:
     return _touched(query, motion)
 
 
-def shortest_like(query: Query, motion: Motion) -> float:
+def min_duration(query: Query, motion: Motion) -> float:
     """Return how long a motion's way and timing must take to keep speed and torque limits [s].
 
     From rest to rest on a base at rest nothing weighs on the joints: played k times slower,

@@ -24,9 +24,9 @@ from ves_gym.planners.ompl_search import Ompl, time_path
 from ves_gym.planners.query import (
     NoPlan,
     Query,
-    broken_limit,
+    first_violation,
+    min_duration,
     require_possible,
-    shortest_like,
 )
 from ves_gym.planners.sequential import Minimum, about_itself, minimise, rank
 
@@ -79,7 +79,7 @@ class Refined:
         """
         require_possible(query)
         problem = MotionProblem(query, self.free, weights=self.weights)
-        if query.surroundings is None or broken_limit(query, query.straight) is None:
+        if query.surroundings is None or first_violation(query, query.straight) is None:
             compared = problem
             if problem.straight.size > _LARGE and self.free > 1:
                 compared = MotionProblem(query, self.free // 2, problem.energy)
@@ -96,7 +96,7 @@ class Refined:
                 assert result.path is not None
                 starts.append(problem.of(time_path(query, result.path)[0]))
         motion, info = _best(problem, starts)
-        if len(starts) == 1 and why is not None and broken_limit(query, motion) is not None:
+        if len(starts) == 1 and why is not None and first_violation(query, motion) is not None:
             raise why  # no way was found, and the straight one could not be bent around
         return motion, info
 
@@ -238,7 +238,7 @@ def _best(
         x = looks[k].x if first is problem else problem.of(first.motion(looks[k].x))
         minimum = about_itself(problem, minimise(problem, x, tolerance=_FINE))
         motion = problem.motion(minimum.x)
-        stands = broken_limit(problem.query, motion) is None
+        stands = first_violation(problem.query, motion) is None
         if best is None or stands:
             best = motion, minimum, k
         if stands:
@@ -254,7 +254,7 @@ def _best(
     if stands:
         return best[0], info
     as_they_are = [first.motion(x) for x in starts]
-    feasible = [m for m in as_they_are if broken_limit(problem.query, m) is None]
+    feasible = [m for m in as_they_are if first_violation(problem.query, m) is None]
     if not feasible:
         return best[0], info
     least = min(feasible, key=problem.energy.of)
@@ -274,8 +274,8 @@ def _require_duration(problem: MotionProblem, looks: Sequence[Minimum], share: f
         return
     if any(map(_is_feasible, looks)):
         return
-    like = [shortest_like(query, problem.motion(look.x)) for look in looks]
-    straight = shortest_like(query, query.straight)
+    like = [min_duration(query, problem.motion(look.x)) for look in looks]
+    straight = min_duration(query, query.straight)
     shortest = min(*like, straight)
     if shortest > share * query.duration:
         raise NoPlan(

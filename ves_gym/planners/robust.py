@@ -18,7 +18,7 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import has
-from ves_gym.planners.query import Query, broken_limit
+from ves_gym.planners.query import Query, first_violation
 from ves_gym.planners.refine import _FREE, Refined
 from ves_gym.planners.scenarios import ScenarioProblem
 from ves_gym.planners.sequential import minimise
@@ -190,7 +190,7 @@ class Robust:
 
     @staticmethod
     def _stands(problem: ScenarioProblem, x: Array) -> bool:
-        return broken_limit(problem.query, problem.motion(x)) is None
+        return first_violation(problem.query, problem.motion(x)) is None
 
 
 def scenarios(system: System, uncertain: Ranges) -> list[System]:

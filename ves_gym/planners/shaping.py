@@ -16,7 +16,7 @@ from ves_gym._util.params import Array, require_choice
 from ves_gym.mechanics.motion import Motion, quintic
 from ves_gym.planners.coupling import blocks, modes
 from ves_gym.planners.prediction import joint_momentum, spectral_energy
-from ves_gym.planners.query import Query, broken_limit
+from ves_gym.planners.query import Query, first_violation
 from ves_gym.system.system import System
 
 SHAPERS = ("zv", "zvd")
@@ -83,7 +83,7 @@ class Shaped:
                 continue
             shaped = shaped_motion(query, Shaper(t, a))
             energy = spectral_energy(query.system, shaped)
-            if energy < least and broken_limit(query, shaped) is None:
+            if energy < least and first_violation(query, shaped) is None:
                 chosen.append(mode)
                 motion, times, sizes, least = shaped, t, a, energy
         return motion, {

@@ -18,7 +18,7 @@ from ves_gym.mechanics.limits import THREE_JOINTS, default_goal
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.query import Plan, Planner, Query, solve
 from ves_gym.planners.registry import get_planner
-from ves_gym.report.studio import playable, quiet_via, render_studio, studio_data
+from ves_gym.report.studio import low_energy_waypoint, playable, render_studio, studio_data
 from ves_gym.report.studio_files import open_item
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
@@ -115,7 +115,7 @@ class Studio:
             duration=duration,
         )
         if via is None:
-            points = quiet_via(query)
+            points = low_energy_waypoint(query)
         else:
             points = [arm.require_within_limits(point, "via") for point in via]
         plans = []

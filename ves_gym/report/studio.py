@@ -56,7 +56,7 @@ _SHARES = {"position": 1.0, "velocity": 1.0, "torque": 0.7}  # of limits
 _SLOWER = (1.0, 1.5)  # durations of these, over that of the motion shown
 
 
-def quiet_via(query: Query) -> list[Array]:
+def low_energy_waypoint(query: Query) -> list[Array]:
     """Return a way-point for the page to begin with: of a few detours the calmest.
 
     Args:

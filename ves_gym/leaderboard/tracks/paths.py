@@ -34,8 +34,8 @@ from ves_gym.leaderboard.tracks.base import (
 )
 from ves_gym.mechanics.motion import DEGREE, Motion
 from ves_gym.mechanics.vehicle import get_vehicle
-from ves_gym.planners.played import broken_in_play, solve_with_reserve
-from ves_gym.planners.query import Plan, Planner, Query, broken_limit, solve
+from ves_gym.planners.execution_check import executed_violation, solve_with_reserve
+from ves_gym.planners.query import Plan, Planner, Query, first_violation, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import reach100
 from ves_gym.simulation.divergence import Divergence
@@ -256,7 +256,7 @@ def _remembered(
     asked = [None if m is None else _Asked(problem, seeds, k, m) for k, m in enumerate(motions)]
     new = [
         a.motion
-        if a is not None and a not in _REMEMBERED and broken_limit(q, a.motion) is None
+        if a is not None and a not in _REMEMBERED and first_violation(q, a.motion) is None
         else None
         for q, a in zip(queries, asked, strict=True)
     ]
@@ -366,7 +366,7 @@ def _done(
     )
     out = []
     for i, k in enumerate(which):
-        out.append(broken_in_play(queries[k], dense, i) is None)
+        out.append(executed_violation(queries[k], dense, i) is None)
         relative = EnergyBalance.of(dense.log(i)).relative
         if not relative <= LEDGER_PATHS:
             raise BundleError(

@@ -1,9 +1,9 @@
-"""Answers of planners that the arm keeps: `python -m benchmarks.played [--queries N] [NAME]`.
+"""Answers that the arm keeps: `python -m benchmarks.execution_check [--queries N] [NAME]`.
 
 Per planner and problem of the track *paths*: answers inside the limits as they are commanded,
 and those that the simulated arm keeps at every physics step (rules 2 of the track:
-`planners/played.py`), with the query's speed limits and with the reserve that is left on the
-board.
+`planners/execution_check.py`), with the query's speed limits and with the reserve that is
+left on the board.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from ves_gym.leaderboard.protocol import get_problem, problems, seeds_of
 from ves_gym.leaderboard.tracks.paths import PathTrack
 from ves_gym.mechanics.motion import Motion
-from ves_gym.planners.played import RESERVE, broken_in_play, solve_with_reserve
-from ves_gym.planners.query import Query, broken_limit
+from ves_gym.planners.execution_check import RESERVE, executed_violation, solve_with_reserve
+from ves_gym.planners.query import Query, first_violation
 from ves_gym.planners.registry import get_planner
 from ves_gym.simulation.playback import play_motions
 
@@ -49,7 +49,7 @@ def kept(answers: Sequence[tuple[Query, Motion]]) -> Counter[str]:
             record_dt=query.system.physics_dt,
         )  # fmt: skip
         for i, (asked, _) in enumerate(part):
-            why = broken_in_play(asked, run, i)
+            why = executed_violation(asked, run, i)
             kinds = ("velocity", "position", "goal", "touches", "stops")
             out["kept" if why is None else next(k for k in kinds if k in why)] += 1
     return out
@@ -75,7 +75,7 @@ def main(words: Sequence[str]) -> int:
                 answers = [
                     (q, p.motion)
                     for q, p in zip(queries, plans, strict=True)
-                    if p.motion is not None and broken_limit(q, p.motion) is None
+                    if p.motion is not None and first_violation(q, p.motion) is None
                 ]
                 counts = kept(answers)
                 well = counts.pop("kept", 0)

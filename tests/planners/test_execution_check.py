@@ -9,9 +9,9 @@ import scipy.linalg
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.motion import Motion, basis
 from ves_gym.planners.benchmark import run_benchmark
+from ves_gym.planners.execution_check import AIM, RIPPLE, executed_violation, solve_with_reserve
 from ves_gym.planners.obstacles import Sphere, Surroundings, collisions
-from ves_gym.planners.played import AIM, RIPPLE, broken_in_play, solve_with_reserve
-from ves_gym.planners.query import broken_limit, solve
+from ves_gym.planners.query import first_violation, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import reach100
 from ves_gym.simulation.playback import play_motions
@@ -59,9 +59,9 @@ def played(query, motions):
 def test_what_hides_between_the_samples_of_a_reference_is_seen_on_the_arm(query, hidden):
     """Issue: motions accepted whose arm reaches 1.86 of v_max, or misses by 0.03 rad."""
     motions = [beside(query, joint, rate * hidden) for joint in range(3) for rate in (3, 30)]
-    assert [broken_limit(query, m) for m in motions] == [None] * 6
+    assert [first_violation(query, m) for m in motions] == [None] * 6
     run = played(query, motions)
-    verdicts = [broken_in_play(query, run, i) for i in range(6)]
+    verdicts = [executed_violation(query, run, i) for i in range(6)]
     fastest = (np.abs(run.v) / np.array(query.v_max)).max(axis=(1, 2))
     miss = np.abs(run.q[:, -401:] - query.ends[1]).max(axis=(1, 2))
     print("of v_max", fastest.round(2), "miss [rad]", miss.round(4))
@@ -92,22 +92,22 @@ def test_the_benchmark_judges_as_the_board_does(query, hidden, monkeypatch, rate
     straight, row = run_benchmark(suite, planners=["hiding"], workers=1)["rows"]
     assert straight["success"] and straight["failure"] is None
     assert not row["success"] and why in row["failure"] and row["E_mean"] > 0
-    assert row["failure"] == broken_in_play(query, played(query, [motion]), 0)
+    assert row["failure"] == executed_violation(query, played(query, [motion]), 0)
 
 
 def test_an_honest_motion_is_an_answer_and_its_tolerances_are_kept(query):
     run = played(query, [query.straight])
-    assert broken_in_play(query, run, 0) is None
+    assert executed_violation(query, run, 0) is None
     fastest = np.abs(run.v[0]).max(axis=0)
     j = int(np.argmax(fastest))
     for share, why in ((0.999 / (1 + RIPPLE), "velocity of joint"), (1.0, None)):
         v_max = [100.0] * query.system.arm.n
         v_max[j] = share * fastest[j]
-        verdict = broken_in_play(replace(query, v_max=tuple(v_max)), run, 0)
+        verdict = executed_violation(replace(query, v_max=tuple(v_max)), run, 0)
         assert (verdict is None) if why is None else (why in verdict)
-    assert broken_in_play(replace(query, v_max=None), run, 0) is None  # asks for no speed
+    assert executed_violation(replace(query, v_max=None), run, 0) is None  # asks for no speed
     goal = tuple(query.ends[1] + [1.5 * AIM, 0, 0])
-    assert "from the goal" in broken_in_play(replace(query, goal=goal), run, 0)
+    assert "from the goal" in executed_violation(replace(query, goal=goal), run, 0)
 
 
 def test_shapes_that_touch_are_seen_where_the_base_is(query):
@@ -132,9 +132,9 @@ def test_shapes_that_touch_are_seen_where_the_base_is(query):
 
     run = played(query, [query.straight])
     at_start = replace(query, surroundings=ball(0.0))
-    assert "the arm touches" in broken_in_play(at_start, run, 0)
+    assert "the arm touches" in executed_violation(at_start, run, 0)
     far = replace(query, surroundings=ball(50.0))
-    assert broken_in_play(far, run, 0) is None
+    assert executed_violation(far, run, 0) is None
 
 
 def test_a_reserve_is_left_where_the_planner_can():
