@@ -10,10 +10,10 @@ With u = H(q) q', E_mean = J_R(u) + 1/2 int u^T R u dt (`conjugate`), and for ev
     E_mean >= min over motions of (int l^T u + 1/2 u^T R u dt) - J_R*(l)
            >= f(0, start) - f(T, goal) - int e dt - J_R*(l)
 
-for every potential f with residual e (`potential`): benchmarks/lower_bound.md has the proof. Any l, f
-and y are valid; `barrier` finds good ones, and `LowerBound.check` evaluates them, so that the
-answer does not rest on the optimiser. Arms of more than four joints: the part of the bound that
-follows from the first moment of the arm's mass alone.
+for every potential f with residual e (`potential`): benchmarks/lower_bound.md has the proof.
+Any l, f and y are valid; `barrier` finds good ones, and `LowerBound.check` evaluates them, so
+that the answer does not rest on the optimiser. Arms of more than four joints: the part of the
+bound that follows from the first moment of the arm's mass alone.
 """
 
 from __future__ import annotations

@@ -13,9 +13,10 @@ import select
 import subprocess
 import sys
 import tempfile
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -238,16 +239,17 @@ class SearchProcess:
 
     def _start(self) -> subprocess.Popen[bytes]:
         paths = os.pathsep.join(p or os.getcwd() for p in sys.path)
-        self._said = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the child
-        self._owner = os.getpid()
-        self._process = subprocess.Popen(
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115 - `_stop` closes it
+        process = subprocess.Popen(
             [sys.executable, "-c", self.program],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._said,
             env={**os.environ, "PYTHONPATH": paths, **ONE_THREAD},
         )
-        return self._process
+        self._stop = weakref.finalize(self, _stop, process, self._said)
+        self._process, self._owner = process, os.getpid()
+        return process
 
     def _end(self) -> str:
         """End the child, if there is one; how it had ended, and the last thing it said."""
@@ -255,14 +257,19 @@ class SearchProcess:
         if process is None:
             return "not started"
         try:  # one that crashed is still about to end
-            process.wait(timeout=1.0)
+            how = f"exit status {process.wait(timeout=1.0)}"
         except subprocess.TimeoutExpired:
-            process.kill()
-        process.communicate()
+            how = "killed"
         self._said.seek(0)
-        said = self._said.read().decode(errors="replace").strip().splitlines()
-        how = f"exit status {process.returncode}"
-        return f"{how}; {said[-1][:200]}" if said else how
+        messages = self._said.read().decode(errors="replace").strip().splitlines()
+        self._stop()
+        return f"{how}; {messages[-1][:200]}" if messages else how
+
+
+def _stop(process: subprocess.Popen[bytes], messages: IO[bytes]) -> None:
+    process.kill()
+    process.communicate()
+    messages.close()
 
 
 SEARCH_PROCESS = SearchProcess()
