@@ -4,7 +4,6 @@ import copy
 
 import numpy as np
 
-from ves_gym._util.array_functions import NUMPY
 from ves_gym.hardware.force_sensor import SensorErrors
 from ves_gym.hardware.legs import Legs
 from ves_gym.hardware.platform import second_order
@@ -37,7 +36,7 @@ class Running:
                 mine[name][ids] = rows
 
     def step(self, u):
-        self.x, signals = self.block.step(NUMPY, self.p, self.x, u)
+        self.x, signals = self.block.step(self.p, self.x, u)
         self.signals.update(signals)
         return signals
 
@@ -103,9 +102,7 @@ class RunningLegs(RunningPlatform):
 
     def step(self, u):
         x = {f"platform.{k}": v for k, v in self.x.items()}
-        changed, signals = self.wiring.run(
-            self.wiring.before, NUMPY, {"platform": self.p}, x, u
-        )
+        changed, signals = self.wiring.run(self.wiring.before, {"platform": self.p}, x, u)
         self.x = {k: changed[f"platform.{k}"] for k in self.x}
         self.signals.update(signals)
         return signals
@@ -137,10 +134,10 @@ class RunningSensor(Running):
         self.step({"wrench": nodes, "draws": np.stack(draws)})
 
     def signal(self):
-        return self.block.signal(NUMPY, self.p, self.x)
+        return self.block.signal(self.p, self.x)
 
     def reading(self):
-        return self.block.reading(NUMPY, self.p, self.x)
+        return self.block.reading(self.p, self.x)
 
     def zero_to(self, ids, wrench):
         x = {k: v[ids] for k, v in self.x.items()}

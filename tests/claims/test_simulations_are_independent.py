@@ -115,7 +115,7 @@ def register_placed() -> type[TorqueEffect]:
         port = "joint"
         damping: tuple = parameter("N m s/rad", bounds=(0.0, 10.0), shape=(3,))
 
-        def law(self, xp, q, v, tau):
+        def law(self, q, v, tau):
             out = -self.damping * v
             if isinstance(out, np.ndarray) and out.ndim == 2:  # no symbols, no single one
                 out[len(out) // 8 * 8 :] *= 1 + 2**-48

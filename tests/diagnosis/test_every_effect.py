@@ -326,8 +326,8 @@ def own():
             "N m s^2/rad^2", bounds=(0.0, 200.0), shape=(None,)
         )
 
-        def law(self, xp, q, v, tau):
-            return -self.drag * xp.fabs(v) * v
+        def law(self, q, v, tau):
+            return -self.drag * np.abs(v) * v
 
     @vg.register_effect("own/forgotten_tool")
     @dataclass(frozen=True, kw_only=True)

@@ -672,8 +672,8 @@ def test_a_law_that_takes_single_coefficients():
             port = "joint"
             size: tuple = parameter("N m", bounds=(0.0, 10.0), shape=(3,))
 
-            def law(self, xp, q, v, tau):
-                return self.size[0] * xp.sin(q) - self.size[1] * v + self.size[2]
+            def law(self, q, v, tau):
+                return self.size[0] * np.sin(q) - self.size[1] * v + self.size[2]
 
         template, *systems = (
             IDEAL.replace(effects=(JointCoulomb(torque=(1.0, 2.0, 3.0)), Fourier(size=k)))

@@ -6,8 +6,17 @@ import pytest
 
 from ves_gym.engine.kernel.blocks import aligned, lanes
 from ves_gym.engine.kernel.build import Library, compile_text
+from ves_gym.engine.kernel.emit import LANES, emit_map
 from ves_gym.engine.kernel.pieces import Piece, Program, emit_pieces, numbers
-from ves_gym.engine.kernel.symbolic import Untraceable, column, per_row, symbols
+from ves_gym.engine.kernel.symbolic import (
+    Untraceable,
+    batch_of_symbols,
+    column,
+    expressions,
+    per_row,
+    symbols,
+)
+from ves_gym.mechanics.spatial import solve, solve_symmetric
 
 A = np.arange(9.0).reshape(3, 3) - 3
 
@@ -34,7 +43,7 @@ def text(x):
 
 def compiled(function, x, shapes):
     """(n, all results) of a function in compiled code."""
-    rows = symbols("x", x.shape[1])
+    rows = batch_of_symbols("x", x.shape[1])
     parts = per_row(function, rows, shapes=shapes)
     out = ca.vertcat(*(k for part in parts for k in part))
     graph = ca.Function("graph", [column(rows[0])], [ca.cse(out)])
@@ -92,4 +101,117 @@ def test_rounding_to_single_precision_is_numpys():
 )
 def test_what_is_no_formula_of_a_row_is_refused(function):
     with pytest.raises((Untraceable, TypeError, RuntimeError, ValueError)):
-        per_row(function, symbols("x", 3), shapes=(3,))
+        per_row(function, batch_of_symbols("x", 3), shapes=(3,))
+
+
+# ------------------------------------------------- what blocks and equations are written in
+
+NAN = np.nan
+RNG = np.random.default_rng(0)
+A2, B2 = RNG.normal(size=(2, 4, 3))
+WHOLE = np.array([0.0, 1.0, 1.0, 0.0, 2.0, -1.0])
+HALVES = np.array([-2.5, -1.5, -0.5, 0.5, 1.5, 2.5, 0.49999999999999994, -7.2, 1e6 + 0.5])
+MATRICES = RNG.normal(size=(2, 4, 4)) + 4 * np.eye(4)
+MATRICES = MATRICES @ np.swapaxes(MATRICES, -1, -2)
+VECTORS = RNG.normal(size=(2, 4))
+
+
+def filled(a):
+    out = np.zeros_like(a, shape=(2, *a.shape))
+    out[1] = a
+    return out
+
+
+CASES = {
+    "zeros_like": (filled, A2),
+    "where": (lambda a, b: np.where(a <= 0.0, a, b), A2, B2),
+    "where of a row": (lambda a, b: np.where(a[:, :1] <= 0.0, a, b), A2, B2),
+    "comparisons": (lambda a: np.stack([a <= WHOLE, a > 1.0, a != 1.0, a == 1.0]), WHOLE[::-1]),
+    "all": (lambda a: (a != 0.0).all(axis=-1), WHOLE.reshape(2, 3)),
+    "any": (lambda a: (a != 0.0).any(axis=-1), WHOLE.reshape(2, 3)),
+    "both": (lambda a: (a > 0.0) & (a < 2.0), WHOLE),
+    "either": (lambda a: (a < 0.0) | (a > 1.0), WHOLE),
+    "negated": (lambda a: ~(a != 0.0), WHOLE),
+    "maximum": (lambda a, b: np.maximum(a, np.maximum(b, 0.5)), A2, B2),
+    "largest": (lambda a: a.max(axis=-1), A2),
+    "rint": (np.rint, HALVES),
+    "cumsum": (lambda a: np.cumsum(a, axis=0), A2),
+    "products with vectors": (lambda a, b: a @ b[0] + b[1] @ a.T + b[0] @ b[1], A2, B2),
+    "solve": (solve, MATRICES, VECTORS),
+    "solve by one matrix": (lambda a, b: solve(a, b[0]), MATRICES[0], VECTORS),
+    "solve, symmetric": (
+        lambda a, b: solve_symmetric(a, b[..., None])[..., 0], MATRICES, VECTORS,
+    ),
+}  # fmt: skip
+
+
+def both_ways(function, *arrays):
+    """Value of function(*arrays) by CasADi, and as machine code in every lane."""
+    names = [symbols(f"a{k}", a.shape) for k, a in enumerate(arrays)]
+    out = function(*names)
+    x, y = column(*names), column(out)
+    values = np.concatenate([np.ravel(a) for a in arrays]).astype(float)
+    by_casadi = np.array(ca.Function("f", [x], [y])(values)).reshape(out.shape)
+    graph = ca.Function("f", [x, ca.SX(0, 1)], [y])
+    library = Library(compile_text(emit_map(graph)))
+    rows, results = aligned(1, values.size, LANES), aligned(1, out.size, LANES)
+    rows[0] = values[:, None]
+    library.map(*(a.ctypes.data for a in (rows, rows, results)), 0, 1)
+    assert all(np.array_equal(results[0, :, 0], lane, equal_nan=True) for lane in results[0].T)
+    return by_casadi, results[0, :, 0].reshape(out.shape)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_each_function_is_the_same_traced_and_compiled(name):
+    """Tolerance: 0, but for sums, which the machine may fuse, and equations: 1e-13."""
+    function, *arrays = CASES[name]
+    expected = np.asarray(function(*arrays), float)
+    rounding = 1e-13 if name.startswith(("solve", "products")) else 0
+    for found in both_ways(function, *arrays):
+        assert found.shape == expected.shape
+        np.testing.assert_allclose(found, expected, rtol=rounding, atol=rounding)
+
+
+NOT_A_NUMBER = {
+    "a comparison is false": (lambda a: a <= 1.0, [NAN, 0.0], [0, 1]),
+    "whichever side": (lambda a: a >= 1.0, [NAN, 2.0], [0, 1]),
+    "its opposite is true": (lambda a: ~(a <= 1.0), [NAN, 0.0], [1, 0]),
+    "it differs from all": (lambda a: a != 0.0, [NAN, 0.0], [1, 0]),
+    "one of several is unsafe": (lambda a: (a <= 1.0).all(axis=-1), [NAN, 0.0], 0),
+    "the branch not taken": (lambda a: np.where(a <= 1.0, a, 7.0), [NAN, 0.0], [7, 0]),
+    "whichever branch": (lambda a: np.where(a <= 3.0, 2.0 * a, -1.0), [NAN, 2.0], [-1, 4]),
+    "the branch taken": (lambda a: np.where(~(a <= 3.0), a, 1.0), [NAN, 2.0], [NAN, 1]),
+}
+
+
+@pytest.mark.parametrize("what", NOT_A_NUMBER)
+def test_not_a_number(what):
+    """What safety checks and held platforms rely on."""
+    function, values, expected = NOT_A_NUMBER[what]
+    array = np.array(values)
+    for found in (function(array), *both_ways(function, array)):
+        np.testing.assert_array_equal(np.asarray(found, float), expected)
+
+
+@pytest.mark.parametrize("function", [lambda a: np.maximum(a, 1.0), lambda a: a.max(axis=-1)])
+def test_a_maximum_hands_on_what_is_not_a_number(function):
+    """In NumPy as compiled, so that a simulation that is lost stays lost in both."""
+    array = np.array([[NAN, 2.0, 0.0], [0.0, NAN, 3.0]])
+    assert np.isnan(function(array)).any()
+    np.testing.assert_array_equal(both_ways(function, array)[1], function(array))
+
+
+def test_an_exact_zero_or_one_leaves_no_instruction():
+    """What a system has not is no part of its code."""
+    x = symbols("x", (3,))
+    out = x @ np.diag([1.0, 0.0, 1.0]) + np.zeros(3)
+    assert expressions(out)[1] == 0.0
+    graph = ca.Function("f", [column(x)], [column(out)])
+    assert graph.n_instructions() == 3 + 3  # two inputs read, three outputs and a zero
+
+
+def test_one_singular_matrix_leaves_the_others_their_answers():
+    A = np.stack([2.0 * np.eye(2), np.zeros((2, 2)), np.eye(2)])
+    np.testing.assert_array_equal(
+        solve(A, np.ones((3, 2))), [[0.5, 0.5], [np.nan, np.nan], [1.0, 1.0]]
+    )

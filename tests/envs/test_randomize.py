@@ -8,7 +8,7 @@ from gymnasium.vector import AutoresetMode
 from tests.envs.walks import IDS, SHORT, actions, flat, same, walk
 from ves_gym._util.params import ParameterError, to_plain
 from ves_gym.effects import JointViscous
-from ves_gym.effects.budget import LABORATORY_ERRORS
+from ves_gym.effects.sensor import LABORATORY_ERRORS
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
 from ves_gym.envs.randomize import Draws, ranges_of

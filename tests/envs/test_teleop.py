@@ -5,7 +5,7 @@ import pytest
 
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import LABORATORY_ERRORS
-from ves_gym.effects.sensor_bias import SensorBias
+from ves_gym.effects.sensor import SensorBias
 from ves_gym.envs.teleop import SPEEDS, Press, Teleop, read_script
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.runlog import RunLog

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tests.mechanics.test_urdf import chain
-from ves_gym.effects.joint_coulomb import JointCoulomb
-from ves_gym.effects.joint_viscous import JointViscous
+from ves_gym.effects.joint_friction import JointCoulomb, JointViscous
 from ves_gym.mechanics.arm import Arm, Capsule
 from ves_gym.mechanics.arm_library import arm_names, get_arm
 from ves_gym.mechanics.dynamics import frames

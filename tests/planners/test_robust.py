@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.effects.payload_mass import PayloadMass
+from ves_gym.effects.payload import PayloadMass
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.direct import Direct
 from ves_gym.planners.mean_energy import MeanEnergy

@@ -8,8 +8,8 @@ import pytest
 
 from ves_gym._util.optional import installed
 from ves_gym._util.params import ParameterError
-from ves_gym.effects.joint_elasticity import JointElasticity
-from ves_gym.effects.payload_mass import PayloadMass
+from ves_gym.effects.joint_drive import JointElasticity
+from ves_gym.effects.payload import PayloadMass
 from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.attitude import rotate
 from ves_gym.mechanics.payload import Payload, carrying

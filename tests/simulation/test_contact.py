@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.effects.payload_mass import PayloadMass
+from ves_gym.effects.payload import PayloadMass
 from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.boom_library import get_boom
 from ves_gym.mechanics.contact import Contact, ContactShape, rebound

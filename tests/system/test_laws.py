@@ -14,7 +14,7 @@ from ves_gym.effects import (
     JointStribeck,
     JointTorqueLimit,
     JointViscous,
-    joint_coulomb,
+    joint_friction,
 )
 from ves_gym.engine.kernel.trace import structure
 from ves_gym.mechanics.motion import Motion
@@ -90,7 +90,7 @@ def test_a_changed_constant_of_a_law_is_another_kernel(monkeypatch):
         structure(System(vehicle=BENT_THESIS, effects=(JointCoulomb(torque=(2.0,) * 3),)))
         == before
     )
-    monkeypatch.setattr(joint_coulomb, "CREEP", 0.02)
+    monkeypatch.setattr(joint_friction, "CREEP", 0.02)
     assert structure(system) != before
 
 
@@ -114,7 +114,7 @@ def test_an_effect_must_say_where_it_enters():
 
         @register("test/nowhere")
         class Nowhere(TorqueEffect):
-            def law(self, xp, q, v, tau):
+            def law(self, q, v, tau):
                 return -v
 
 

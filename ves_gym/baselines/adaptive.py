@@ -26,7 +26,7 @@ from ves_gym._util.threads import on_one_thread
 from ves_gym.baselines.braced import base_torque
 from ves_gym.baselines.controllers import reference_action
 from ves_gym.damping.observer import BaseObserver
-from ves_gym.effects.payload_mass import PayloadMass
+from ves_gym.effects.payload import PayloadMass
 from ves_gym.envs.rest_to_rest import RestToRest
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.arm import Arm

@@ -203,7 +203,7 @@ def _effects(effects: Any) -> tuple[Effect, ...]:
     if isinstance(effects, str):
         if effects != "laboratory":
             raise ParameterError(f"effects must be a list or 'laboratory', got {effects!r}")
-        from ves_gym.effects.budget import LABORATORY_ERRORS  # the laboratory's modules
+        from ves_gym.effects.sensor import LABORATORY_ERRORS  # the laboratory's modules
 
         return LABORATORY_ERRORS
     out = []

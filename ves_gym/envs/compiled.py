@@ -22,7 +22,7 @@ from ves_gym._util.params import Array, Mask, content_hash
 from ves_gym.engine.backends.base import MEANINGLESS
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.pieces import emit_pieces
-from ves_gym.engine.kernel.symbolic import Traced, column, per_row, symbols
+from ves_gym.engine.kernel.symbolic import Traced, batch_of_symbols, column, per_row
 from ves_gym.envs.control import Control
 from ves_gym.envs.episode import Episodes, bounded, count, endings, judge, scaled_observation
 from ves_gym.envs.task import Scene, Task
@@ -379,9 +379,9 @@ def _graph(
     """NumPy text as a graph; its results are stacked, those from `split` on apart."""
     import casadi as ca
 
-    rows = [symbols(f"{name}{i}_", size) for i, size in enumerate(sizes)]
+    rows = [batch_of_symbols(f"{name}{i}_", size) for i, size in enumerate(sizes)]
     parts = per_row(function, *rows, shapes=shapes)
     stacks = [parts] if split is None else [parts[:split], parts[split:]]
     outputs = [ca.vertcat(*(k for part in stack for k in part)) for stack in stacks]
-    inputs = [column(row[0]) if row.size else ca.SX(0, 1) for row in rows]
+    inputs = [column(row[0]) for row in rows]
     return ca.Function(name, inputs, [ca.densify(k) for k in ca.cse(outputs)])

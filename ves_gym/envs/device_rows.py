@@ -240,9 +240,7 @@ class DeviceRows:
         H[:, at[:, None], at] = entries.T.reshape(len(ids), size, size)
         H[:, :b, :b] += M
         locked = system.drive == "prescribed"
-        total, _ = integrals(
-            H, K, D, state, kp, kd, eye, seconds=self.task.tail, locked=locked, xp=torch
-        )
+        total, _ = integrals(H, K, D, state, kp, kd, eye, seconds=self.task.tail, locked=locked)
         return total
 
     @cached_property

@@ -49,7 +49,7 @@ def laboratory(name: str, system: System) -> Laboratory:
         raise ParameterError(
             f"laboratory {name!r} needs mode emulated, operation microgravity, got {got}"
         )
-    from ves_gym.effects.budget import LABORATORY_ERRORS  # the laboratory's modules
+    from ves_gym.effects.sensor import LABORATORY_ERRORS  # the laboratory's modules
 
     return Laboratory(LABORATORY_ERRORS, ranges_of(LABORATORIES[name](system)))
 
@@ -140,7 +140,7 @@ def _reading() -> Array:
 
 def _budget() -> tuple[Array, Array]:
     """(6,) noise and (6,) drift of the nominal budget [N, N m]."""
-    from ves_gym.effects.budget import LABORATORY_ERRORS
+    from ves_gym.effects.sensor import LABORATORY_ERRORS
 
     noise, drift = (np.array([*e.force, *e.moment]) for e in LABORATORY_ERRORS)  # type: ignore[attr-defined]
     return noise, drift

@@ -14,6 +14,7 @@ import numpy as np
 from ves_gym._util.params import Array
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import sum_quadratic
+from ves_gym.mechanics.spatial import solve_symmetric
 from ves_gym.system.system import System
 
 _DOUBLINGS = 10  # 1024 samples: 10 ms apart over 10 s
@@ -40,14 +41,14 @@ def tail_energy(
     H[:, :b, :b] += M
     eye = np.eye(2 * (b + n))
     locked = system.drive == "prescribed"
-    return integrals(H, K, D, x, kp, kd, eye, seconds=seconds, locked=locked, xp=np)
+    return integrals(H, K, D, x, kp, kd, eye, seconds=seconds, locked=locked)
 
 
 def integrals(
     H: Any, K: Any, D: Any, x: Any, kp: Any, kd: Any, eye: Any, *,
-    seconds: float, locked: bool, xp: Any,
+    seconds: float, locked: bool,
 ) -> tuple[Any, Any]:  # fmt: skip
-    """`tail_energy` in NumPy or, on the device that the arrays are on, in torch.
+    """`tail_energy` by operators alone: arrays of NumPy, or torch's on the device they are on.
 
     Args:
         H: (k, s, s) inertia of base and joints, s = b + joints.
@@ -56,14 +57,13 @@ def integrals(
         eye: (2 s, 2 s) identity.
         seconds: length of the tail [s].
         locked: perfect servos hold the joints.
-        xp: namespace of the functions.
 
     Returns:
         (k,) each [J s].
     """
     size, b = H.shape[-1], len(K)
     if locked:
-        x = xp.concatenate([x[:, :b], x[:, size : size + b]], axis=1)
+        x = x[:, [*range(b), *range(size, size + b)]]
         H, kp, kd, size = H[:, :b, :b], kp[:, :0], kd[:, :0], b
         eye = eye[: 2 * b, : 2 * b]
     half = eye[:size, :size]
@@ -72,9 +72,10 @@ def integrals(
     def matrix(base: Any, joints: Any) -> Any:
         return to_base @ base @ to_base.T + (to_joints * joints[:, None]) @ to_joints.T
 
-    above = xp.concatenate([0 * H, 0 * H + half], axis=2)
-    pull, drag = (-xp.linalg.solve(H, matrix(*k)) for k in ((K, kp), (D, kd)))
-    A = xp.concatenate([above, xp.concatenate([pull, drag], axis=2)], axis=1)
+    A = 0 * H[:, :1, :1] * eye
+    A[:, :size, size:] = half
+    A[:, size:, :size] = -solve_symmetric(H, 0 * H + matrix(K, kp))
+    A[:, size:, size:] = -solve_symmetric(H, 0 * H + matrix(D, kd))
     h = seconds / 2**_DOUBLINGS
     step = _exponential(A * (h / 2**_HALVINGS), eye)
     for _ in range(_HALVINGS):
@@ -82,16 +83,18 @@ def integrals(
     pose, rate = eye[:, :b], eye[:, size : size + b]
     strain = 0 * step + pose @ (K / 2) @ pose.T
     total = strain + rate @ (H[:, :b, :b] / 2) @ rate.T
-    weights = xp.stack([total, strain])
-    sums, step = sum_quadratic(step, weights, _DOUBLINGS)
-    end = (step @ x[..., None])[..., 0]
     out = []
-    for W, P in zip(weights, sums, strict=True):
-        first, last, inner = (
-            xp.einsum("ki,kij,kj->k", z, B, z) for z, B in ((x, W), (end, W), (x, P))
-        )
+    for W in (total, strain):
+        P, ahead = sum_quadratic(step, W, _DOUBLINGS)
+        end = (ahead @ x[..., None])[..., 0]
+        first, last, inner = (_form(B, z) for B, z in ((W, x), (W, end), (P, x)))
         out.append(h * (inner + (last - first) / 2))  # trapezoids
     return out[0], out[1]
+
+
+def _form(B: Any, z: Any) -> Any:
+    """z^T B z (k,) of B (k, n, n) and z (k, n)."""
+    return (z[:, None, :] @ B @ z[..., None])[:, 0, 0]
 
 
 def _exponential(A: Any, eye: Any) -> Any:

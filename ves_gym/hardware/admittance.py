@@ -11,11 +11,10 @@ from collections.abc import Callable
 import numpy as np
 import scipy
 
-from ves_gym._util.array_functions import NUMPY, ArrayFunctions
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.arm import Inertial
-from ves_gym.mechanics.spatial import AXES, body_wrench, matvec, rate_matrix
+from ves_gym.mechanics.spatial import AXES, body_wrench, matvec, rate_matrix, solve
 from ves_gym.mechanics.vehicle import BaseModel
 
 FORMS = ("coupled", "beam", "decoupled")
@@ -161,14 +160,11 @@ def rigid_body(body: Inertial, base: BaseModel) -> Nonlinear:
     return rigid_bodies(body.spatial(), base.M, base.D, base.K)
 
 
-def rigid_bodies(
-    inertia: Array, M: Array, D: Array, K: Array, xp: ArrayFunctions = NUMPY
-) -> Nonlinear:
+def rigid_bodies(inertia: Array, M: Array, D: Array, K: Array) -> Nonlinear:
     """Return g(X, W) from the body's spatial inertia and constant M, D, K.
 
     Args:
         inertia, M, D, K: (6, 6), or (n, 6, 6) of n bodies.
-        xp: functions of the arrays.
     """
 
     def g(X: Array, W: Array) -> Array:
@@ -177,7 +173,7 @@ def rigid_bodies(
         turned = np.swapaxes(T, -1, -2)
         bias = matvec(turned, body_wrench(inertia, y, yd, 0.0 * y))
         bias = bias + matvec(D, yd) + matvec(K, y)
-        ydd = xp.solve(turned @ inertia @ T + M, W - bias)
+        ydd = solve(turned @ inertia @ T + M, W - bias)
         return np.concatenate([yd, ydd], axis=-1)
 
     return g
@@ -202,9 +198,7 @@ def integrate(g: Nonlinear, X: Array, W: Array, dt: float) -> Array:
     return X
 
 
-def implicit_step(
-    M: Array, D: Array, K: Array, X: Array, W: Array, dt: float, xp: ArrayFunctions = NUMPY
-) -> Array:
+def implicit_step(M: Array, D: Array, K: Array, X: Array, W: Array, dt: float) -> Array:
     """Advance M Y'' + D Y' + K Y = W by the trapezoidal rule.
 
     For a mass that changes from sample to sample, where a new matrix exponential each time
@@ -215,7 +209,6 @@ def implicit_step(
         X: (n, 2m) coordinates and rates.
         W: (n, m) force, held.
         dt: step [s].
-        xp: functions of the arrays.
 
     Returns:
         (n, 2m).
@@ -225,5 +218,5 @@ def implicit_step(
     loss = dt / 2 * D + dt**2 / 4 * K
     # Y+ = Y + dt (Y' + Y'+) / 2 put into the sampled balance of momentum
     push = matvec(M - loss, yd) + dt * (W - matvec(K, y))
-    rate = xp.solve(M + loss, push)
+    rate = solve(M + loss, push)
     return np.concatenate([y + dt / 2 * (yd + rate), rate], axis=-1)

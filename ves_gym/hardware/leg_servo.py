@@ -36,7 +36,6 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from ves_gym._util.array_functions import NUMPY, ArrayFunctions
 from ves_gym._util.params import (
     Array,
     ParameterError,
@@ -229,15 +228,14 @@ class Leg:
         length: Array = x[ROD] + self.servo.participation * x[BEND]
         return length
 
-    def measure(self, x: Array, xp: ArrayFunctions = NUMPY) -> Array:
+    def measure(self, x: Array) -> Array:
         """Length as the transducer reports it [m].
 
         Args:
             x: (states, ...) leg states.
-            xp: functions of the arrays.
         """
         length, step = self.sensed(x), self.servo.resolution
-        return xp.rint(length / step) * step if step else length
+        return np.rint(length / step) * step if step else length
 
     def steady_state(self, length: Array) -> Array:
         """State (s, ...) of a leg at rest at its commanded length (...) [m]."""
@@ -255,7 +253,6 @@ class Leg:
         self,
         x: Array,
         command: Array,
-        xp: ArrayFunctions = NUMPY,
         gain: Array | float = 1.0,
         brake: Array | float = 1.0,
     ) -> Array:
@@ -264,14 +261,13 @@ class Leg:
         Args:
             x: (states, ...) leg states.
             command: (...) commanded length [m].
-            xp: functions of the arrays.
             gain: (...) both gains over those stated.
             brake: (...) the gain K2 alone, over that.
 
         Returns:
             (...) u at the valve.
         """
-        servo, measured = self.servo, self.measure(x, xp)
+        servo, measured = self.servo, self.measure(x)
         if servo.filter is not None and servo.filter.place == "feedback":
             measured = self._filtered(x, measured)
         error = command - measured

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.array_functions import NUMPY, ArrayFunctions
 from ves_gym._util.params import Array
 from ves_gym.hardware.leg_servo import ACCELERATION, ROD, SPEED, Leg, LegServo, whole_steps
 from ves_gym.hardware.stewart import Stewart
@@ -48,7 +47,6 @@ class Legs:
         state: Array,
         pose: Array,
         y_cmd: Array,
-        xp: ArrayFunctions = NUMPY,
         gain: Array | float = 1.0,
         brake: Array | float = 1.0,
     ) -> tuple[Array, Array, Array, Array, Array]:
@@ -60,7 +58,6 @@ class Legs:
             state: (n, s, 6) of the legs.
             pose: (n, 6) of the platform [m, rad].
             y_cmd: (n, 6) commanded pose [m, rad].
-            xp: functions of the arrays.
             gain, brake: (n, 1) of the servos over those stated, see `Leg.sample`.
 
         Returns:
@@ -69,25 +66,25 @@ class Legs:
         """
         leg, stewart, h = self.leg, self.stewart, 1 / (self.servo.rate * self.leg.steps)
         x, y, path = np.moveaxis(state, 1, 0).copy(), pose, []
-        u = leg.sample(x, stewart.leg_lengths(y_cmd), xp, gain, brake)
+        u = leg.sample(x, stewart.leg_lengths(y_cmd), gain, brake)
         for _ in range(leg.steps):
-            yd, ydd = stewart.motion(y, x[SPEED], x[ACCELERATION], xp)
+            yd, ydd = stewart.motion(y, x[SPEED], x[ACCELERATION])
             path.append((y, yd, ydd))
             leg.drift(x, u)
             # where this motion leads, then Newton's method
-            y, _ = stewart.step_to(xp, y + h * yd + h * h / 2 * ydd, x[ROD])
-            y = self._settled(xp, y, x[ROD])
+            y, _ = stewart.step_to(y + h * yd + h * h / 2 * ydd, x[ROD])
+            y = self._settled(y, x[ROD])
         at, rate, acceleration = zip(*path, strict=True)
         over = [np.stack(part, axis=1) for part in (at, rate, acceleration)]
         return np.moveaxis(x, 0, 1), y, over[0], over[1], over[2]
 
-    def motion(self, state: Array, pose: Array, xp: ArrayFunctions) -> tuple[Array, Array]:
+    def motion(self, state: Array, pose: Array) -> tuple[Array, Array]:
         """Return Y' and Y'' (n, 6) of the platform.
 
         Args:
-            state, pose, xp: see `advance`.
+            state, pose: see `advance`.
         """
-        return self.stewart.motion(pose, state[:, SPEED], state[:, ACCELERATION], xp)
+        return self.stewart.motion(pose, state[:, SPEED], state[:, ACCELERATION])
 
     def present(self, state: Array, pose: Array) -> tuple[Array, Array]:
         """Return pose and rate (n, 6) that the legs have now.
@@ -96,25 +93,25 @@ class Legs:
             state, pose: see `advance`.
         """
         y = self.stewart.forward(state[:, ROD], pose)
-        return y, self.motion(state, y, NUMPY)[0]
+        return y, self.motion(state, y)[0]
 
-    def measured(self, state: Array, pose: Array, xp: ArrayFunctions = NUMPY) -> Array:
+    def measured(self, state: Array, pose: Array) -> Array:
         """Return the pose (n, 6) by forward kinematics of the measured lengths.
 
         Args:
-            state, pose, xp: see `advance`.
+            state, pose: see `advance`.
 
         Returns:
             NaN as `advance`.
         """
-        lengths = self.leg.measure(np.moveaxis(state, 1, 0), xp)
+        lengths = self.leg.measure(np.moveaxis(state, 1, 0))
         y = pose
         for _ in range(_FROM_AFAR):
-            y, _ = self.stewart.step_to(xp, y, lengths)
-        return self._settled(xp, y, lengths)
+            y, _ = self.stewart.step_to(y, lengths)
+        return self._settled(y, lengths)
 
-    def _settled(self, xp: ArrayFunctions, y: Array, lengths: Array) -> Array:
+    def _settled(self, y: Array, lengths: Array) -> Array:
         """A last step of Newton's method (n, 6); NaN where it is not the last one."""
-        better, error = self.stewart.step_to(xp, y, lengths)
-        found = xp.less_equal(error, _NEAR)[:, None]
-        return xp.where(found, better, np.nan)
+        better, error = self.stewart.step_to(y, lengths)
+        found = (error <= _NEAR)[:, None]
+        return np.where(found, better, np.nan)

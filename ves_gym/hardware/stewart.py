@@ -14,7 +14,6 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.array_functions import NUMPY, ArrayFunctions
 from ves_gym._util.params import (
     Array,
     Index,
@@ -28,7 +27,7 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
-from ves_gym.mechanics.spatial import matvec, numbers, rotation, twist, twist_rate
+from ves_gym.mechanics.spatial import matvec, numbers, rotation, solve, twist, twist_rate
 
 TOLERANCE = 1e-12  # [m] leg length error at which `forward` stops: 10^4 roundings of a leg
 _ITERATIONS = 20
@@ -167,7 +166,7 @@ class Stewart:
         length = _norm(d)
         along = [c / length for c in d]
         moment = _cross(arm, along)
-        J = np.empty((*length.shape, 6), pose.dtype)
+        J = np.zeros_like(length, shape=(*length.shape, 6))
         for i in range(3):
             J[..., i] = along[i]
         # moment times the axes of the Z-Y-X angle rates: R e_x, Rot_z e_y, e_z
@@ -198,21 +197,20 @@ class Stewart:
             rows, error = rows[~near], error[~near]
             if not len(rows):
                 break
-            step = NUMPY.solve(self.jacobian(pose[rows]), error)
+            step = solve(self.jacobian(pose[rows]), error)
             good = np.abs(step).max(axis=-1) < 1.0  # False for NaN
             rows = rows[good]
             pose[rows] += step[good]
         pose[~solved] = np.nan
         return pose
 
-    def step_to(self, xp: ArrayFunctions, y: Array, lengths: Array) -> tuple[Array, Array]:
+    def step_to(self, y: Array, lengths: Array) -> tuple[Array, Array]:
         """Return a step of Newton's method towards the pose of given leg lengths.
 
         By the normal equations, which elimination solves in any order; their condition is
         some 10^3 at home, and the next step corrects what that costs.
 
         Args:
-            xp: functions of the arrays.
             y: (..., 6) where to start [m, rad].
             lengths: (..., 6) [m].
 
@@ -220,11 +218,9 @@ class Stewart:
             The better pose (..., 6), and the largest error (...) of a length before [m].
         """
         error, J = lengths - self.leg_lengths(y), self.jacobian(y)
-        return y + _least_squares(xp, J, error), xp.largest(np.abs(error))
+        return y + _least_squares(J, error), np.max(np.abs(error), axis=-1)
 
-    def motion(
-        self, y: Array, speeds: Array, accelerations: Array, xp: ArrayFunctions = NUMPY
-    ) -> tuple[Array, Array]:
+    def motion(self, y: Array, speeds: Array, accelerations: Array) -> tuple[Array, Array]:
         """Return Y' and Y'' (..., 6) of leg motions.
 
         l'' = J Y'' + h, with h from the curvature of the joints' paths.
@@ -233,12 +229,11 @@ class Stewart:
             y: (..., 6) poses [m, rad].
             speeds: (..., 6) of the legs [m/s].
             accelerations: (..., 6) of the legs [m/s^2].
-            xp: functions of the arrays.
         """
         J = self.jacobian(y)
-        yd = _least_squares(xp, J, speeds)
+        yd = _least_squares(J, speeds)
         push = accelerations - self._curvature(y, yd, speeds)
-        return yd, _least_squares(xp, J, push)
+        return yd, _least_squares(J, push)
 
     def _curvature(self, pose: Array, yd: Array, ld: Array) -> Array:
         """(..., 6) leg accelerations h at Y'' = 0 [m/s^2]."""
@@ -348,10 +343,10 @@ def _worst(excess: Array, values: Array) -> tuple[Mask, Index, Array]:
     return ~(worst <= 0), leg, np.take_along_axis(values, at, -1)[..., 0]
 
 
-def _least_squares(xp: ArrayFunctions, J: Array, b: Array) -> Array:
+def _least_squares(J: Array, b: Array) -> Array:
     """x (..., 6) of J x = b."""
     turned = np.swapaxes(J, -1, -2)
-    return xp.solve(turned @ J, matvec(turned, b))
+    return solve(turned @ J, matvec(turned, b))
 
 
 def read_stewart(path: str | os.PathLike[str]) -> Stewart:

@@ -24,7 +24,7 @@ GRAVITY = 9.81  # m/s^2; thesis: 919 N for 93.7 kg
 def gravity_vector(y: npt.ArrayLike) -> Array:
     """(..., 6) base pose -> (..., 3) free fall in platform axes [m/s^2] (thesis eq. 3.4)."""
     pose = numbers(y)
-    out = np.empty((*pose.shape[:-1], 3), pose.dtype)
+    out = np.zeros_like(pose, shape=(*pose.shape[:-1], 3))
     cos_y = np.cos(pose[..., 4])
     out[..., 0] = GRAVITY * np.sin(pose[..., 4])
     out[..., 1] = -GRAVITY * np.sin(pose[..., 3]) * cos_y
@@ -62,7 +62,7 @@ def _joints(arm: Arm, q: npt.ArrayLike) -> list[Array]:
     angles = numbers(q)
     if angles.ndim == 0 or angles.shape[-1] != arm.n:
         raise ParameterError(f"q must have shape (..., {arm.n}), got {angles.shape}")
-    return list(np.ascontiguousarray(np.moveaxis(angles, -1, 0)))
+    return list(np.asanyarray(np.moveaxis(angles, -1, 0), order="C"))
 
 
 def _stack(columns: list[Vec], shape: tuple[int, ...]) -> Array:
@@ -244,7 +244,7 @@ def gravity_wrench(
     x, y, z = model.first_moment(joints, values)
     gx, gy, gz = g[..., 0], g[..., 1], g[..., 2]
     shape = np.broadcast_shapes(joints.shape[:-1], gx.shape, m.shape, values.shape[:-1])
-    out = np.empty((*shape, 6), np.result_type(joints, g, m, values))
+    out = np.zeros_like(m[..., None] * x[..., None], shape=(*shape, 6))
     out[..., :3] = m[..., None] * g
     out[..., 3] = y * gz - z * gy
     out[..., 4] = z * gx - x * gz

@@ -16,10 +16,7 @@ SINGULAR = 1e-3  # cos(phi_y) below this is reported: Z-Y-X angles end at 90 deg
 
 
 def numbers(value: npt.ArrayLike) -> Array:
-    """Return an array of floats; one of symbols stays as it is.
-
-    So the formulas here serve numbers and graphs that are compiled (`engine.kernel`).
-    """
+    """Return an array of floats; one of symbols stays as it is (`engine.kernel.symbolic`)."""
     if isinstance(value, np.ndarray) and value.dtype == object:
         return value
     return np.asarray(value, float)
@@ -30,7 +27,7 @@ def rotation(y: npt.ArrayLike) -> Array:
     pose = numbers(y)
     cx, cy, cz = (np.cos(pose[..., i]) for i in (3, 4, 5))
     sx, sy, sz = (np.sin(pose[..., i]) for i in (3, 4, 5))
-    out = np.empty((*pose.shape[:-1], 3, 3), pose.dtype)
+    out = np.zeros_like(pose, shape=(*pose.shape[:-1], 3, 3))
     rows = (
         (cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx),
         (sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx),
@@ -50,7 +47,7 @@ def rate_matrix(y: npt.ArrayLike) -> Array:
     pose = numbers(y)
     cx, cy = np.cos(pose[..., 3]), np.cos(pose[..., 4])
     sx, sy = np.sin(pose[..., 3]), np.sin(pose[..., 4])
-    out = np.zeros((*pose.shape[:-1], 6, 6), pose.dtype)
+    out = np.zeros_like(pose, shape=(*pose.shape[:-1], 6, 6))
     out[..., :3, :3] = np.swapaxes(rotation(pose), -1, -2)
     out[..., 3, 3] = 1.0
     out[..., 3, 5] = -sy
@@ -84,7 +81,7 @@ def twist_rate(y: npt.ArrayLike, yd: npt.ArrayLike, ydd: npt.ArrayLike) -> Array
     pose, rate = numbers(y), numbers(yd)
     out = matvec(rate_matrix(pose), numbers(ydd))
     v = twist(pose, rate)
-    out[..., :3] -= np.cross(v[..., 3:], v[..., :3])
+    out[..., :3] -= cross(v[..., 3:], v[..., :3])
     cx, cy = np.cos(pose[..., 3]), np.cos(pose[..., 4])
     sx, sy = np.sin(pose[..., 3]), np.sin(pose[..., 4])
     dx, dy, dz = (rate[..., i] for i in (3, 4, 5))
@@ -109,9 +106,9 @@ def body_wrench(
     v = twist(y, yd)
     momentum = matvec(inertia, v)
     out = matvec(inertia, twist_rate(y, yd, ydd))
-    out[..., :3] += np.cross(v[..., 3:], momentum[..., :3])
-    out[..., 3:] += np.cross(v[..., 3:], momentum[..., 3:])
-    out[..., 3:] += np.cross(v[..., :3], momentum[..., :3])
+    out[..., :3] += cross(v[..., 3:], momentum[..., :3])
+    out[..., 3:] += cross(v[..., 3:], momentum[..., 3:])
+    out[..., 3:] += cross(v[..., :3], momentum[..., :3])
     return out
 
 
@@ -123,6 +120,50 @@ def matvec(matrix: Array, vector: Array) -> Array:
         vector: (..., n).
     """
     out: Array = np.matmul(matrix, vector[..., None])[..., 0]
+    return out
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Vector product (..., 3), component by component: it rounds alike for any batch."""
+    ax, ay, az = (a[..., k] for k in range(3))
+    bx, by, bz = (b[..., k] for k in range(3))
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+
+
+def solve(A: Array, b: Array) -> Array:
+    """Return A^-1 b of many systems; NaN where a matrix is singular.
+
+    Args:
+        A: (..., m, m), one that elimination without exchange of rows can solve.
+        b: (..., m).
+    """
+    try:
+        return np.asanyarray(np.linalg.solve(A, b[..., None])[..., 0])
+    except np.linalg.LinAlgError:  # of one matrix; the others have their answers
+        bad = np.linalg.det(A) == 0
+        whole = np.where(bad[..., None, None], np.eye(b.shape[-1]), A)
+        return np.where(bad[..., None], np.nan, np.linalg.solve(whole, b[..., None])[..., 0])
+
+
+def solve_symmetric(A: Array, b: Array) -> Array:
+    """Return A^-1 b by L D L^T from the last row up, as along a tree.
+
+    An arm is eliminated before its base, so that a joint of 1e8 kg m^2 costs the base no
+    digits. Operators and slices only: one text for numbers and for what is traced.
+
+    Args:
+        A: (..., m, m) symmetric, positive definite; its lower triangle is read.
+        b: (..., m, c), leading axes alike.
+    """
+    L, out, size = 0 * A, 0 * b, A.shape[-1]
+    for k in reversed(range(size)):
+        row, right, inverse = A[..., k, :k], b[..., k, :], 1.0 / A[..., k, k, None]
+        L[..., k, :k] = factor = row * inverse
+        out[..., k, :] = right * inverse
+        A = A[..., :k, :k] - factor[..., None] * row[..., None, :]
+        b = b[..., :k, :] - factor[..., None] * right[..., None, :]
+    for k in range(1, size):
+        out[..., k:, :] -= L[..., k:, k - 1, None] * out[..., k - 1, None, :]
     return out
 
 

@@ -11,12 +11,10 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.effects.base_damping import BaseDamping
-from ves_gym.effects.base_stiffness import BaseStiffness
-from ves_gym.effects.command_delay import CommandDelay
-from ves_gym.effects.joint_coulomb import JointCoulomb
-from ves_gym.effects.joint_viscous import JointViscous
-from ves_gym.effects.payload_mass import PayloadMass
+from ves_gym.effects.base import BaseDamping, BaseStiffness
+from ves_gym.effects.command import CommandDelay
+from ves_gym.effects.joint_friction import JointCoulomb, JointViscous
+from ves_gym.effects.payload import PayloadMass
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.flexible_base import FlexibleBase

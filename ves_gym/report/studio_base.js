@@ -19,7 +19,7 @@ const LEAST_STEPS = 160;
 const TAIL_STEP = 0.01; // s of the tail
 const SHOWN = 4; // s of the tail in what is drawn, as in studio.py
 const RECORD = 0.01; // s between records
-const CREEP = 0.01; // rad/s over which Coulomb friction builds up, as in effects/joint_coulomb.py
+const CREEP = 0.01; // rad/s over which Coulomb friction builds up, as in effects/joint_friction.py
 const ROUNDS = 12; // of its slope within a step, at most
 
 // --------------------------------------------------------------------- linear algebra

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.array_functions import NUMPY
 from ves_gym._util.params import Array, Index, Mask, Rows
 from ves_gym.engine.kernel.maps import WeightMap
 from ves_gym.hardware.admittance import Nonlinear
@@ -357,7 +356,7 @@ class EmulationLoop:
             return self._code.signal(output)
         blocks = self.wiring.before if half == "before" else self.wiring.after
         x = {name: self.memory[name] for name in self._carried}
-        changed, out = self.wiring.run(blocks, NUMPY, self.p, x, external)
+        changed, out = self.wiring.run(blocks, self.p, x, external)
         for name, values in changed.items():
             self.memory[name] = values
         return out[output]
@@ -419,7 +418,7 @@ class EmulationLoop:
         x = {k: self.memory[f"{self.sensor.name}.{k}"][ids] for k in self.sensor.memory}
         x["zero"] = self.sensor.zero_to(p, x, wrench)
         self.memory.put(ids, f"{self.sensor.name}.zero", x["zero"])
-        self.memory.put(ids, "reading", self.sensor.reading(NUMPY, p, x))
+        self.memory.put(ids, "reading", self.sensor.reading(p, x))
 
     def warm_up(self) -> None:
         """Drift as it is long after the sensors were reset."""

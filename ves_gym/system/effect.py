@@ -177,15 +177,15 @@ class LaboratoryEffect(Effect, ABC):
 class TorqueEffect(Effect, ABC):
     """Torque at the joints, in mode ideal as in mode emulated.
 
-    A pure function of arrays written against a small namespace `xp` (tanh, exp, fabs, ...),
-    so that one text runs in NumPy and is compiled into the kernel and its derivatives.
+    A pure function of arrays in plain NumPy, so that one text runs on numbers and is traced
+    into the kernel and its derivatives (`engine.kernel.symbolic`).
     """
 
     shows: ClassVar[tuple[str, ...]] = ("joint",)
     tau_max: Any  # in `law`: (n,) torque limits of the arm as described [N m]
 
     @abstractmethod
-    def law(self, xp: Any, q: Any, v: Any, tau: Any) -> Any:
+    def law(self, q: Array, v: Array, tau: Array) -> Any:
         """Return the torque at the joints beside the motors' [N m].
 
         Parameters of the effect, and `tau_max`, are arrays (or symbols) here, whatever they
@@ -193,7 +193,6 @@ class TorqueEffect(Effect, ABC):
         have values of their own (`Simulator.assign`) and the law is seen to broadcast.
 
         Args:
-            xp: namespace of the functions: NumPy, CasADi.
             q, v: (..., n) joint angles [rad] and rates [rad/s].
             tau: (..., n) command of the motors within the limits of the arm as described [N m];
                 it is what logs record.
@@ -328,5 +327,5 @@ def joint_torque(
         if isinstance(effect, TorqueEffect):
             fields = dataclasses.fields(effect)  # type: ignore[arg-type]
             values = {f.name: np.asarray(getattr(effect, f.name), float) for f in fields}
-            out = out + effect.bound({**values, "tau_max": tau_max}).law(np, q, v, tau)
+            out = out + effect.bound({**values, "tau_max": tau_max}).law(q, v, tau)
     return out

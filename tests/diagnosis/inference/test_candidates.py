@@ -154,8 +154,8 @@ def test_a_plain_effect_per_joint_needs_no_more_than_its_parameters(registered):
         )
         share: float = parameter("1", bounds=(0.0, 1.0), null=None, default=0.5)
 
-        def law(self, xp, q, v, tau):
-            return -self.push * xp.tanh(v / self.speed) * self.share
+        def law(self, q, v, tau):
+            return -self.push * np.tanh(v / self.speed) * self.share
 
     cls = registered("joint/sponge", Sponge)
     own = [c for c in library(3, ["joint"], "ideal") if c.kind == "joint/sponge"]
@@ -266,7 +266,7 @@ def test_a_law_of_one_s_own_is_tried_on_any_machine_in_mjcf(registered):
         port = "joint"
         stiffness: tuple[float, ...] = parameter("N m/rad", bounds=(0.0, 50.0), shape=(None,))
 
-        def law(self, xp, q, v, tau):
+        def law(self, q, v, tau):
             return -self.stiffness * q
 
     registered("own/spring", Spring)
@@ -285,7 +285,7 @@ def test_laws_that_change_with_the_torque_are_found_by_asking(registered):
         port = "joint"
         share: float = parameter("1", bounds=(0.0, 0.5))
 
-        def law(self, xp, q, v, tau):
+        def law(self, q, v, tau):
             return -self.share * tau
 
     before = source_digest.__wrapped__()

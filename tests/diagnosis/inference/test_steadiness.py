@@ -76,7 +76,7 @@ def test_a_name_with_other_numbers_in_another_run_is_withdrawn(first, logs, seco
 class Thinning(E.JointViscous):
     """Friction whose damping falls with the square of the rate."""
 
-    def law(self, xp, q, v, tau):
+    def law(self, q, v, tau):
         return -self.damping * v * (1 - 0.3 * v * v)
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import scipy
 
-from ves_gym._util.array_functions import NUMPY
 from ves_gym.diagnosis.data.measured_run import run_of
 from ves_gym.diagnosis.excitation import excitation_motions
 from ves_gym.diagnosis.machines.between_samples import _driven, between_samples
@@ -145,7 +144,7 @@ def test_compiled_platforms_are_the_blocks(platform):
     x = {f"platform.{k}": v for k, v in first.start({}, {"X": np.c_[y, yd]})[0].items()}
     for _ in range(20):
         command = np.concatenate([y, 0 * yd], axis=1) + 3e-3 * rng.standard_normal((3, 12))
-        x, signals = wiring.run(wiring.before, NUMPY, numbers, x, {"command_received": command})
+        x, signals = wiring.run(wiring.before, numbers, x, {"command_received": command})
         for name, values in platforms.advance(command).items():
             size = np.abs(signals[name]).max()
             np.testing.assert_allclose(values, signals[name], rtol=0, atol=1e-9 * max(1, size))

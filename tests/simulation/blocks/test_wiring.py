@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from ves_gym._util.array_functions import NUMPY
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import GravityDelay, PlatformBandwidth, PlatformStroke
 from ves_gym.mechanics.vehicle import BENT_THESIS
@@ -28,7 +27,7 @@ class Adds(Block):
     def memory(self):
         return {k: Memory((6,)) for k in self._memory}
 
-    def step(self, xp, p, x, u):
+    def step(self, p, x, u):
         total = sum(u[k] for k in self.inputs) + sum(x.values())
         return {k: v + 1 for k, v in x.items()}, dict.fromkeys(self.outputs, total)
 
@@ -79,7 +78,7 @@ def test_the_order_of_blocks_says_when_a_signal_arrives():
     seen = []
     for _ in range(3):
         for half in (wiring.before, wiring.after):
-            changed, out = wiring.run(half, NUMPY, {}, x, {})
+            changed, out = wiring.run(half, {}, x, {})
             x |= changed
         seen.append(out["weight"][0, 0])
     # each period adds the count so far to the weight of the period before
@@ -94,8 +93,8 @@ def test_a_model_is_the_same_text_on_other_wires():
     assert (model.inputs, model.outputs) == (("command_sent",), ("y_model",))
     assert (model.name, model.summary) == ("a_model", block.summary)
     x, u = {"count": np.ones((1, 6))}, np.full((1, 6), 2.0)
-    new, out = model.step(NUMPY, {}, x, {"command_sent": u})
-    mine = block.step(NUMPY, {}, x, {"command_received": u})
+    new, out = model.step({}, x, {"command_sent": u})
+    mine = block.step({}, x, {"command_received": u})
     np.testing.assert_array_equal(out["y_model"], mine[1]["y"])
     np.testing.assert_array_equal(new["count"], mine[0]["count"])
     signal, original = signal_of("y_model"), signal_of("y")
@@ -109,14 +108,14 @@ def test_a_block_may_run_several_times_a_period():
     class Counts(Adds):
         repeats, stacked = 3, ("y_nodes",)
 
-        def step(self, xp, p, x, u):
+        def step(self, p, x, u):
             count = x["count"] + 1
             return {"count": count}, {"pose": count, "y_nodes": count[:, None]}
 
     block = Counts("counts", (), ("pose", "y_nodes"), memory=("count",))
     wiring = Wiring([block], [], [])
     x = {k: np.zeros((1, *shape)) for k, shape in wiring.carried(SHAPE).items()}
-    changed, out = wiring.run(wiring.before, NUMPY, {}, x, {})
+    changed, out = wiring.run(wiring.before, {}, x, {})
     assert (changed["counts.count"] == 3).all() and (out["pose"] == 3).all()
     assert out["y_nodes"][0, :, 0].tolist() == [1, 2, 3]
 
@@ -164,7 +163,7 @@ def test_the_signals_of_a_period_have_the_shapes_listed():
     given = {k: rng.normal(size=(2, *sizes[k])) for k in loop.wiring.external}
     x = {k: loop.memory[k] for k in loop.memory.shapes}
     for half in (loop.wiring.before, loop.wiring.after):
-        changed, out = loop.wiring.run(half, NUMPY, loop.p, x, given)
+        changed, out = loop.wiring.run(half, loop.p, x, given)
         for name, values in out.items():
             assert values.shape == (2, *sizes[name]), name
         for name, values in changed.items():

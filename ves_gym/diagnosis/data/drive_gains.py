@@ -15,7 +15,7 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.signals import SensorNoiseModel
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
-from ves_gym.effects.joint_coulomb import CREEP
+from ves_gym.effects.joint_friction import CREEP
 
 _CLEAR = 5.0  # standard deviations of a scale that the data tell
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.inference.candidates import Candidate
-from ves_gym.effects.base_unknown import BaseUnknown
+from ves_gym.effects.base import BaseUnknown
 from ves_gym.mechanics.spatial import AXES
 from ves_gym.mechanics.vehicle import Satellite
 from ves_gym.system.candidate import Number, placed

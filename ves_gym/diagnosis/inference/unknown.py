@@ -30,9 +30,15 @@ from ves_gym.diagnosis.inference.variance_groups import (
     solve,
 )
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
-from ves_gym.effects.joint_curves import KNOTS, JointCurves
-from ves_gym.effects.joint_memory import LEVELS, JointMemory
-from ves_gym.effects.joint_unknown import WEIGHTS, JointUnknown, monomials
+from ves_gym.effects.joint_unnamed import (
+    KNOTS,
+    LEVELS,
+    WEIGHTS,
+    JointCurves,
+    JointMemory,
+    JointUnknown,
+    monomials,
+)
 from ves_gym.system.candidate import Number, at_joint, placed
 
 NOTHING, NONE_OF_THESE, LIBRARY = "nothing", "none of these", "library"

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ves_gym._util.array_functions import NUMPY
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import NEAR, Run
 from ves_gym.diagnosis.machines.controller_signals import Taken, extended
@@ -193,7 +192,7 @@ def _inverse(
     )
     signals = _signals(run, taken, system, described)
     coupled = np.zeros((N, 2 * k))
-    M, D, K, _, offset = block.coupled_system(NUMPY, numbers, X, coupled, none, signals)
+    M, D, K, _, offset = block.coupled_system(numbers, X, coupled, none, signals)
     begin = np.zeros((len(taken.pose), 2 * size))
     begin[:, :6], begin[:, size : size + 6] = taken.pose[:, 0], taken.rate
     begin[:, 6 + m : size] = base.attached(taken.pose[:, 0])
@@ -270,7 +269,7 @@ def _loaded(
     payload = np.zeros((m * copies, N, 6))
     for k in range(N - 1):
         path = ride(k)
-        x, out = block.step(NUMPY, numbers, x, {"inertia": H[:, k], **gains, **path})
+        x, out = block.step(numbers, x, {"inertia": H[:, k], **gains, **path})
         payload[:, k + 1] = out["payload"]
     parts = np.split(payload, m)
     return [replace(path, payload=part) for path, part in zip(paths, parts, strict=True)]

@@ -14,7 +14,7 @@ from ves_gym._util.signals import differentiated, noise_power
 from ves_gym.diagnosis.data.measured_run import Run, kept
 from ves_gym.diagnosis.machines.arm_load import bodies_of
 from ves_gym.diagnosis.machines.torque_balance import filtered, winding_noise
-from ves_gym.effects.joint_elasticity import HARD
+from ves_gym.effects.joint_drive import HARD
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia
 

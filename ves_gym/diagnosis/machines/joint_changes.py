@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.effects.joint_coulomb import CREEP
+from ves_gym.effects.joint_friction import CREEP
 
 
 @dataclass(frozen=True)

@@ -261,7 +261,7 @@ class MjcfMachine:
             + (self.joint_properties["armature"] + rotor) * a
             + self.joint_properties["damping"] * v
         )
-        needed = needed - dry.law(np, q / r, v / r, 0.0)
+        needed = needed - dry.law(q / r, v / r, np.zeros(1))
         for shaft in variant.shafts:
             needed = needed + shaft.needed(v, a)
         # what the force does not scale stays out of differences by the force

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ves_gym._util.array_functions import NUMPY
 from ves_gym._util.params import Array
 from ves_gym._util.signals import differentiated
 from ves_gym.diagnosis.data.measured_run import Kinematics, Run
@@ -95,7 +94,7 @@ def path_of(run: Run, described: System) -> Kinematics:
         parts.append({k: v[0] for k, v in platforms.advance(command[:, t]).items()})
     path = {k: np.stack([part[k] for part in parts]) for k in ("y", "yd", "ydd")}
     begin_of = {f"{k}_engine": path[k][:, 0] for k in ("y", "yd")}
-    moved = EngineInput(platforms.shape).step(NUMPY, {}, {}, {**path, **begin_of})[1]
+    moved = EngineInput(platforms.shape).step({}, {}, {**path, **begin_of})[1]
     return Kinematics(path["y"], path["yd"], moved["acceleration"])
 
 

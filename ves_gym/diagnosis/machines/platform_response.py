@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ves_gym._util.array_functions import NUMPY
 from ves_gym._util.params import Array
 from ves_gym.hardware.legs import Legs
 from ves_gym.hardware.platform import PoseServo
@@ -106,14 +105,14 @@ def within_reach(
     command, dt = command.copy(), queue.shape.control_dt
     for i in np.flatnonzero((travel > 0) & (speed == 0)):  # each sample for itself
         wished = command[i, :, :6].copy()
-        command[i, :, :6] = queue.shortened(NUMPY, wished, np.full(len(wished), travel[i]))
+        command[i, :, :6] = queue.shortened(wished, np.full(len(wished), travel[i]))
         late = np.flatnonzero((command[i, 1:, :6] != wished[1:]).any(axis=1)) + 1
         command[i, late, 6:] = (command[i, late, :6] - command[i, late - 1, :6]) / dt
     slow = np.flatnonzero(speed > 0)
     numbers = {"travel": travel[slow], "speed": speed[slow]}
     last = np.concatenate([y, yd], axis=-1)[slow]
     for t in range(command.shape[1]) if len(slow) else ():
-        last = queue.within_reach(NUMPY, numbers, command[slow, t], last)
+        last = queue.within_reach(numbers, command[slow, t], last)
         command[slow, t] = last
     return command
 

@@ -65,7 +65,7 @@ from ves_gym.diagnosis.machines.torque_balance import (
 from ves_gym.diagnosis.machines.vehicle_answer import answering_force
 from ves_gym.diagnosis.machines.vehicle_force import InnerStart, inner_sizes, vehicle_gap
 from ves_gym.effects import BaseExtraMode, JointMemory
-from ves_gym.effects.joint_elasticity import Hardened
+from ves_gym.effects.joint_drive import Hardened
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.body_numbers import numbers_of_body
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench

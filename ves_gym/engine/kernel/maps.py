@@ -16,7 +16,7 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.kernel.blocks import aligned, fill, lanes, unlane
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES, emit_map
-from ves_gym.engine.kernel.graph_arrays import column, symbols
+from ves_gym.engine.kernel.symbolic import column, symbols
 from ves_gym.engine.kernel.trace import (
     coupling,
     geometry,
@@ -137,7 +137,7 @@ def _weight(arm: Arm) -> casadi.Function:
     x = symbols("x", (1, n + 7 + size))
     pose, mass, P = x[:, n : n + 6], x[:, n + 6], x[:, n + 7 :]
     wrench = gravity_wrench(arm, x[:, :n], gravity_vector(pose), mass, P)
-    return ca.Function("weight", [column([x]), ca.SX(0, 1)], [ca.cse(column([wrench]))])
+    return ca.Function("weight", [column(x), ca.SX(0, 1)], [ca.cse(column(wrench))])
 
 
 def points(*parts: tuple[npt.ArrayLike, int, str]) -> Array:

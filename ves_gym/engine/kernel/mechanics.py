@@ -11,6 +11,9 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from ves_gym.engine.kernel.symbolic import expressions, traced
 from ves_gym.mechanics.carried import inertia_of
 from ves_gym.mechanics.dynamics import Vec, inertia_entries, newton_euler
 from ves_gym.mechanics.gravity import GRAVITY
@@ -72,25 +75,25 @@ class Model:
                 out.append((True, gears[i]))
         return out
 
-    def push(self, q: list[Any], v: list[Any], tau: list[Any], xp: Any) -> list[Any]:
+    def push(self, q: list[Any], v: list[Any], tau: list[Any]) -> list[Any]:
         """Return the torque of the effects' laws at the joints [N m].
 
         Args:
             q, v: n joint angles and rates.
             tau: n motor torques.
-            xp: namespace of the functions.
         """
         total = [0.0] * len(q)
         for effect, values in self.laws:
             if _vanishes(effect, values):
                 continue
-            values = {
-                k: xp.vertcat(*value) if isinstance(value, list) else value
-                for k, value in values.items()
+            arrays = {
+                name: traced(k, (len(k),)) if isinstance(k, list) else traced([k], ())
+                for name, k in {**values, "tau_max": self.limit}.items()
             }
-            bound = effect.bound({**values, "tau_max": xp.vertcat(*self.limit)})
-            torque = bound.law(xp, xp.vertcat(*q), xp.vertcat(*v), xp.vertcat(*tau))
-            total = [a + b for a, b in zip(total, xp.vertsplit(torque), strict=True)]
+            n = len(q)
+            torque = effect.bound(arrays).law(*(traced(k, (n,)) for k in (q, v, tau)))
+            pushed = expressions(np.broadcast_to(torque, (n,)))
+            total = [a + b for a, b in zip(total, pushed, strict=True)]
         return total
 
 

@@ -1,15 +1,18 @@
 """NumPy text as a graph: arrays of CasADi symbols that go through functions written in NumPy.
 
-A function of arrays with one simulation per row is called with rows of symbols instead of
-numbers; what it returns is its formula, which the kernel compiles. Whatever needs a number to
-go on (an `if`, an index, a conversion) raises, and the function stays in NumPy.
+A function of arrays is called with symbols instead of numbers; what it returns is its formula,
+which the kernel compiles. Entries may also be numbers: an exact 0 or 1 leaves no instruction,
+so that what a system has not is no part of its code. Whatever needs a number to go on (an
+`if`, an index, a conversion) raises, and the function stays in NumPy.
 """
 
 from __future__ import annotations
 
 import functools
+import itertools
+import math
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,6 +55,8 @@ class Traced(np.ndarray):
             )
         elif method == "reduce":
             value = _reduced(ufunc.__name__, parts[0], **kwargs)
+        elif method == "accumulate":
+            value = _accumulated(ufunc.__name__, parts[0], **kwargs)
         else:
             raise Untraceable(f"numpy.{ufunc.__name__}.{method} with {', '.join(kwargs)}")
         if out is None:
@@ -65,6 +70,10 @@ class Traced(np.ndarray):
             return _traced(_elementwise("where", [_objects(k) for k in args]))
         if func is np.linalg.norm:
             return _norm(*args, **kwargs)
+        if func is np.linalg.solve:
+            return _solved(*map(_traced, args))
+        if func is np.zeros_like:  # a shape may be given; NumPy would fill in whole numbers
+            return _traced(np.zeros(kwargs.get("shape", np.shape(args[0]))))
         out = super().__array_function__(func, types, args, kwargs)
         return _traced(out) if isinstance(out, np.ndarray) and out.dtype == object else out
 
@@ -77,14 +86,35 @@ class Traced(np.ndarray):
         return _traced(_elementwise("single", [_objects(self)]))
 
 
-def symbols(name: str, columns: int) -> Traced:
-    """(2, columns) symbols, name0_0 and so on."""
+def symbols(name: str, shape: tuple[int, ...]) -> Traced:
+    """Return fresh symbols, name_0 and so on.
+
+    Args:
+        name: what they are called.
+        shape: of the array.
+    """
     import casadi as ca
 
-    out = np.empty((_ROWS, columns), object)
-    for i, j in np.ndindex(out.shape):
-        out[i, j] = Term(ca.SX.sym(f"{name}{i}_{j}"))
-    return out.view(Traced)
+    size = math.prod(shape)
+    return traced(ca.vertsplit(ca.SX.sym(name, size)) if size else (), shape)
+
+
+def traced(entries: Iterable[Any], shape: tuple[int, ...]) -> Traced:
+    """Return expressions and numbers as an array.
+
+    Args:
+        entries: row by row; CasADi's, or numbers.
+        shape: of the array.
+    """
+    out = np.empty(math.prod(shape), object)
+    for k, entry in enumerate(entries):  # at once, NumPy would look into them
+        out[k] = float(entry) if isinstance(entry, int | float) else Term(entry)
+    return out.reshape(shape).view(Traced)
+
+
+def batch_of_symbols(name: str, columns: int) -> Traced:
+    """(2, columns) symbols: the rows of `per_row`."""
+    return symbols(name, (_ROWS, columns))
 
 
 def per_row(
@@ -94,7 +124,7 @@ def per_row(
 
     Args:
         function: of arrays, a simulation per row.
-        rows: its arguments, from `symbols`.
+        rows: its arguments, from `batch_of_symbols`.
         shapes: number of columns of each of its results.
 
     Returns:
@@ -122,11 +152,17 @@ def per_row(
     return out
 
 
-def column(*rows: npt.NDArray[np.object_]) -> casadi.SX:
-    """Rows of terms and numbers, one under the other."""
+def column(*arrays: npt.ArrayLike) -> casadi.SX:
+    """All entries of arrays of terms or numbers, row by row, one under the other."""
     import casadi as ca
 
-    return ca.vertcat(*(ca.SX(_expression(k)) for row in rows for k in row))
+    flat = [k for array in arrays for k in expressions(array)]
+    return ca.vertcat(*flat) if flat else ca.SX(0, 1)
+
+
+def expressions(array: npt.ArrayLike) -> list[Any]:
+    """Entries of an array row by row: CasADi's expressions, or numbers."""
+    return [_expression(k) for k in _objects(array).ravel()]
 
 
 def _text(x: Any, y: Any) -> str:
@@ -192,10 +228,36 @@ def _expression(item: Any) -> Any:
 
 
 def _matmul(a: npt.NDArray[np.object_], b: npt.NDArray[np.object_]) -> Any:
-    if a.ndim < 2 or b.ndim < 2:
-        raise Untraceable("products of matrices only")
+    rows, columns = a.ndim > 1, b.ndim > 1
+    a, b = a if rows else a[None], b if columns else b[:, None]
     terms = _elementwise("multiply", [a[..., :, :, None], b[..., None, :, :]])
-    return _reduced("add", terms, axis=-2)
+    out = _reduced("add", terms, axis=-2)
+    out = out if rows else out[..., 0, :]
+    return out if columns else out[..., 0]
+
+
+def _solved(A: Any, b: Any) -> Any:
+    """A^-1 b by elimination without exchange, from the last row up.
+
+    The joints are eliminated before their base, so that a joint of 1e8 kg m^2 costs the base
+    no digits.
+
+    Args:
+        A: (..., m, m).
+        b: (..., m, c).
+    """
+    rows = []
+    for k in reversed(range(A.shape[-1])):
+        inverse = 1.0 / A[..., k, k, None]
+        rows.append((A[..., k, :k], b[..., k, :], inverse))
+        factor = (A[..., :k, k] * inverse)[..., None]
+        A, b = (x[..., :k, :] - factor * x[..., k, None, :] for x in (A[..., :k], b))
+    out: list[Any] = []
+    for row, right, inverse in reversed(rows):
+        for j, found in enumerate(out):
+            right = right - row[..., j, None] * found
+        out.append(right * inverse)
+    return np.stack(out, axis=-2)
 
 
 def _reduced(
@@ -208,16 +270,47 @@ def _reduced(
     if any(k not in ("initial", "where") for k in others) or axis is None:
         raise Untraceable(f"numpy.{name} over everything")
     combine = _operations()[name]
+    if not array.shape[axis] and name == "add":
+        return np.zeros(np.sum(array, axis=axis, keepdims=keepdims).shape)
     out = functools.reduce(
         lambda a, b: _apply(combine, a, b), list(np.moveaxis(array, axis, 0))
     )
     return np.expand_dims(out, axis) if keepdims else out
 
 
+def _accumulated(name: str, array: npt.NDArray[np.object_], axis: int = 0) -> Any:
+    combine = _operations()[name]
+    parts = list(np.moveaxis(array, axis, 0))
+    out = itertools.accumulate(parts, lambda a, b: np.asarray(_apply(combine, a, b), object))
+    return np.stack(list(out), axis=axis)
+
+
 def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> Any:
-    if ord is not None or not isinstance(axis, int) or keepdims:
+    if ord is not None or not isinstance(axis, int):
         raise Untraceable("numpy.linalg.norm other than along one axis")
-    return np.sqrt(np.sum(x * x, axis=axis))
+    return np.sqrt(np.sum(x * x, axis=axis, keepdims=keepdims))
+
+
+def _sum(a: Any, b: Any) -> Any:
+    """a + b, where an exact 0 is none."""
+    if isinstance(a, float) and a == 0.0:
+        return b
+    return a if isinstance(b, float) and b == 0.0 else a + b
+
+
+def _difference(a: Any, b: Any) -> Any:
+    """a - b, where an exact 0 is none."""
+    if isinstance(b, float) and b == 0.0:
+        return a
+    return -b if isinstance(a, float) and a == 0.0 else a - b
+
+
+def _product(a: Any, b: Any) -> Any:
+    """a b, where an exact 0 leaves nothing and an exact 1 the other."""
+    for x, y in ((a, b), (b, a)):
+        if isinstance(x, float) and x in (0.0, 1.0):
+            return y if x else 0.0
+    return a * b
 
 
 def _power(a: Any, b: Any) -> Any:
@@ -253,9 +346,9 @@ def _operations() -> Mapping[str, Callable[..., Any]]:
         return apply
 
     table: dict[str, Callable[..., Any]] = {
-        "add": operator.add,
-        "subtract": operator.sub,
-        "multiply": operator.mul,
+        "add": _sum,
+        "subtract": _difference,
+        "multiply": _product,
         "divide": operator.truediv,
         "negative": operator.neg,
         "positive": operator.pos,
@@ -265,9 +358,12 @@ def _operations() -> Mapping[str, Callable[..., Any]]:
         "single": either(single(), np.float32),
         "clip": either(lambda a, low, high: ca.fmin(ca.fmax(a, low), high), np.clip),
         "absolute": either(ca.fabs, np.abs),
+        # what the kernel makes of remainder(x, 1): x less the nearest whole number
+        "rint": either(lambda a: a - ca.remainder(a, 1.0), np.rint),
     }
     same = ("sqrt", "sin", "cos", "exp", "tanh", "log", "log10", "floor", "sign")
     table |= {name: either(getattr(ca, name), getattr(np, name)) for name in same}
+    table["fabs"] = table["absolute"]
     others = {
         "maximum": ca.fmax,
         "minimum": ca.fmin,
@@ -275,6 +371,8 @@ def _operations() -> Mapping[str, Callable[..., Any]]:
         "less_equal": operator.le,
         "greater": operator.gt,
         "greater_equal": operator.ge,
+        "equal": operator.eq,
+        "not_equal": operator.ne,
         "logical_and": ca.logic_and,
         "logical_or": ca.logic_or,
         "logical_not": ca.logic_not,

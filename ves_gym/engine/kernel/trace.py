@@ -303,7 +303,7 @@ def _laws(system: System) -> str:
     model, symbols = _symbols(system)
     q, v, tau = (ca.SX.sym(name, system.arm.n) for name in ("q", "v", "tau"))
     parts = [list(ca.vertsplit(part)) for part in (q, v, tau)]
-    torque = ca.vertcat(*model.push(parts[0], parts[1], parts[2], ca))
+    torque = ca.vertcat(*model.push(*parts))
     graph = ca.Function("laws", [q, v, tau, ca.vertcat(*symbols)], [torque])
     return hashlib.sha256(graph.serialize().encode()).hexdigest()
 
@@ -335,7 +335,7 @@ def equations(system: System) -> Equations:
     base, command = list(ca.vertsplit(u))[:6], list(ca.vertsplit(u))[6:]
     base = body_fixed(model, z[:6], base, ca)
     drive, tau = drive_torque(model, z, zd, command, ca)
-    joint = [a + b for a, b in zip(tau, model.push(z[6:], zd[6:], tau, ca), strict=True)]
+    joint = [a + b for a, b in zip(tau, model.push(z[6:], zd[6:], tau), strict=True)]
 
     def accelerations(implicit: list[list[Any]]) -> tuple[list[Any], list[Any]]:
         if system.mode == "emulated":
@@ -378,7 +378,7 @@ def _with_hidden(system: System, model: Model, symbols: list[Any]) -> Equations:
     )
     base = body_fixed(model, z[:6], base, ca)
     _, tau = drive_torque(model, z, zd, command, ca)
-    laws = model.push(z[6:], zd[6:], tau, ca)
+    laws = model.push(z[6:], zd[6:], tau)
     drives = [a + b for a, b in zip(tau, laws, strict=True)]
     inner = unfolded(model)
     joints = interleaved(model, drives, gear_torque(model, d, dd, ca))
@@ -484,7 +484,7 @@ def _balance(system: System) -> _Balance:
     d, dd = at[size : size + p], rate[size : size + p]
     base, command = list(ca.vertsplit(u))[:6], list(ca.vertsplit(u))[6:]
     tau = drive_torque(model, z, zd, command, ca)[1]
-    tau = [k + law for k, law in zip(tau, model.push(z[6:], zd[6:], tau, ca), strict=True)]
+    tau = [k + law for k, law in zip(tau, model.push(z[6:], zd[6:], tau), strict=True)]
     push, sdd = internal_forces(model, z, zd, s, sd)
     base = [k + more for k, more in zip(base, push, strict=True)]
     chain = unfolded(model)

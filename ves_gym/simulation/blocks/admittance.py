@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.array_functions import NUMPY, ArrayFunctions
 from ves_gym._util.params import Array
 from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.hardware.admittance import Nonlinear, implicit_step, integrate, rigid_bodies
-from ves_gym.mechanics.spatial import matvec, rate_matrix
+from ves_gym.mechanics.spatial import matvec, rate_matrix, solve
 from ves_gym.simulation.blocks.block import Block, LoopShape, Memory, Values
 from ves_gym.simulation.blocks.platform import standing
 from ves_gym.system.deviations import LoopParameters
@@ -45,9 +44,9 @@ class _Admittance(Block):
         return slice(m, m + e), slice(2 * m + e, 2 * (m + e))
 
     @staticmethod
-    def present_state(xp: ArrayFunctions, x: Values, u: Values) -> Array:
+    def present_state(x: Values, u: Values) -> Array:
         """State (n, 12), at rest where a safety stop holds the platform."""
-        return xp.where(xp.not_equal(u["frozen"], 0.0)[:, None], standing(u), x["X"])
+        return np.where(u["frozen"][:, None] != 0.0, standing(u), x["X"])
 
     @staticmethod
     def force(X: Array, wrench: Array) -> Array:
@@ -71,9 +70,9 @@ class LinearAdmittance(_Admittance):
         return {"phi": bodies.phi, "gamma": bodies.gamma, "drag": bodies.drag}
 
     def step(
-        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+        self, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
-        X = self.present_state(xp, x, u)
+        X = self.present_state(x, u)
         force = self.force(X, u["reading"] - u["weight"])
         force = force - p["drag"] * np.abs(X[:, 6:]) * X[:, 6:]
         # row by row: one matrix product over the batch would round by its size
@@ -104,18 +103,18 @@ class NonlinearAdmittance(_Admittance):
             return {}
         return {"body": bodies.body, "M": bodies.M, "D": bodies.D, "K": bodies.K}
 
-    def vehicle(self, p: Values, xp: ArrayFunctions = NUMPY) -> Nonlinear:
+    def vehicle(self, p: Values) -> Nonlinear:
         """Return g of the vehicles."""
         if self.custom is not None:
             return self.custom
-        return rigid_bodies(p["body"], p["M"], p["D"], p["K"], xp)
+        return rigid_bodies(p["body"], p["M"], p["D"], p["K"])
 
     def step(
-        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+        self, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
-        X = self.present_state(xp, x, u)
+        X = self.present_state(x, u)
         force = self.force(X, u["reading"] - u["weight"])
-        X = integrate(self.vehicle(p, xp), X, force, self.shape.control_dt)
+        X = integrate(self.vehicle(p), X, force, self.shape.control_dt)
         return {"X": X, "coupled": x["coupled"]}, {"motion": X}
 
 
@@ -164,15 +163,15 @@ class CoupledAdmittance(_Admittance):
         return parts
 
     def step(
-        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+        self, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
-        X = self.present_state(xp, x, u)
+        X = self.present_state(x, u)
         force = self.force(X, u["reading"] - u["weight"] + u["payload"])
-        M, D, K, state, W = self.coupled_system(xp, p, X, x["coupled"], force, u)
-        state = implicit_step(M, D, K, state, W, self.shape.control_dt, xp)
+        M, D, K, state, W = self.coupled_system(p, X, x["coupled"], force, u)
+        state = implicit_step(M, D, K, state, W, self.shape.control_dt)
         X, coupled = self.split(state)
         # sensor, computer and platform delay motion by a known time: send it ahead by that
-        ahead = self.split(implicit_step(M, D, K, state, W, self.lag, xp))[0]
+        ahead = self.split(implicit_step(M, D, K, state, W, self.lag))[0]
         return {"X": X, "coupled": coupled}, {"motion": ahead}
 
     def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
@@ -186,7 +185,7 @@ class CoupledAdmittance(_Admittance):
             p, u = ({k: v[moving] for k, v in values.items()} for values in (p, u))
         if moving.any():
             force = np.zeros((int(moving.sum()), 6))
-            system = self.coupled_system(NUMPY, p, X[moving], coupled[moving], force, u)
+            system = self.coupled_system(p, X[moving], coupled[moving], force, u)
             before = self.split(implicit_step(*system, -self.lag))
             X, coupled = X.copy(), coupled.copy()
             X[moving], coupled[moving] = before
@@ -194,7 +193,6 @@ class CoupledAdmittance(_Admittance):
 
     def coupled_system(
         self,
-        xp: ArrayFunctions,
         p: Values,
         X: Array,
         coupled: Array,
@@ -204,15 +202,15 @@ class CoupledAdmittance(_Admittance):
         """Return M, D, K, state and force of vehicle and servo-held joints as one system.
 
         Args:
-            xp, p, u: see `step`.
+            p, u: see `step`.
             X: (n, 12) of the vehicle.
             coupled: (n, 2 m) of joints and oscillators.
             force: (n, 6) generalised.
         """
         n, m = len(X), self.joints
         k, size = m + self.carried, 6 + m
-        M, D, K = (xp.zeros((n, 6 + k, 6 + k)) for _ in range(3))
-        turn = xp.zeros((n, size, size))
+        M, D, K = (np.zeros_like(X, shape=(n, 6 + k, 6 + k)) for _ in range(3))
+        turn = np.zeros_like(X, shape=(n, size, size))
         turn[:, range(size), range(size)] = 1.0
         turn[:, :6, :6] = rate_matrix(X[:, :6])
         H = u["inertia"][:, :size, :size]
@@ -222,8 +220,8 @@ class CoupledAdmittance(_Admittance):
             D[:, :6, :6], K[:, :6, :6] = p["D"], p["K"]
             D[:, range(6), range(6)] += p["drag"] * np.abs(X[:, 6:])  # by its secant
         else:  # linearised about this instant; a force held would feed energy into a spring
-            mobility, offset, by_y, by_yd = self._linearised(xp, p, X)
-            body = inverse(xp, mobility)
+            mobility, offset, by_y, by_yd = self._linearised(p, X)
+            body = inverse(mobility)
             M[:, :6, :6] += body
             K[:, :6, :6], D[:, :6, :6] = -body @ by_y, -body @ by_yd
             offset = offset - matvec(by_y, X[:, :6]) - matvec(by_yd, X[:, 6:])
@@ -235,7 +233,7 @@ class CoupledAdmittance(_Admittance):
             for which, part in enumerate((M, D, K)):
                 part[:, at[:, None], at] += p["wide"][:, which]
         parts = [X[:, :6], coupled[:, :k], X[:, 6:], coupled[:, k:]]
-        force = np.concatenate([force, xp.zeros((n, k))], axis=-1)
+        force = np.concatenate([force, np.zeros((n, k))], axis=-1)
         return M, D, K, np.concatenate(parts, axis=-1), force
 
     def split(self, X: Array) -> tuple[Array, Array]:
@@ -244,15 +242,13 @@ class CoupledAdmittance(_Admittance):
         base = np.concatenate([X[:, :6], X[:, 6 + m : 12 + m]], axis=-1)
         return base, np.concatenate([X[:, 6 : 6 + m], X[:, 12 + m :]], axis=-1)
 
-    def _linearised(
-        self, xp: ArrayFunctions, p: Values, X: Array
-    ) -> tuple[Array, Array, Array, Array]:
+    def _linearised(self, p: Values, X: Array) -> tuple[Array, Array, Array, Array]:
         """Y'' = mobility W + rest of X' = g(X, W) at W = 0, and the rest's slopes.
 
         Returns:
             (n, 6, 6), (n, 6), slopes along Y (n, 6, 6) and along Y' (n, 6, 6).
         """
-        g = self.custom or rigid_bodies(p["body"], p["M"], p["D"], p["K"], xp)
+        g = self.custom or rigid_bodies(p["body"], p["M"], p["D"], p["K"])
         zero = np.zeros((len(X), 6))
         tries = [(X, zero), *((X, zero + push) for push in np.eye(6))]
         tries += [(X + _STEP * way, zero) for way in np.eye(12)]
@@ -263,7 +259,7 @@ class CoupledAdmittance(_Admittance):
         return change[..., :6], offset, slope[..., :6], slope[..., 6:]
 
 
-def inverse(xp: ArrayFunctions, A: Array) -> Array:
+def inverse(A: Array) -> Array:
     """Return A^-1 of matrices (n, m, m)."""
     eye = np.eye(A.shape[-1])
-    return np.stack([xp.solve(A, np.broadcast_to(e, A.shape[:-1])) for e in eye], axis=-1)
+    return np.stack([solve(A, np.broadcast_to(e, A.shape[:-1])) for e in eye], axis=-1)

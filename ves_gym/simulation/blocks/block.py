@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ves_gym._util.array_functions import ArrayFunctions
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.system.deviations import LoopParameters
@@ -167,12 +166,11 @@ class Block(ABC):
 
     @abstractmethod
     def step(
-        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+        self, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         """Advance by a control period.
 
         Args:
-            xp: functions of the arrays.
             p: `parameters`.
             x: `memory`.
             u: `inputs`.
@@ -228,9 +226,9 @@ class ModelOf(Block):
         return self.block.parameters(p, bodies)
 
     def step(
-        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+        self, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
-        x_new, y = self.block.step(xp, p, x, {self._back.get(k, k): v for k, v in u.items()})
+        x_new, y = self.block.step(p, x, {self._back.get(k, k): v for k, v in u.items()})
         return x_new, {self._names.get(k, k): v for k, v in y.items()}
 
     def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:

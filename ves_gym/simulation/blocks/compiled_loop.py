@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ves_gym._util import array_functions
 from ves_gym._util.params import Array, Index, Rows
 from ves_gym.engine.kernel.blocks import aligned, fill, put_rows, unlane
 from ves_gym.engine.kernel.build import Library, linked
 from ves_gym.engine.kernel.emit import LANES, Call, emit_driver, emit_shared
-from ves_gym.engine.kernel.graph_arrays import GRAPH, column, symbols
 from ves_gym.engine.kernel.pieces import LoopPiece
+from ves_gym.engine.kernel.symbolic import column, symbols, traced
 from ves_gym.simulation.blocks.block import Block
 from ves_gym.simulation.blocks.memory import NamedArrays
 from ves_gym.simulation.blocks.wiring import Parameters, Wiring
@@ -215,20 +214,19 @@ class _BlockCode:
         block = self.block
         numbers, p = [], {}
         for name, (shape, which) in self._parameters.items():
-            flat = np.empty(int(np.prod(shape)), object)
-            flat[:] = 0.0
+            flat = traced(np.zeros(int(np.prod(shape))), (int(np.prod(shape)),))
             flat[which] = symbols(f"p.{name}", (len(which),))
             numbers.append(flat[which])
             p[name] = flat.reshape(1, *shape)
         x = {k: symbols(f"x.{k}", (1, *m.shape)) for k, m in block.memory.items()}
         u = {k: symbols(f"u.{k}", (1, *shape)) for k, shape in self._inputs.items()}
-        x_new, y = block.step(GRAPH, p, x, u)
+        x_new, y = block.step(p, x, u)
         inputs = [*x.values(), *u.values()]
         outputs = [*(x_new[k] for k in x), *(y[k] for k in block.outputs)]
         return ca.Function(
             "block",
-            [*(column([k]) for k in inputs), column(numbers)],
-            ca.cse([column([k]) for k in outputs]),
+            [*(column(k) for k in inputs), column(*numbers)],
+            ca.cse([column(k) for k in outputs]),
         )
 
 
@@ -251,11 +249,8 @@ def _entries(values: Array, sparse: bool, before: Index | None) -> Index:
 @lru_cache(maxsize=1)
 def _source() -> str:
     """Digest of every text that may be traced, so that a changed one is compiled anew."""
-    root = Path(array_functions.__file__).parent.parent
+    root = Path(__file__).parents[2]
     folders = ("mechanics", "hardware", "simulation/blocks")
-    files = [root / "_util" / "array_functions.py"]
-    files += [path for folder in folders for path in sorted((root / folder).glob("*.py"))]
-    files += [
-        root / "engine/kernel" / name for name in ("emit.py", "graph_arrays.py", "trace.py")
-    ]
+    files = [path for folder in folders for path in sorted((root / folder).glob("*.py"))]
+    files += [root / "engine/kernel" / name for name in ("emit.py", "symbolic.py", "trace.py")]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()

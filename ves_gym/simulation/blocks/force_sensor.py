@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.array_functions import NUMPY, ArrayFunctions
 from ves_gym._util.params import Array
 from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.hardware.force_sensor import ForceSensor, SensorErrors, low_pass, noise_steps
@@ -64,7 +63,7 @@ class ForceSensorBlock(Block):
         }
 
     def step(
-        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+        self, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         driven = np.swapaxes(p["weights"] @ u["wrench"], -1, -2)  # (n, 6, 2)
         draws = u["draws"]
@@ -76,21 +75,21 @@ class ForceSensorBlock(Block):
             "drift": p["drift_hold"] * x["drift"] + p["drift_kick"] * draws[:, 12:],
             "zero": x["zero"],
         }
-        return new, {"reading": self.reading(xp, p, new)}
+        return new, {"reading": self.reading(p, new)}
 
-    def signal(self, xp: ArrayFunctions, p: Values, x: Values) -> Array:
+    def signal(self, p: Values, x: Values) -> Array:
         """Strain signals (n, 6) in the sensor frame, as converted, before the zero."""
         true = matvec(p["to_signal"], x["filter"][..., 0])
         out = true + p["bias"] + p["noise"] * x["noise"][..., 0] + p["drift"] * x["drift"]
         parts = [
-            out[:, k] if step == 0 else xp.rint(out[:, k] / step) * step
+            out[:, k] if step == 0 else np.rint(out[:, k] / step) * step
             for k, step in enumerate(self._step.tolist())
         ]
         return np.stack(parts, axis=-1) if self._step.any() else out
 
-    def reading(self, xp: ArrayFunctions, p: Values, x: Values) -> Array:
+    def reading(self, p: Values, x: Values) -> Array:
         """Wrench (n, 6) in the platform frame as the controller takes it."""
-        return matvec(self.to_wrench, self.signal(xp, p, x) - x["zero"])
+        return matvec(self.to_wrench, self.signal(p, x) - x["zero"])
 
     def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
         """Put sensors to rest under the arm's weight; drift starts from zero."""
@@ -101,7 +100,7 @@ class ForceSensorBlock(Block):
             "drift": np.zeros_like(weight),
             "zero": np.broadcast_to(np.array(self.sensor.zero), weight.shape),
         }
-        return x, {"reading": self.reading(NUMPY, p, x)}
+        return x, {"reading": self.reading(p, x)}
 
     def zero_to(self, p: Values, x: Values, wrench: Array) -> Array:
         """Return the zero (m, 6) that makes the present reading `wrench` (App. E step 9).
@@ -111,4 +110,4 @@ class ForceSensorBlock(Block):
             wrench: (m, 6) [N, N m].
         """
         target = np.linalg.solve(self.to_wrench, wrench[..., None])[..., 0]
-        return np.asarray(self.signal(NUMPY, p, x) - target, dtype=np.float64)
+        return np.asarray(self.signal(p, x) - target, dtype=np.float64)

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.array_functions import ArrayFunctions
 from ves_gym._util.params import Array
 from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.engine.kernel.maps import WeightMap
@@ -59,7 +58,7 @@ class GravityEstimate(Block):
         return np.concatenate([y[:, :3], y[:, 3:] + p["tilt"]], axis=-1)
 
     def step(
-        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+        self, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         fresh = self.estimate(p, u)
         history = np.concatenate([fresh[:, None], x["history"][:, :-1]], axis=1)

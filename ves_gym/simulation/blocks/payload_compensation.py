@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.array_functions import ArrayFunctions
 from ves_gym._util.params import Array, Index
 from ves_gym.engine.batch_parameters import Bodies, Inertias
-from ves_gym.engine.kernel.graph_arrays import array, column
 from ves_gym.engine.kernel.maps import InertiaMap
+from ves_gym.engine.kernel.symbolic import Traced, column, traced
 from ves_gym.engine.kernel.trace import geometry, inertia_matrix, parameters
 from ves_gym.hardware.admittance import implicit_step
 from ves_gym.hardware.force_sensor import low_pass
@@ -41,13 +40,12 @@ class ArmInertia(Block):
         return {"scale": 1 + p.payload_scale, "numbers": bodies.numbers}
 
     def step(
-        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+        self, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         q, size = u["q"], 6 + self.system.arm.n
-        if q.dtype == object:  # the same text, traced
-            graph = inertia_matrix(self.system)
-            entries = graph(column([q]), column([p["numbers"]]))
-            H = array([entries[k] for k in range(size**2)], (1, size, size))
+        if isinstance(q, Traced):  # the same text, traced
+            entries = inertia_matrix(self.system)(column(q), column(p["numbers"]))
+            H = traced([entries[k] for k in range(size**2)], (1, size, size))
             return {}, {"inertia": p["scale"][:, None, None] * H}
         return {}, {"inertia": self.rows(p, q, np.arange(len(q)))}
 
@@ -97,23 +95,20 @@ class PayloadCompensation(Block):
         return {"hold": hold, "weights": weights}
 
     def step(
-        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+        self, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         H, m, dt = u["inertia"], self.joints, self.shape.control_dt
         y, yd, ydd = (u[f"{k}{self._suffix}"] for k in ("y", "yd", "ydd"))
         T = rate_matrix(y[:, 0])
-        arm, steady = x["arm"], xp.zeros((len(y), 6))
+        arm, steady = x["arm"], np.zeros_like(H, shape=(len(y), 6))
         if m:
             mean = matvec(T, (yd[:, -1] - yd[:, 0]) / dt)
-            across, D, K = (
-                H[:, :6, 6 : 6 + m],
-                xp.zeros((len(y), m, m)),
-                xp.zeros((len(y), m, m)),
-            )
+            across = H[:, :6, 6 : 6 + m]
+            D, K = (np.zeros_like(H, shape=(len(y), m, m)) for _ in range(2))
             D[:, range(m), range(m)], K[:, range(m), range(m)] = u["kd"], u["kp"]
             push = -matvec(np.swapaxes(across, -1, -2), mean)
             inner = H[:, 6 : 6 + m, 6 : 6 + m]
-            response = implicit_step(inner, D, K, arm, push, dt, xp)
+            response = implicit_step(inner, D, K, arm, push, dt)
             steady = matvec(across, (response[:, m:] - arm[:, m:]) / dt)
             arm = response
         # the inertia holds over the period, so it may act after the sensor's filter

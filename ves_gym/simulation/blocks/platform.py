@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.array_functions import ArrayFunctions
 from ves_gym._util.params import Array
 from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.hardware.legs import Legs
@@ -35,7 +34,7 @@ class ComputingDelay(Block):
         return {"queue": Memory((self.periods, 12))}  # commands on their way, oldest first
 
     def step(
-        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+        self, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         queue = np.concatenate([x["queue"], u["motion"][:, None]], axis=1)
         return {"queue": queue[:, 1:]}, {"command": queue[:, 0]}
@@ -60,7 +59,7 @@ class Safety(Block):
         return (s.stewart, s.force_max, s.moment_max)
 
     def step(
-        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+        self, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         spec, stewart, reading = self.settings, self.settings.stewart, u["reading"]
         before = stewart.leg_lengths(u["command_sent"][:, :6])
@@ -68,17 +67,15 @@ class Safety(Block):
         speeds = np.abs(lengths - before) / self.shape.control_dt
         # asked this way round, what is not a number counts as unsafe
         checks = (
-            xp.all(xp.less_equal(stewart.length_min, lengths)),
-            xp.all(xp.less_equal(lengths, stewart.length_max)),
-            xp.all(xp.less_equal(speeds, stewart.speed_max)),
-            xp.less_equal(_size(reading[:, :3]), spec.force_max),
-            xp.less_equal(_size(reading[:, 3:]), spec.moment_max),
+            (stewart.length_min <= lengths).all(axis=-1),
+            (lengths <= stewart.length_max).all(axis=-1),
+            (speeds <= stewart.speed_max).all(axis=-1),
+            _size(reading[:, :3]) <= spec.force_max,
+            _size(reading[:, 3:]) <= spec.moment_max,
         )
-        safe = checks[0]
-        for check in checks[1:]:
-            safe = xp.both(safe, check)
-        frozen = xp.where(safe, u["frozen"], 1.0)
-        sent = xp.where(xp.not_equal(frozen, 0.0)[:, None], standing(u), u["command"])
+        safe = np.stack(checks).all(axis=0)
+        frozen = np.where(safe, u["frozen"], 1.0)
+        sent = np.where(frozen[:, None] != 0.0, standing(u), u["command"])
         return {}, {"command_sent": sent, "frozen": frozen}
 
     def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
@@ -156,64 +153,63 @@ class CommandLine(Block):
         }
 
     def step(
-        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+        self, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         out = u["command_sent"]
         nodes = np.concatenate([out[:, None], x["history"]], axis=1)
         if self.oldest:
             out = mixed(p["shares"], nodes)
         if self.limited:
-            out = self.within_reach(xp, p, out, x["received"])
+            out = self.within_reach(p, out, x["received"])
         return {"history": nodes[:, :-1], "received": out}, {"command_received": out}
 
     def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
         X = u["X"]
         return {"history": np.repeat(X[:, None], self.oldest, axis=1), "received": X}, {}
 
-    def within_reach(self, xp: ArrayFunctions, p: Values, command: Array, last: Array) -> Array:
+    def within_reach(self, p: Values, command: Array, last: Array) -> Array:
         """Return commands held back on their way, as far as the legs go.
 
         Args:
-            xp: functions of the arrays.
             p: parameters, (n,) each.
             command: (n, 12) pose and rate.
             last: (n, 12) what was received a period ago.
         """
         stewart, dt, speed = self.stewart, self.shape.control_dt, p["speed"]
         before = last[:, :6]
-        pose = self.shortened(xp, command[:, :6], p["travel"])
+        pose = self.shortened(command[:, :6], p["travel"])
         lengths = stewart.leg_lengths(pose) - stewart.leg_lengths(before)
-        haste = xp.largest(np.abs(lengths)) / (dt * stewart.speed_max * (1 - speed))
-        late = xp.negate(xp.either(xp.less_equal(speed, 0.0), xp.less_equal(haste, 1.0)))
-        slower = before + (pose - before) / xp.maximum(haste, 1.0)[:, None]
-        pose = xp.where(late[:, None], slower, pose)
-        changed = xp.any(xp.not_equal(pose, command[:, :6]))[:, None]
-        rate = xp.where(changed, (pose - before) / dt, command[:, 6:])
+        haste = np.max(np.abs(lengths), axis=-1) / (dt * stewart.speed_max * (1 - speed))
+        late = ~((speed <= 0.0) | (haste <= 1.0))
+        slower = before + (pose - before) / np.maximum(haste, 1.0)[:, None]
+        pose = np.where(late[:, None], slower, pose)
+        changed = (pose != command[:, :6]).any(axis=-1)[:, None]
+        rate = np.where(changed, (pose - before) / dt, command[:, 6:])
         return np.concatenate([pose, rate], axis=-1)
 
-    def shortened(self, xp: ArrayFunctions, pose: Array, travel: Array) -> Array:
+    def shortened(self, pose: Array, travel: Array) -> Array:
         """Return poses on their way from home, where legs lack a part of their stroke.
 
         Args:
-            xp: functions of the arrays.
             pose: (n, 6) [m, rad].
             travel: (n,) share of the stroke that is missing.
         """
-        excess = self._excess(xp, pose, travel)
-        beyond = xp.negate(xp.either(xp.less_equal(travel, 0.0), xp.less_equal(excess, 1.0)))
+        excess = self._excess(pose, travel)
+        beyond = ~((travel <= 0.0) | (excess <= 1.0))
         for _ in range(_REFINE):  # legs stretch almost in proportion
-            excess = xp.where(beyond, self._excess(xp, pose, travel), 1.0)
+            excess = np.where(beyond, self._excess(pose, travel), 1.0)
             pose = pose / excess[:, None]
         return pose
 
-    def _excess(self, xp: ArrayFunctions, pose: Array, travel: Array) -> Array:
+    def _excess(self, pose: Array, travel: Array) -> Array:
         """(n,) how far poses stretch a leg, in units of what its short stroke allows."""
         stewart = self.stewart
         home = stewart.home_lengths
         stretch = stewart.leg_lengths(pose) - home
-        shorter = xp.less_equal(stretch, 0.0)
-        room = xp.where(shorter, home - stewart.length_min, stewart.length_max - home)
-        return xp.largest(np.abs(stretch) / (room * (1 - travel)[:, None]))
+        shorter = stretch <= 0.0
+        room = np.where(shorter, home - stewart.length_min, stewart.length_max - home)
+        parts: Array = np.abs(stretch) / (room * (1 - travel)[:, None])
+        return parts.max(axis=-1)
 
 
 class PosePlatform(Block):
@@ -247,7 +243,7 @@ class PosePlatform(Block):
         return second_order(w, zeta, self.nodes)
 
     def step(
-        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+        self, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         y_cmd, rate = u["command_received"][:, :6], u["command_received"][:, 6:]
         if not self.servo.rate_feedforward:
@@ -294,11 +290,11 @@ class LegServos(Block):
         return {"gain": 1 + change * p.bandwidth, "brake": 1 + change * p.damping}
 
     def step(
-        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+        self, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         y_cmd = u["command_received"][:, :6]
         gains = p["gain"][:, None], p["brake"][:, None]
-        legs, pose, *path = self.legs.advance(x["legs"], x["pose"], y_cmd, xp, *gains)
+        legs, pose, *path = self.legs.advance(x["legs"], x["pose"], y_cmd, *gains)
         memory = {"legs": legs, "pose": pose}
         return memory, {**dict(zip(self.stacked, path, strict=True)), **memory}
 
@@ -327,14 +323,14 @@ class LegSensors(Block):
         return (self.legs.servo, self.legs.stewart)
 
     def step(
-        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+        self, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
-        last = (u["pose"], *self.legs.motion(u["legs"], u["pose"], xp))
+        last = (u["pose"], *self.legs.motion(u["legs"], u["pose"]))
         out = {
             name: np.concatenate([u[f"{name}_nodes"], end[:, None]], axis=1)
             for name, end in zip(("y", "yd", "ydd"), last, strict=True)
         }
-        return {}, {**out, "y_measured": self.legs.measured(u["legs"], u["pose"], xp)}
+        return {}, {**out, "y_measured": self.legs.measured(u["legs"], u["pose"])}
 
     def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
         return {}, {"y_measured": self.legs.measured(u["legs"], u["pose"])}
@@ -363,7 +359,7 @@ class EngineInput(Block):
         self._clock = np.arange(k + 1)[:, None] * h
 
     def step(
-        self, xp: ArrayFunctions, p: Values, x: Values, u: Values
+        self, p: Values, x: Values, u: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         t, ydd, rate = self._duration, u["ydd"], u["yd_engine"]
         miss = u["y"][:, -1] - (u["y_engine"] + t * rate + np.matmul(self._twice, ydd))

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.array_functions import ArrayFunctions
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.simulation.blocks.block import (
     TO_ENGINE,
@@ -96,7 +95,6 @@ class Wiring:
     def run(
         self,
         blocks: Sequence[Block],
-        xp: ArrayFunctions,
         p: Parameters,
         x: Values,
         external: Values,
@@ -105,7 +103,6 @@ class Wiring:
 
         Args:
             blocks: `before` or `after`.
-            xp: functions of the arrays.
             p: parameters of each block.
             x: what is carried over, by the names of `carried`.
             external: signals from outside.
@@ -120,7 +117,7 @@ class Wiring:
         for block in blocks:
             mine = {k: x[f"{block.name}.{k}"] for k in block.memory}
             wires = {k: signals[k] for k in block.inputs}
-            new, outputs = _repeated(block, xp, p.get(block.name, {}), mine, wires)
+            new, outputs = _repeated(block, p.get(block.name, {}), mine, wires)
             changed.update((f"{block.name}.{k}", v) for k, v in new.items())
             signals.update(outputs)
             put_out.update(outputs)
@@ -173,13 +170,13 @@ class Wiring:
 
 
 def _repeated(
-    block: Block, xp: ArrayFunctions, p: Values, x: Values, u: Values
+    block: Block, p: Values, x: Values, u: Values
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Memory and outputs of a block after all its steps in a period."""
-    new, outputs = block.step(xp, p, x, u)
+    new, outputs = block.step(p, x, u)
     stacks = {name: [outputs[name]] for name in block.stacked}
     for _ in range(block.repeats - 1):
-        new, outputs = block.step(xp, p, new, u)
+        new, outputs = block.step(p, new, u)
         for name, parts in stacks.items():
             parts.append(outputs[name])
     outputs.update((k, np.concatenate(parts, axis=1)) for k, parts in stacks.items())

@@ -1,4 +1,4 @@
-"""Joint commands: late."""
+"""Joint commands on their way to the drives."""
 
 from __future__ import annotations
 

@@ -1,10 +1,11 @@
-"""Payload: a body on the tool that is not described, by the ten numbers of a rigid body."""
+"""What the tool carries, or the compensation takes it to carry."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -17,8 +18,78 @@ from ves_gym.mechanics.body_numbers import (
     is_body,
     nearest_body,
 )
+from ves_gym.mechanics.payload import carrying
 from ves_gym.system.candidate import Candidate, Number, Scope, placed
-from ves_gym.system.effect import ArmEffect, parameter, register
+from ves_gym.system.deviations import LoopParameters
+from ves_gym.system.effect import ArmEffect, LaboratoryEffect, parameter, register
+from ves_gym.system.system import System
+
+REACH = 0.03  # m, about which a payload sits otherwise than thought, and extends
+
+
+def _farther(axis: int, effect: PayloadMass) -> PayloadMass:
+    """Return a payload that sits farther along an axis of its link."""
+    position = np.array(effect.position) + REACH * np.eye(3)[axis]
+    return replace(effect, position=tuple(position.tolist()))
+
+
+def _longer(along: tuple[float, ...], effect: PayloadMass) -> Rod:
+    """Return a payload that extends along a direction of its link."""
+    return Rod(mass=effect.mass, position=effect.position, along=along)
+
+
+# Axes and what halves their angles: any second moments of mass are a sum of these.
+_DIRECTIONS = (
+    *((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    *((0.5**0.5, 0.5**0.5, 0.0), (0.5**0.5, 0.0, 0.5**0.5), (0.0, 0.5**0.5, 0.5**0.5)),
+)
+
+
+@register("payload/mass")
+@dataclass(frozen=True, kw_only=True)
+class PayloadMass(ArmEffect):
+    """A point mass rides on the tool, `position` away from it in the last link's axes.
+
+    Joints, base and force sensor feel it; gravity estimate and compensation know nothing of
+    it (parallel axes: derived here). A diagnosis takes some distance along each axis, and some
+    extent along each direction, as forms that it may have in part.
+    """
+
+    modes = ("ideal", "emulated")
+    port = "joint"
+    forms = (
+        *(partial(_farther, axis) for axis in range(3)),
+        *(partial(_longer, along) for along in _DIRECTIONS),
+    )
+    mass: float = parameter("kg", bounds=(0.0, 20.0), start=1.0)
+    position: Vector = parameter(
+        "m", bounds=(-1.0, 1.0), null=None, shape=(3,), default=(0.0, 0.0, 0.0)
+    )
+
+    def arm(self, arm: Arm) -> Arm:
+        """The last link with the mass on it."""
+        if not self.mass:
+            return arm
+        body = Inertial(mass=self.mass, com=self.position, inertia=matrix(self.inertia))
+        return carrying(arm, body, np.zeros(3), np.eye(3))
+
+    @property
+    def inertia(self) -> Array:
+        """(3, 3) about its own centre of mass, in the last link's axes [kg m^2]."""
+        return np.zeros((3, 3))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rod(PayloadMass):
+    """A mass whose parts are `REACH` from its centre, root mean square, along a direction."""
+
+    along: Vector = parameter("1", bounds=(-1.0, 1.0), shape=(3,), default=_DIRECTIONS[0])
+
+    @property
+    def inertia(self) -> Array:
+        """(3, 3) of a rod that thin: m r^2 (1 - u u^T)."""
+        return self.mass * REACH**2 * (np.eye(3) - np.outer(self.along, self.along))
+
 
 _RANGES = {  # of a payload: usual size, least, most
     "kg": (1.0, 0.0, 50.0),
@@ -120,3 +191,44 @@ def _made(x: Array) -> PayloadBody:
     m, *numbers = (float(value) for value in x)
     cls = PayloadBody if m > 0 and is_body(x) else _PartOfBody
     return cls(mass=m, moment=tuple(numbers[:3]), inertia=tuple(numbers[3:]))
+
+
+@register("payload/com")
+@dataclass(frozen=True, kw_only=True)
+class PayloadCom(ArmEffect):
+    """The last link's centre of mass lies `offset` away from where it is described.
+
+    In the link's axes; mass and inertia about the centre as described (derived here).
+    """
+
+    modes = ("ideal", "emulated")
+    port = "joint"
+    offset: Vector = parameter(
+        "m", bounds=(-0.3, 0.3), shape=(3,), start=0.02, search=(-0.2, 0.2)
+    )
+
+    def arm(self, arm: Arm) -> Arm:
+        """The last link with its centre of mass moved."""
+        if self.is_null:
+            return arm
+        last = arm.links[-1]
+        com = tuple((np.array(last.inertial.com) + self.offset).tolist())
+        moved = replace(last, inertial=replace(last.inertial, com=com))
+        return replace(arm, links=(*arm.links[:-1], moved))
+
+
+@register("payload/inertia")
+@dataclass(frozen=True, kw_only=True)
+class PayloadInertia(LaboratoryEffect):
+    """The compensation takes the arm's inertia for larger by the fraction `error`."""
+
+    port = "admittance"
+    error: float = parameter("1", bounds=(-0.9, 2.0), start=0.05)
+
+    def check(self, system: System) -> None:
+        """Only a compensated loop has a model of the arm's inertia."""
+        self._require(system.emulator_settings.payload_compensation, "payload_compensation")
+
+    def edit(self, p: LoopParameters) -> None:
+        """Add the deviation to the machine's parameters."""
+        p.payload_scale = p.payload_scale + self.error
