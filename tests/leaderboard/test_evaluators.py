@@ -205,7 +205,7 @@ MUTATIONS = {
         "policies ves/PumaRestToRest-v0", "PumaRestToRest-v0/episode",
     ),
     "noise of the force sensor": (
-        "effects/budget.py", "force=(0.35, 0.2, 0.4)", "force=(0.35, 0.2, 0.41)",
+        "effects/sensor.py", "force=(0.35, 0.2, 0.4)", "force=(0.35, 0.2, 0.41)",
         "policies.zip", "PumaReachEmulated-v0/episode",
     ),
     "bandwidth of the platform": (

@@ -208,8 +208,8 @@ class CommandLine(Block):
         stretch = stewart.leg_lengths(pose) - home
         shorter = stretch <= 0.0
         room = np.where(shorter, home - stewart.length_min, stewart.length_max - home)
-        parts: Array = np.abs(stretch) / (room * (1 - travel)[:, None])
-        return parts.max(axis=-1)
+        most: Array = np.max(np.abs(stretch) / (room * (1 - travel)[:, None]), axis=-1)
+        return most
 
 
 class PosePlatform(Block):
