@@ -252,7 +252,7 @@ def fill(wanted: Sequence[Wanted], board: Path, workers: int, blind: Path | None
     """Prove what is missing and append it, as soon as a job is done; how many failed."""
     todo, failed, begun = missing(wanted, board), 0, time.monotonic()
     print(f"{len(wanted) - len(todo)} of {len(wanted)} entries are on the board", flush=True)
-    with Workers(workers, nested=True) as pool:  # diagnoses have workers of their own
+    with Workers(workers) as pool:  # diagnoses have workers of their own
         jobs = {pool.submit(prove_each, part, blind): part for part in in_jobs(todo)}
         each = ((job, k) for job in as_completed(jobs) for k in range(len(jobs[job])))
         for done, (job, k) in enumerate(each, 1):

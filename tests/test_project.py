@@ -42,7 +42,6 @@ LEVEL = {room: level for level, room in enumerate(ROOMS)}
 # Loaded on first use. `import mujoco` brings its renderer and the window library along.
 HEAVY = {
     "casadi",
-    "distributed",
     "glfw",
     "h5py",
     "imageio",
@@ -61,7 +60,6 @@ HEAVY = {
     "pinocchio",
     "pyarrow",
     "stable_baselines3",
-    "submitit",
     "tensorboard",
     "torch",
     "wandb",

@@ -73,6 +73,22 @@ def test_tensorboard_shows_the_curve_of_each_seed(tmp_path):
         assert found == wanted(rows) and "validation/return" in found
 
 
+def test_seeds_in_processes_of_their_own_tell_their_progress(tmp_path):
+    told = []
+    rows = train_seeds(
+        CONFIG, [0, 1], tmp_path / "two", workers=2, progress=lambda *words: told.append(words)
+    )
+    alone = train_seeds(CONFIG, [0, 1], tmp_path / "one")
+    clocked = {"seconds", "seconds_stepping"}
+    timeless = [
+        {seed: [{k: v for k, v in row.items() if k not in clocked} for row in curve]
+         for seed, curve in found.items()}
+        for found in (rows, alone)
+    ]  # fmt: skip
+    assert timeless[0] == timeless[1]
+    assert {(seed, 1.0) for seed in (0, 1)} <= {(seed, done) for seed, done, _ in told}
+
+
 @pytest.mark.parametrize("from_the_start", [True, False])
 def test_a_resumed_run_shows_each_row_once(tmp_path, from_the_start, monkeypatch):
     pytest.importorskip("tensorboard")

@@ -223,10 +223,10 @@ def test_what_is_installed_is_left_alone():
 def test_several_packages_are_one_command(monkeypatch):
     monkeypatch.setattr(optional, "installed", lambda module: False)
     with pytest.raises(MissingPackageError) as caught:
-        require("a picture", "PIL", "matplotlib", "pyarrow", "ray")
+        require("a picture", "PIL", "matplotlib", "pyarrow", "wandb")
     assert str(caught.value) == (
-        "a picture needs the packages pillow and matplotlib and pyarrow and ray: pip install"
-        " 'ves-gym[report]' 'ves-gym[parquet]' ray"
+        "a picture needs the packages pillow and matplotlib and pyarrow and wandb: pip install"
+        " 'ves-gym[report]' 'ves-gym[parquet]' wandb"
     )
 
 
@@ -245,12 +245,6 @@ def test_a_package_that_does_not_load_is_told_from_one_that_is_missing():
     )
     assert explain(ImportError("no", name="ves_gym.cli.nothing")) is None
     assert explain(ImportError("no")) is None
-
-
-def test_windows_has_no_posix_locks(alone, tmp_path):
-    (tmp_path / "search.toml").write_text("")
-    status, out, err = alone("fcntl", "search", "search.toml")
-    assert (status, out) == (2, "") and err.count("\n") == 1 and "on Windows" in err
 
 
 def test_every_extra_is_one_that_has_the_package():

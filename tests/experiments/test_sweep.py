@@ -2,7 +2,6 @@
 
 import json
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -12,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.experiments.sweeps import SMALL, Killer, files, many, spec
+from tests.experiments.sweeps import SMALL, files, many, spec
 from ves_gym._util.params import ParameterError, canonical_json, content_hash
 from ves_gym.experiments import units as u
 from ves_gym.experiments.spec import read_spec, spec_from_plain, units_of
@@ -83,7 +82,7 @@ def test_a_policy_is_named_by_its_weights_not_by_its_place(tmp_path):
     plain = json.loads((tmp_path / "ppo.json").read_text())
     (tmp_path / "ppo.json").write_text(json.dumps({**plain, "weights": "0" * 64}))
     with pytest.raises(ParameterError, match="not the policy any more"):
-        u.run_unit(file[0], None)
+        u.run_unit(file[0])
 
 
 def test_a_unit_named_twice_is_done_once():
@@ -146,7 +145,7 @@ def test_units_that_fail_are_reported_and_the_others_go_on(tmp_path):
     (id,) = report.failed
     assert "resolved" in report.failed[id]
     told = json.loads((tmp_path / "failed" / f"{id}.json").read_text())
-    assert told["kind"] == "failed" and told["unit"]["who"] == "resolved"
+    assert "resolved" in told["why"] and told["unit"]["who"] == "resolved"
     again = sweep(spec({"evaluate": tables}), tmp_path, workers=1)
     assert again.skipped == report.done and set(again.failed) == {id}
 
@@ -157,10 +156,8 @@ def test_a_unit_that_takes_too_long_is_reported(tmp_path):
     tables += [{"envs": ["PumaReach-v0"], "policies": ["random"], "episodes": 200_000}]
     report = sweep(spec({"evaluate": tables, "seconds": 10.0}), tmp_path, workers=2)
     assert len(report.done) == 1
-    assert [why.endswith("took longer than 10 s and was killed") for why in
-            report.failed.values()] == [True]  # fmt: skip
-    (told,) = files(tmp_path, "failed").values()
-    assert json.loads(told)["kind"] == "too long"
+    (why,) = report.failed.values()
+    assert why.endswith("took too long and was killed")
 
 
 def test_parts_of_a_sweep_on_two_machines_are_one_by_copying(swept, tmp_path):
@@ -173,24 +170,6 @@ def test_parts_of_a_sweep_on_two_machines_are_one_by_copying(swept, tmp_path):
     assert files(tmp_path / "both") == files(folder)
     assert merge([tmp_path / "both"]) == rows == merge([folder])
     assert sweep(spec(), tmp_path / "both", workers=1).done == []
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/self").exists(), reason="finds workers in /proc")
-def test_killed_workers_cost_nothing(tmp_path):
-    """200 units, a worker killed every second: all done, none twice or missing.
-
-    The killer is blind: on a busy machine it may meet one unit more often than the three times
-    after which a unit is taken for the cause.
-    """
-    wanted = many(200, deaths=9)
-    sweep(wanted, tmp_path / "quiet", workers=2)
-    with Killer(tmp_path / "killed", pause=1.0, times=8) as killer:
-        report = sweep(wanted, tmp_path / "killed", workers=2)
-    assert len(killer.killed) >= 5
-    assert len(report.done) == len(set(report.done)) == 200 and not report.failed
-    assert files(tmp_path / "killed") == files(tmp_path / "quiet")
-    assert len(merge([tmp_path / "killed"])) == 200
 
 
 def command(folder, count, *words):
@@ -221,37 +200,6 @@ def test_a_killed_sweep_goes_on_where_it_was(tmp_path):
     kept = {tmp_path / "out" / "results" / f"{i}.json" for i in report.skipped}
     assert {p: p.stat().st_mtime_ns for p in kept} == {p: before[p] for p in kept}
     assert len(merge([tmp_path / "out"])) == 60
-
-
-LIMITED = """
-import resource, signal, sys
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), int(sys.argv[1])))
-from ves_gym.cli.main import main
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[2:]))
-"""
-
-
-@pytest.mark.slow
-def test_a_full_disk_leaves_earlier_results_readable(tmp_path):
-    """Files of more than a few hundred bytes cannot be written, as when a disk is full."""
-    assert resource.RLIMIT_FSIZE is not None
-    sweep(many(3), tmp_path / "out", workers=1)
-    before = files(tmp_path / "out")
-    program = tmp_path / "limited.py"
-    program.write_text(LIMITED)
-    words = [sys.executable, str(program), "700", *command(tmp_path, 6)[3:]]
-    done = subprocess.run(
-        words, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True
-    )
-    assert done.returncode != 0 and "File too large" in done.stdout + done.stderr
-    assert "Traceback" not in done.stderr
-    after = files(tmp_path / "out")
-    assert {name: after[name] for name in before} == before
-    assert not list((tmp_path / "out").rglob(".*"))  # nothing half-written is left
-    assert len(merge([tmp_path / "out"])) == 3
-    assert len(sweep(many(6), tmp_path / "out", workers=1).done) == 3
 
 
 # -------------------------------------------------------------------------------- merge
@@ -352,7 +300,6 @@ ZERO = {"envs": ["BeamLQR-v0"], "policies": ["zero"]}
         ({"evaluate": [{**ZERO, "episodes": True}]}, "episodes must be int, got True"),
         ({"evaluate": [{**ZERO, "settings": {"randomize": [True]}}]}, "randomize must map"),
         ({**SMALL, "seconds": 0.0}, "seconds must be > 0"),
-        ({**SMALL, "deaths": 0}, "deaths must be >= 1"),
         ({**SMALL, "speed": 1}, "unknown key 'speed'"),
         ({"plan": [{"suite": "reach100", "planners": ["magic"]}]}, "planner must be one of"),
         ({"plan": [{"suite": "none", "planners": ["direct"]}]}, "suite must be one of"),

@@ -23,8 +23,6 @@ class Source(NamedTuple):
 
 PACKAGES = {  # module -> what installs it
     "PIL": Source("pillow", "report"),
-    "dask": Source("distributed", "scale"),
-    "distributed": Source("distributed", "scale"),
     "h5py": Source("h5py", "data"),
     "imageio_ffmpeg": Source("imageio-ffmpeg", "movie"),
     "matplotlib": Source("matplotlib", "report"),
@@ -35,10 +33,8 @@ PACKAGES = {  # module -> what installs it
     "optuna": Source("optuna", "scale"),
     "pinocchio": Source("pin", "pinocchio", wheels="Linux and macOS"),
     "pyarrow": Source("pyarrow", "parquet"),
-    "ray": Source("ray"),
     "safetensors": Source("safetensors"),
     "stable_baselines3": Source("stable-baselines3", "rl"),
-    "submitit": Source("submitit", "scale"),
     "tensorboard": Source("tensorboard", "tensorboard"),
     "torch": Source("torch", "rl"),
     "wandb": Source("wandb"),
@@ -86,8 +82,6 @@ def installed(module: str) -> bool:
 def explain(error: ImportError) -> str | None:
     """Return the sentence for an optional package that failed to load, None for any other."""
     name = error.name or ""
-    if name == "fcntl":  # of the standard library, but not on Windows
-        return "this command locks files as POSIX systems do: it does not run on Windows"
     distribution = next((m for m in PACKAGES if f"{name}.".startswith(f"{m}.")), None)
     if distribution is None:
         return None

@@ -11,20 +11,23 @@ weights, to the last bit, as one that was left alone (same machine, same version
 from __future__ import annotations
 
 import json
+import multiprocessing
+import queue
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
+from pebble import ProcessExpired
 from threadpoolctl import threadpool_limits
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError, content_hash, write_text
-from ves_gym._util.process_pool import WorkerDied, Workers, note
+from ves_gym._util.process_pool import Workers
 from ves_gym._util.statistics import STATISTICS, bootstrap, rate
 from ves_gym.baselines.checkpoint import load_state, save_state
 from ves_gym.baselines.config import TrainConfig
@@ -369,8 +372,7 @@ def train_seeds(
     """Train a policy per seed in folder/seed-N; the curves by seed.
 
     Args:
-        workers: processes; each trains one seed at a time. A run whose process is killed
-            goes on in another, from its checkpoint.
+        workers: processes; each trains one seed at a time.
         progress: called with the seed, the fraction done and a few words.
         tracking: programs that show the curves as they grow.
     """
@@ -392,30 +394,36 @@ def train_seeds(
             )
             for seed in seeds
         }
-    with Workers(min(workers, len(seeds))) as pool:
+    with (
+        multiprocessing.get_context("spawn").Manager() as manager,
+        Workers(min(workers, len(seeds))) as pool,
+    ):
+        notes = manager.Queue()
         jobs = {
-            seed: pool.submit(
-                _job, config, seed, folder / f"seed-{seed}", tracking, on_note=report
-            )
+            seed: pool.submit(_job, config, seed, folder / f"seed-{seed}", tracking, notes)
             for seed in seeds
         }
+        while not (notes.empty() and all(job.done() for job in jobs.values())):
+            with suppress(queue.Empty):
+                report(*notes.get(timeout=0.5))
         try:
             return {seed: job.result() for seed, job in jobs.items()}
-        except WorkerDied as error:
+        except ProcessExpired as error:
             raise ChildProcessError(
-                f"a training run was lost: {error}; resume to go on from its checkpoint"
+                f"the process of a training run died (exit code {error.exitcode}); resume to"
+                " go on from its checkpoint"
             ) from None
 
 
 def _job(
-    config: TrainConfig, seed: int, folder: Path, tracking: Tracking
+    config: TrainConfig, seed: int, folder: Path, tracking: Tracking, notes: queue.Queue[Any]
 ) -> list[dict[str, Any]]:
-    """A seed's run in a worker; if its process was killed, from its checkpoint."""
+    """A seed's run in a worker."""
     return train(
         config,
         seed,
         folder,
         resume=True,  # that the folder may be used was asked before
-        progress=lambda done, words: note(seed, done, words),
+        progress=lambda done, words: notes.put((seed, done, words)),
         tracking=tracking,
     )

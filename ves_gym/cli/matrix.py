@@ -9,7 +9,7 @@ from pathlib import Path
 from ves_gym._util.optional import installed
 from ves_gym._util.params import write_text
 from ves_gym.cli.common import add_format, progress, write_json
-from ves_gym.cli.sweep import add_executor_arguments, executor_options, print_report
+from ves_gym.cli.sweep import add_workers_argument, print_report
 
 SCHEMA = "ves-matrix/1"
 
@@ -23,21 +23,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--steps", type=int, metavar="N", help="of every training, instead of its own"
     )
     parser.add_argument(
-        "--cost-from", metavar="DIR",
-        help="run nothing: the hours that FILE takes, from the units of a finished run of it in"
-        " DIR with the --episodes, --seeds and --steps given here",
-    )  # fmt: skip
-    parser.add_argument(
         "--partial", action="store_true",
         help="run nothing: page and picture of the cells that have all their results",
     )  # fmt: skip
     add_format(parser)
-    add_executor_arguments(parser)
+    add_workers_argument(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Do what has no result yet; write page, picture and figures of what is complete."""
-    from ves_gym.experiments.matrix import cost, entries, read_matrix, run_matrix, shortened
+    from ves_gym.experiments.matrix import entries, read_matrix, run_matrix, shortened
     from ves_gym.experiments.sweep import Report
     from ves_gym.report.matrix_page import crossover_figure, matrix_page
 
@@ -48,27 +43,18 @@ def run(args: argparse.Namespace) -> int:
         seeds=stated.seeds if args.seeds is None else stated.seeds[: args.seeds],
         tasks=stated.tasks if args.steps is None else shortened(stated, args.steps),
     )
-    if args.cost_from is not None:
-        hours = cost(stated, matrix, args.cost_from)
-        print(
-            f"training {hours['train']:.2f} h, evaluation {hours['evaluate']:.2f} h:"
-            f" {hours['total']:.2f} h on two workers"
-        )
-        write_json(args.json, {"schema": SCHEMA, "hours": hours})
-        return 0
     folder = Path(args.out or f"out/matrix/{Path(args.matrix).stem}")
     if args.partial:
         report = Report(folder)
     else:
         with progress() as on_progress:
-            report = run_matrix(matrix, folder, progress=on_progress, **executor_options(args))
+            report = run_matrix(matrix, folder, progress=on_progress, workers=args.workers)
         print_report(report)
     results = []
     if report.complete:
-        results = entries(matrix, folder, args.partial)
-        spent = None if args.partial else cost(matrix, matrix, folder)
+        results = entries(matrix, folder)
         title = "Methods on machines that are not as described"
-        write_text(folder / "matrix.md", matrix_page(matrix, results, title, spent))
+        write_text(folder / "matrix.md", matrix_page(matrix, results, title))
         if installed("matplotlib"):
             from ves_gym.report.figures import write_figure
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ves_gym.cli.common import progress, write_json
-from ves_gym.cli.sweep import add_executor_arguments, executor_options
+from ves_gym.cli.sweep import add_workers_argument
 
 SCHEMA = "ves-search/1"
 
@@ -18,10 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "spec", metavar="SPEC", help="a .toml file with a table [search] (docs/sweeps.md)"
     )
-    add_executor_arguments(parser)
-    parser.add_argument(
-        "--storage", metavar="URL", help="database shared by machines; default a file in --out"
-    )
+    add_workers_argument(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -34,10 +31,9 @@ def run(args: argparse.Namespace) -> int:
         outcome = search(
             args.spec,
             folder,
-            storage=args.storage,
             seed=args.seed,
             progress=on_progress,
-            **executor_options(args),
+            workers=args.workers,
         )
     _print(outcome.trials, specification.objective, specification.direction)
     write_json(
@@ -75,5 +71,4 @@ def _print(trials: list[dict[str, Any]], objective: str, direction: str) -> None
     console.print(table)
     for trial in trials:
         if trial["state"] == "fail":
-            why = trial["why"] or "its process died"
-            print(f"trial {trial['number']} failed: {why}", file=sys.stderr)
+            print(f"trial {trial['number']} failed: {trial['why']}", file=sys.stderr)

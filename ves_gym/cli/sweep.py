@@ -1,11 +1,11 @@
-"""`ves-gym sweep`: every unit of a spec once, on this machine or a cluster."""
+"""`ves-gym sweep`: every unit of a spec once, in processes of this machine."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ves_gym._util.params import ParameterError
 from ves_gym.cli.common import progress, write_json
@@ -20,7 +20,7 @@ _SHOWN = 10  # failures that are printed
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("spec", metavar="SPEC", help="a .toml file (docs/sweeps.md)")
-    add_executor_arguments(parser)
+    add_workers_argument(parser)
     parser.add_argument(
         "--again", action="store_true", help="do finished units again (default: skip them)"
     )
@@ -29,26 +29,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_executor_arguments(parser: argparse.ArgumentParser) -> None:
-    """--executor, --workers, --address, --slurm."""
+def add_workers_argument(parser: argparse.ArgumentParser) -> None:
+    """--workers."""
     parser.add_argument(
-        "--executor",
-        metavar="E",
-        default="local",
-        help="local, slurm, submitit-local, dask or ray (default local)",
-    )
-    parser.add_argument(
-        "--workers", type=int, metavar="N", help="at once; default one per processor"
-    )
-    parser.add_argument(
-        "--address", metavar="URL", help="of a Dask scheduler (tcp://...) or a Ray cluster"
-    )
-    parser.add_argument(
-        "--slurm",
-        metavar="NAME=VALUE",
-        action="append",
-        default=[],
-        help="parameter of submitit, such as slurm_partition=long; repeatable",
+        "--workers", type=int, metavar="N", help="processes; default one per processor"
     )
 
 
@@ -64,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
             resume=not args.again,
             part=_part(args.part),
             progress=on_progress,
-            **executor_options(args),
+            workers=args.workers,
         )
     rows = merge([folder]) if report.done or report.skipped else []
     if rows:
@@ -86,28 +70,6 @@ def print_report(report: Report) -> None:
     print(report.summary)
     for text in list(report.failed.values())[:_SHOWN]:
         print(f"failed: {text}", file=sys.stderr)
-
-
-def executor_options(args: argparse.Namespace) -> dict[str, Any]:
-    """Options of `sweep` and `search` that say where units run."""
-    if args.workers is not None and args.workers < 1:
-        raise ParameterError(f"--workers must be >= 1, got {args.workers}")
-    return {
-        "executor": args.executor,
-        "workers": args.workers,
-        "address": args.address,
-        "slurm": _slurm(args.slurm),
-    }
-
-
-def _slurm(words: list[str]) -> dict[str, Any]:
-    labels: dict[str, Any] = {}
-    for word in words:
-        name, equal, value = word.partition("=")
-        if not name or not equal:
-            raise ParameterError(f"--slurm must be NAME=VALUE, got {word!r}")
-        labels[name] = int(value) if value.isdigit() else value
-    return labels
 
 
 def _part(text: str) -> tuple[int, int]:

@@ -1,9 +1,8 @@
 """The matrix: methods x machines x tasks x seeds, as units of a sweep.
 
 What needs no training is evaluated first, then come the trainings and the evaluations of what
-came of them: three sweeps in one folder. All skip units that have a result, so that a matrix
-that was killed goes on and ends with the same bits. Every method of a task answers the same
-episodes on a machine, one that is slow the first of them.
+came of them: three sweeps in one folder. All skip units that have a result. Every method of a
+task answers the same episodes on a machine, one that is slow the first of them.
 """
 
 from __future__ import annotations
@@ -287,43 +286,29 @@ class MatrixEntry:
     energy: Estimate | None  # interquartile mean of E_mean over the first method's
     failed: int
     episodes: int  # of each seed
-    seconds: float  # of processor time, all seeds together
 
 
-def entries(
-    matrix: Matrix, folder: str | os.PathLike[str], partial: bool = False
-) -> list[MatrixEntry]:
-    """Return the figures of a matrix, in its order.
+def entries(matrix: Matrix, folder: str | os.PathLike[str]) -> list[MatrixEntry]:
+    """Return the figures of the cells that have all their results, in the matrix's order.
 
     Intervals are stratified bootstraps: seeds are strata, of each as many episodes are drawn
-    as it has.
+    as it has. Energies that have nothing to be compared with are left out.
 
     Args:
         matrix: what was compared.
         folder: of its results.
-        partial: leave out the cells that lack a result, and energies that have nothing to be
-            compared with.
-
-    Raises:
-        ParameterError: a unit has no result.
     """
     root = Path(folder)
     rows: dict[tuple[str, str, str], list[list[dict[str, Any]]]] = {}
-    spent: dict[tuple[str, str, str], float] = {}
-    for cell in cells(_trained_part(matrix, root) if partial else matrix, root):
-        key = cell.task, cell.machine, cell.method
+    for cell in cells(_trained_part(matrix, root), root):
         path = root / "results" / f"{cell.unit.id}.json"
-        if not path.exists():
-            if partial:
-                continue
-            raise ParameterError(f"{folder}: no result yet of {' '.join(key)}: run it again")
-        rows.setdefault(key, []).append(read_result(path)["rows"])
-        about = read_table(root / "about" / f"{cell.unit.id}.json")
-        spent[key] = spent.get(key, 0.0) + _seconds(about)
+        if path.exists():
+            key = cell.task, cell.machine, cell.method
+            rows.setdefault(key, []).append(read_result(path)["rows"])
     rows = {key: seeds for key, seeds in rows.items() if len(seeds) == len(matrix.seeds)}
     first = {task.env: task.methods[0].name for task in matrix.tasks}
     return [
-        _entry(key, seeds, rows.get((key[0], key[1], first[key[0]]), []), spent[key])
+        _entry(key, seeds, rows.get((key[0], key[1], first[key[0]]), []))
         for key, seeds in rows.items()
     ]
 
@@ -346,7 +331,6 @@ def _entry(
     key: tuple[str, str, str],
     seeds: list[list[dict[str, Any]]],
     reference: list[list[dict[str, Any]]],
-    seconds: float,
 ) -> MatrixEntry:
     strata = [_column(rows, "return") for rows in seeds]
     success = np.concatenate([_column(rows, "success") for rows in seeds])
@@ -363,53 +347,9 @@ def _entry(
         energy=bootstrap(ratios, STATISTICS["iqm"]) if usable else None,
         failed=int(sum(_column(rows, "failed").sum() for rows in seeds)),
         episodes=len(seeds[0]),
-        seconds=seconds,
     )
-
-
-def _seconds(about: Mapping[str, Any]) -> float:
-    """Processor time of a unit; of results from before it was told, time by the clock."""
-    return float(about.get("processor_seconds", about["seconds"]))
 
 
 def _column(rows: list[dict[str, Any]], name: str) -> Array:
     """Values of a measure, episode by episode; what is missing is infinite."""
     return np.array([np.inf if row[name] is None else row[name] for row in rows], float)
-
-
-def cost(
-    matrix: Matrix, measured: Matrix, folder: str | os.PathLike[str], workers: int = 2
-) -> dict[str, float]:
-    """Return the hours that a matrix takes, from the seconds of another one's units.
-
-    Args:
-        matrix: to be done.
-        measured: a finished one with the same tasks, machines and methods, of any seeds,
-            episodes and steps of training.
-        folder: of its results.
-        workers: units at once.
-
-    Returns:
-        Hours of `train` and of `evaluate`, and of both on that many workers (`total`). A unit
-        counts in proportion to its episodes or steps, which is too much for small ones.
-    """
-    root = Path(folder)
-    hours = {"train": 0.0, "evaluate": 0.0}
-    steps: dict[tuple[str, str], list[float]] = {}
-    for (task, method, _), unit in trainings(measured).items():
-        about = read_table(root / "about" / f"{unit.id}.json")
-        done = float(unit.identity["config"]["total_timesteps"])
-        steps.setdefault((task, method), []).append(_seconds(about) / done)
-    for (task, method, _), unit in trainings(matrix).items():
-        rate_of = float(np.mean(steps[task, method]))
-        hours["train"] += rate_of * unit.identity["config"]["total_timesteps"] / 3600
-    asked = {
-        (task.env, method.name): matrix.episodes_of(method)
-        for task in matrix.tasks
-        for method in task.methods
-    }
-    for entry in entries(measured, folder):
-        each = entry.seconds / len(measured.seeds) / entry.episodes
-        count = asked[entry.task, entry.method] * len(matrix.seeds)
-        hours["evaluate"] += each * count / 3600
-    return {**hours, "total": sum(hours.values()) / workers}

@@ -62,15 +62,12 @@ class Spec:
     train: tuple[Trainings, ...] = ()
     plan: tuple[Plannings, ...] = ()
     seconds: float | None = None  # that a unit may take
-    deaths: int = 3  # of its worker after which a unit is given up
 
     def __post_init__(self) -> None:
         if not (self.evaluate or self.train or self.plan):
             raise ParameterError("a sweep needs [[evaluate]], [[train]] or [[plan]], got none")
         if self.seconds is not None and not self.seconds > 0:
             raise ParameterError(f"Spec.seconds must be > 0 s, got {self.seconds}")
-        if self.deaths < 1:
-            raise ParameterError(f"Spec.deaths must be >= 1, got {self.deaths}")
         tables: tuple[Evaluations | Trainings | Plannings, ...]
         tables = (*self.evaluate, *self.train, *self.plan)
         for table in tables:

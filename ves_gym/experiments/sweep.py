@@ -1,6 +1,6 @@
-"""`sweep`: every unit of a spec is done once, whatever dies on the way; `merge`: one table.
+"""`sweep`: every unit of a spec is done once; `merge`: one table.
 
-Finished units are those with a sound result file. A sweep that was killed goes on with the
+Finished units are those with a sound result file. A sweep that was stopped goes on with the
 others; result folders of several machines are one by copying their files together.
 """
 
@@ -10,11 +10,14 @@ import json
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Future, as_completed
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from pebble import ProcessExpired
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import (
@@ -23,14 +26,12 @@ from ves_gym._util.params import (
     write_bytes,
     write_text,
 )
-from ves_gym._util.process_pool import JobTimeout, WorkerDied
-from ves_gym.experiments.claims import is_claimed
-from ves_gym.experiments.executors import Executor, open_executor
+from ves_gym._util.process_pool import Workers
 from ves_gym.experiments.spec import Spec, read_spec, units_of
-from ves_gym.experiments.units import Elsewhere, Outcome, Unit, read_result, run_unit, store
+from ves_gym.experiments.units import Unit, read_result, run_unit, store
 
 FAILURE = "ves-failure/1"
-_LOOK = 0.2  # s between looks at the claims of others
+_LOOK = 0.05  # s between looks at what has ended
 _ORDER = ("kind", "where", "who", "seed", "unit")  # of the rows of a merged table
 
 Progress = Callable[[str, float], None]
@@ -72,23 +73,21 @@ def sweep(
     spec: Spec | str | os.PathLike[str],
     folder: str | os.PathLike[str],
     *,
-    executor: str = "local",
-    workers: int | None = None,
+    workers: int | Executor | None = None,
     resume: bool = True,
     part: tuple[int, int] = (1, 1),
     progress: Progress | None = None,
-    **options: Any,
 ) -> Report:
     """Do the units of a spec that have no result yet.
 
-    A unit that fails, takes too long or kills its worker again and again is reported, in
-    `folder/failed` too, and the others go on; the next sweep tries it again.
+    A unit that fails, takes too long or kills its worker is reported, in `folder/failed` too,
+    and the others go on; the next sweep tries it again.
 
     Args:
         spec: or the file that holds it, where paths in it start from.
-        executor: local, slurm, submitit-local, dask or ray (see `open_executor`, which takes
-            the `options` address and slurm).
-        workers: at once; default one per processor.
+        folder: of the results.
+        workers: processes of this machine, default one per processor; or any executor, whose
+            `submit(function, *args)` gives something with `done()` and `result()`.
         resume: skip finished units; otherwise they are done again.
         part: (k, n) does every n-th unit from the k-th, for n machines.
         progress: called with what is done and the fraction of it.
@@ -100,13 +99,10 @@ def sweep(
     return do_units(
         _part(units_of(spec, base), part),
         root,
-        executor=executor,
         workers=workers,
         resume=resume,
         seconds=spec.seconds,
-        deaths=spec.deaths,
         progress=progress,
-        **options,
     )
 
 
@@ -114,20 +110,20 @@ def do_units(
     units: Sequence[Unit],
     folder: str | os.PathLike[str],
     *,
-    executor: str = "local",
-    workers: int | None = None,
+    workers: int | Executor | None = None,
     resume: bool = True,
+    seconds: float | None = None,
     progress: Progress | None = None,
     stage: str = "sweep",
-    **options: Any,
 ) -> Report:
     """Do those of some units that have no result yet, see `sweep`.
 
     Args:
         units: what.
         folder: of the results.
-        executor, workers, options: see `open_executor`.
+        workers: see `sweep`.
         resume: skip finished units; otherwise they are done again.
+        seconds: that a unit may take.
         progress: called with `stage` and the fraction done.
         stage: name of what is done.
     """
@@ -145,84 +141,87 @@ def do_units(
     if not todo:
         on_progress(stage, 1.0)
         return report
-    with open_executor(
-        executor,
-        workers=min(workers or os.cpu_count() or 1, len(todo)),
-        folder=report.folder,
-        **options,
-    ) as pool:
+    with opened(workers, seconds, len(todo)) as pool:
         run_units(
-            pool,
-            todo,
-            report,
-            lambda n: on_progress(stage, (len(skipped) + n) / len(units)),
-            again=not resume,
+            pool, todo, report, lambda n: on_progress(stage, (len(skipped) + n) / len(units))
         )
     return report
 
 
-def run_units(
-    pool: Executor,
-    units: Sequence[Unit],
-    report: Report,
-    on_progress: Callable[[int], None] = lambda count: None,
-    again: bool = False,
-) -> None:
-    """Do units and enter them in the report.
-
-    Units that another sweep in the same folder is at are waited for, and done here should
-    it die.
+@contextmanager
+def opened(
+    workers: int | Executor | None, seconds: float | None, most: int | None = None
+) -> Iterator[Any]:
+    """Open processes of this machine, or use the executor that is given.
 
     Args:
-        pool: where.
+        workers: see `sweep`.
+        seconds: that a job may take.
+        most: processes that have something to do.
+    """
+    if workers is None or isinstance(workers, int):
+        count = os.cpu_count() or 1 if workers is None else workers
+        with Workers(count if most is None else min(count, most), seconds=seconds) as pool:
+            yield pool
+    elif seconds is not None:
+        raise ParameterError(
+            f"seconds = {seconds:g} is kept by processes of this machine: leave it out, and"
+            " give the executor a limit of its own"
+        )
+    else:
+        yield workers
+
+
+def run_units(
+    pool: Any,
+    units: Iterable[Unit],
+    report: Report,
+    on_progress: Callable[[int], None] = lambda count: None,
+) -> None:
+    """Do units, store their results and enter them in the report.
+
+    Args:
+        pool: where, see `sweep`.
         units: what.
         report: filled in.
         on_progress: called with the number that have ended.
-        again: results that are there are made anew.
     """
-    folder = str(report.folder.resolve()) if pool.shares_files else None
-    count, waiting = 0, list(units)
-    while waiting:
-        running = {pool.submit(run_unit, unit, folder, again): unit for unit in waiting}
-        waiting = []
-        for future in as_completed(list(running)):
-            unit = running.pop(future)  # and the outcome it may hold
-            if isinstance(future.exception(), Elsewhere):
-                waiting.append(unit)
+    report.folder.mkdir(parents=True, exist_ok=True)
+    folder = str(report.folder.resolve())
+    running = [(pool.submit(run_unit, unit, folder), unit) for unit in units]
+    count = 0
+    while running:  # asked one by one: jobs of submitit are no futures of the standard library
+        left = []
+        for job, unit in running:
+            if not job.done():
+                left.append((job, unit))
                 continue
-            _enter(unit, future, report)
+            _enter(job, unit, report)
             count += 1
             on_progress(count)
-        while waiting and all(is_claimed(report.folder, unit.id) for unit in waiting):
-            time.sleep(_LOOK)
+        running = left
+        time.sleep(_LOOK if running else 0.0)
 
 
-def _enter(unit: Unit, future: Future[Any], report: Report) -> None:
-    """Enter a unit that has ended, and store what it came back with."""
+def _enter(job: Any, unit: Unit, report: Report) -> None:
+    """Store what a unit came back with, or why it did not."""
     failure = report.folder / "failed" / f"{unit.id}.json"
-    if (why := _why(future)) is not None:
-        kind, text = why
-        record = {"schema": FAILURE, "id": unit.id, "unit": dict(unit.identity)}
-        write_text(failure, canonical_json({**record, "kind": kind, "why": text}) + "\n")
-        report.failed[unit.id] = f"{unit.label}: {text}"
-        return
-    outcome: Outcome | bool = future.result()
-    if isinstance(outcome, Outcome):
+    try:
+        outcome = job.result()
+    except ProcessExpired as error:
+        why = f"its process died (exit code {error.exitcode})"
+    except TimeoutError:
+        why = "took too long and was killed"
+    except Exception as error:
+        why = f"{type(error).__name__}: {error}"
+    else:
         store(outcome, report.folder)
-    failure.unlink(missing_ok=True)
-    (report.done if outcome else report.skipped).append(unit.id)
-
-
-def _why(future: Future[Any]) -> tuple[str, str] | None:
-    """Return the reason why a unit has no result: died, too long or failed, and in words."""
-    error = future.exception()
-    if error is None:
-        return None
-    if isinstance(error, WorkerDied):
-        return "died", str(error)
-    if isinstance(error, JobTimeout):
-        return "too long", str(error)
-    return "failed", f"{type(error).__name__}: {error}"
+        failure.unlink(missing_ok=True)
+        report.done.append(unit.id)
+        return
+    record = {"schema": FAILURE, "id": unit.id, "unit": dict(unit.identity), "why": why}
+    write_text(failure, canonical_json(record) + "\n")
+    report.failed[unit.id] = f"{unit.label}: {why}"
 
 
 def _part(units: list[Unit], part: tuple[int, int]) -> list[Unit]:

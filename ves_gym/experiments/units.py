@@ -8,7 +8,6 @@ to the last bit: clocks and hosts go to a file beside it.
     folder/about/ID.json      where and when it was made, how long it took
     folder/policies/ID/       the policy that a training run ends with
     folder/work/ID/           the checkpoint of a training run under way
-    folder/work/ID.claim      while a process is at it (`claims`)
 """
 
 from __future__ import annotations
@@ -42,7 +41,6 @@ from ves_gym.baselines.evaluate import STATISTICS, evaluate
 from ves_gym.baselines.policy import load_policy, versions
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
 from ves_gym.envs.build import build_task
-from ves_gym.experiments.claims import claimed
 from ves_gym.planners.benchmark import run_query
 from ves_gym.planners.query import Query
 
@@ -148,55 +146,19 @@ def _weights(who: str) -> str | None:
 # -------------------------------------------------------------------------- running
 
 
-class Elsewhere(Exception):
-    """A unit that another process is doing."""
-
-
-def run_unit(unit: Unit, folder: str | None, again: bool = False) -> Outcome | bool:
-    """Do a unit's work.
+def run_unit(unit: Unit, folder: str | None = None) -> Outcome:
+    """Do a unit's work, wherever.
 
     Args:
         unit: what to do.
-        folder: where to store the outcome; None to return it.
-        again: a result that is there is made anew.
-
-    Returns:
-        The outcome; with a folder, True for a unit that was done, False for one that another
-        sweep finished in the meantime.
-
-    Raises:
-        Elsewhere: another process is at it.
+        folder: of the sweep; where it is on this machine, too, a training run leaves its
+            checkpoints there and goes on from them.
     """
-    if folder is None:
-        return _outcome(unit, None)
-    root = Path(folder)
-    with claimed(root, unit.id) as mine:
-        if not mine:
-            raise Elsewhere(f"{unit.label}: another process is at it")
-        if not again and is_sound(root, unit.id):
-            return False
-        store(_outcome(unit, root / "work" / unit.id), root)
-    return True
-
-
-def is_sound(folder: Path, id: str) -> bool:
-    """Return True if a unit has a result that is what was written.
-
-    Args:
-        folder: of the sweep.
-        id: of the unit.
-    """
-    path = folder / "results" / f"{id}.json"
-    try:
-        return path.exists() and bool(read_result(path))
-    except ParameterError:
-        return False
-
-
-def _outcome(unit: Unit, work: Path | None) -> Outcome:
+    root = None if folder is None else Path(folder)
     begun, begin, worked = datetime.now(UTC), time.perf_counter(), time.process_time()
     with tempfile.TemporaryDirectory() as scratch:
-        answer = _RUN[unit.identity["kind"]](unit, work or Path(scratch))
+        work = root / "work" / unit.id if root and root.is_dir() else Path(scratch)
+        answer = _RUN[unit.identity["kind"]](unit, work)
     body = {
         "schema": RESULT,
         "id": unit.id,

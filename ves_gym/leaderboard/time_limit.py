@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
-from ves_gym._util.process_pool import JobTimeout, Workers
+from ves_gym._util.process_pool import Workers
 from ves_gym.leaderboard.errors import BundleError, Code
 
 
@@ -25,7 +24,7 @@ def within(seconds: float | None, function: Callable[..., Any], *args: Any, **mo
     if seconds is None:
         return function(*args, **more)
     try:
-        with Workers(1, deaths=1, seconds=seconds, nested=True) as pool:
-            return pool.submit(partial(function, *args, **more)).result()
-    except JobTimeout:
+        with Workers(1, seconds=seconds) as pool:
+            return pool.submit(function, *args, **more).result()
+    except TimeoutError:
         raise BundleError(Code.TOO_LONG, f"not done after {seconds:g} s") from None

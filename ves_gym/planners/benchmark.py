@@ -22,10 +22,11 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
+from pebble import ProcessExpired
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError
-from ves_gym._util.process_pool import WorkerDied, Workers
+from ves_gym._util.process_pool import Workers
 from ves_gym._util.version import __version__
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo
 from ves_gym.mechanics.limits import LimitCheck
@@ -192,13 +193,13 @@ def _run_workers(
     if workers == 1:
         yield from map(plan, work)
         return
-    with Workers(workers, deaths=2) as pool:
+    with Workers(workers) as pool:
         for job, future in zip(work, [pool.submit(plan, job) for job in work], strict=True):
             try:
                 yield future.result()
-            except WorkerDied as error:
+            except ProcessExpired:
                 why = "the planning process crashed"
-                yield Plan(job[0], job[1], None, None, error.seconds, why)
+                yield Plan(job[0], job[1], None, None, 0.0, why)
 
 
 # ----------------------------------------------------------------------- simulation

@@ -22,7 +22,6 @@ def matrix_page(
     matrix: Matrix,
     entries: Sequence[MatrixEntry],
     title: str,
-    hours: Mapping[str, float] | None,
 ) -> str:
     """Return the page: a table per task, methods down, machines across.
 
@@ -30,7 +29,6 @@ def matrix_page(
         matrix: what was compared.
         entries: its figures.
         title: of the page.
-        hours: what `cost` gives of it, if that is to be said.
     """
     parts = [f"# {title}", _what(matrix)]
     for task in matrix.tasks:
@@ -40,14 +38,9 @@ def matrix_page(
         parts.append(f"Not run yet: {'; '.join(lacking)}.")
     parts.append(
         "Each cell: success (Wilson's interval); interquartile mean of E_mean over that of the"
-        " table's first method in the same episode, and of the return. In brackets 95 %"
-        " intervals, by bootstrap with seeds as strata."
+        " table's first method in the same episode. In brackets 95 % intervals, by bootstrap"
+        " with seeds as strata."
     )
-    if hours is not None:
-        parts.append(
-            f"Processor time: {hours['train']:.2f} h of training and {hours['evaluate']:.2f} h"
-            f" of evaluation, {hours['total']:.2f} h on two workers."
-        )
     return "\n\n".join(parts) + "\n"
 
 
@@ -117,8 +110,8 @@ def _table(matrix: Matrix, entries: Sequence[MatrixEntry], task: str) -> str:
 def _cell(e: MatrixEntry | None) -> str:
     if e is None:
         return "-"
-    energy = "" if e.energy is None else f"E {_estimate(e.energy, '.3g')}<br>"
-    return f"{_estimate(e.success, '.0%')}<br>{energy}return {_estimate(e.ret, '.3g')}"
+    energy = "" if e.energy is None else f"<br>E {_estimate(e.energy, '.3g')}"
+    return f"{_estimate(e.success, '.0%')}{energy}"
 
 
 def _estimate(e: Estimate, form: str) -> str:
