@@ -11,7 +11,7 @@ PIP = $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv benchmark policies leaderboard figures notebooks site test test-all test-share test-processors test-ecosystem test-oldest check format bench constraints platforms clean
+.PHONY: help venv benchmark policies leaderboard figures notebooks site test test-all test-share test-ecosystem test-oldest check format bench constraints platforms clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' Makefile
@@ -60,11 +60,11 @@ site: $(SITE) ## build the documentation site in out/site, warnings are errors
 	$(BIN)/python scripts/site.py $(ARGS)
 
 # One thread per worker: two workers share the cores, and results do not depend on a BLAS pool.
-test test-all test-share test-processors test-oldest: export OMP_NUM_THREADS = 1
-test test-all test-share test-processors test-oldest: export OPENBLAS_NUM_THREADS = 1
-test test-all test-share test-processors test-oldest: export MKL_NUM_THREADS = 1
+test test-all test-share test-oldest: export OMP_NUM_THREADS = 1
+test test-all test-share test-oldest: export OPENBLAS_NUM_THREADS = 1
+test test-all test-share test-oldest: export MKL_NUM_THREADS = 1
 # Modules are compiled once: with this set, every process that a test starts would do it again.
-test test-all test-share test-processors test-oldest: export PYTHONDONTWRITEBYTECODE =
+test test-all test-share test-oldest: export PYTHONDONTWRITEBYTECODE =
 
 test: $(DEV) ## run the tests
 	$(BIN)/python -m pytest -n 2 $(ARGS)
@@ -74,9 +74,6 @@ test-all: $(DEV) ## run the tests, the slow ones included
 
 test-share: $(DEV) ## three minutes of the slow tests; others: make test-share DRAW=any-text
 	$(BIN)/python -m pytest -n 2 -m slow --share 180 --draw "$(DRAW)" $(ARGS)
-
-test-processors: $(DEV) ## compare bits again: without AVX-512, without AVX2 and FMA
-	for set in no-avx512 no-avx2; do $(BIN)/python -m tests.processors $$set -n 2 $(ARGS) || exit 1; done
 
 test-ecosystem: ## run other packages on the environments, each in an environment of its own
 	$(PYTHON) scripts/ecosystem.py $(ARGS)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
 import tempfile
 
-import llvmlite.binding as llvm
 import numpy as np
 
 from benchmarks.timing import Pair, side_by_side
@@ -44,24 +42,6 @@ def bare_physics(n: int, threads: int) -> Pair:
             theirs.batch.step(nstep=system.substeps)
 
     return side_by_side(kernel, mujoco, RUNS)
-
-
-_NARROW = """
-import json
-from dataclasses import asdict
-from benchmarks.kernel import bare_physics
-print(json.dumps(asdict(bare_physics({n}, 1))))
-"""
-
-
-def bare_physics_avx2(n: int) -> Pair | None:
-    """`bare_physics` on one thread without AVX-512; None on a machine that has none."""
-    if not llvm.get_host_cpu_features().get("avx512f"):
-        return None
-    environment = {**os.environ, "VES_GYM_FEATURES": "-avx512f"}
-    command = [sys.executable, "-c", _NARROW.format(n=n)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    return Pair(**json.loads(done.stdout))
 
 
 def simulator(n: int, system: System | None = None) -> Pair:
@@ -146,7 +126,6 @@ def steps_per_second(n: int, seconds: float) -> float:
 if __name__ == "__main__":
     for count, threads in ((256, 1), (256, 2), (1, 1)):
         print("bare", count, threads, bare_physics(count, threads))
-    print("bare, AVX2", 256, bare_physics_avx2(256))
     for count in (1, 256):
         print("Simulator", count, simulator(count))
     print("emulated", 256, emulated(256))

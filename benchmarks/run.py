@@ -49,14 +49,6 @@ def main() -> None:
             f" {threads} thread(s) ({pair.low:.1f}-{pair.high:.1f}),"
             f" {kernel.steps_per_second(n, pair.ours):,.0f} steps/s"
         )
-    narrow = kernel.bare_physics_avx2(256)
-    if narrow is not None:
-        results["kernel_n256_avx2"] = asdict(narrow)
-        print(
-            f"kernel n = 256    {narrow.ratio:5.1f} x bare batch physics of MuJoCo,"
-            f" 1 thread(s), AVX2 only ({narrow.low:.1f}-{narrow.high:.1f}),"
-            f" {kernel.steps_per_second(256, narrow.ours):,.0f} steps/s"
-        )
     for n in (1, 256):
         pair = kernel.simulator(n)
         results[f"kernel_simulator_n{n}"] = asdict(pair)

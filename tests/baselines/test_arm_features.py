@@ -123,7 +123,6 @@ def some_policy(features, hidden=16):
     return Policy(Network(sizes=sizes, features=features), weights, {"env": "x"})
 
 
-@pytest.mark.bits
 def test_a_row_does_not_depend_on_its_neighbours():
     env, rows = moving("ves/PumaReach-v1")
     policy = some_policy(arm_features(env.task))

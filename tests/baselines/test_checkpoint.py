@@ -49,7 +49,6 @@ def test_the_order_in_memory_is_kept(tmp_path):
     assert one.flags.c_contiguous and two.flags.f_contiguous
 
 
-@pytest.mark.bits
 @pytest.mark.parametrize(
     "settings",
     [{}, {"mode": "emulated", "effects": "laboratory"}, {"backend": "mujoco"}],

@@ -41,7 +41,6 @@ def test_a_recipe_gives_what_is_recorded(id):
     assert differences(make_dataset(recipes()[id]).fingerprint, recorded(recipes()[id])) == []
 
 
-@pytest.mark.bits
 def test_every_recipe_is_recorded_as_it_is_now():
     """Tasks, settings and weights of policies are those that the fingerprints were made of.
 

@@ -48,7 +48,6 @@ def test_an_environment_is_asked_for_what_actions_mean_and_nothing_else():
     assert policy.settings(spec) == {"control": "pd_target", "goal": True}
 
 
-@pytest.mark.bits
 def test_a_row_does_not_depend_on_its_neighbours():
     policy = some_policy((26, 64, 64, 3))
     x = np.random.default_rng(1).normal(size=(200, 26)).astype(np.float32)

@@ -18,8 +18,6 @@ from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.state import State
 from ves_gym.system.system import System
 
-pytestmark = pytest.mark.bits
-
 SYSTEMS = {
     "bent-thesis": System(vehicle=BENT_THESIS),
     "satellite": System(vehicle=FREE_FLYING, integrator="euler"),

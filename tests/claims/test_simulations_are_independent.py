@@ -3,7 +3,6 @@
 Compared bit for bit, without tolerance: simulation i of a batch against the same
 simulation alone, on one thread and on two, in other places, next to quiet and to diverging
 neighbours; and a run continued from a snapshot against the run that was not interrupted.
-`make test-processors` compares once more without AVX-512, and without AVX2 and FMA.
 """
 
 import pickle
@@ -30,7 +29,6 @@ from ves_gym.simulation.state import State
 from ves_gym.system.effect import EFFECTS, TorqueEffect, parameter, register
 from ves_gym.system.system import System
 
-pytestmark = pytest.mark.bits
 STEPS = 40
 SPREAD = {"q": 0.5, "v": 0.3, "y": 0.01, "yd": 0.02}
 

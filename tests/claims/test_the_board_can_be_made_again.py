@@ -128,7 +128,6 @@ def test_a_bundle_of_the_discrepancy_track_gives_its_rows(tmp_path):
     assert reverify(file, level="replayed", folder=tmp_path).alike == 1.0
 
 
-@pytest.mark.bits
 def test_a_random_part_of_the_published_bundles_gives_its_rows():
     """2 % of the entries with a bundle, others every day; cases take longer, above."""
     files = drawn(PLACE / "entries", 0.02, seed=datetime.now(UTC).date().toordinal())
@@ -185,7 +184,7 @@ def numbers(estimate):
 
 QUICK = [
     ("damping", "ves/PumaDamp-v0", "pped"),
-    pytest.param("policies", "ves/PumaReach-v0", "ppo", marks=pytest.mark.bits),
+    pytest.param("policies", "ves/PumaReach-v0", "ppo"),
 ]
 LONG = [
     ("paths", "reach100-4s", "shaped-zv"),

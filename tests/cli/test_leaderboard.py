@@ -208,7 +208,6 @@ def test_a_signed_name_on_the_board(call, tmp_path):
     assert status == 1 and err.startswith("ves-gym: rejected: unsafe-archive: ")
 
 
-@pytest.mark.bits
 def test_an_entry_is_what_it_was_whatever_the_threads():
     """A beam computed on two threads has other bits, and its environment another hash."""
     here = Path(__file__).parents[2]

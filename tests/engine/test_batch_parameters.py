@@ -59,8 +59,6 @@ from ves_gym.system.effect import (
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
-pytestmark = pytest.mark.bits
-
 BACKENDS = ["kernel", "mujoco"]
 IDEAL = System(vehicle=BENT_THESIS)
 NOMINAL = System(vehicle=BENT_THESIS, mode="emulated")

@@ -30,8 +30,6 @@ from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
-pytestmark = pytest.mark.bits
-
 ROOT = Path(__file__).parents[2]
 
 # ------------------------------------------------------------------ generated arithmetic
@@ -442,16 +440,6 @@ def test_where_the_cache_is(monkeypatch, tmp_path):
     assert build.cache_folder() == tmp_path / ".cache" / "ves_gym"
     monkeypatch.setattr(sys, "platform", "darwin")
     assert build.cache_folder() == tmp_path / "Library" / "Caches" / "ves_gym"
-
-
-def test_code_for_fewer_features_is_kept_apart(monkeypatch):
-    """Without AVX-512 (where there is one) the same arithmetic, twice as many instructions."""
-    monkeypatch.delenv("VES_GYM_FEATURES", raising=False)  # `make test-processors` sets it
-    x = np.linspace(-3, 3, 40)
-    wide, key = apply(ca.sin, x), build.machine()
-    monkeypatch.setenv("VES_GYM_FEATURES", "-avx512f")
-    assert build.machine() == f"{key},-avx512f"
-    np.testing.assert_array_equal(apply(ca.sin, x), wide)
 
 
 def links(**changes):

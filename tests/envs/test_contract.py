@@ -166,7 +166,6 @@ def bad_actions(shape):
     yield "beyond float64", [10**400] * shape[0]
 
 
-@pytest.mark.bits
 @each_id
 def test_a_bad_action_is_refused_and_changes_nothing(name):
     env = begun(name)
@@ -243,7 +242,6 @@ def test_bad_seeds_and_indices_are_refused(name):
     assert same(env.unwrapped.snapshot(), before)
 
 
-@pytest.mark.bits
 @each_id
 def test_a_refused_first_reset_does_no_harm(name):
     env = make(name)
@@ -262,7 +260,6 @@ def test_seeds_of_any_size_and_kind(name):
     assert len({s.tobytes() for s in starts}) == len(seeds)
 
 
-@pytest.mark.bits
 @each_id
 def test_a_seeded_reset_restores_everything(name):
     """Two whole episodes after equal seeds agree bit for bit after any history."""
@@ -276,7 +273,6 @@ def test_a_seeded_reset_restores_everything(name):
     assert same(fresh.unwrapped.snapshot(), used.unwrapped.snapshot())
 
 
-@pytest.mark.bits
 @each_id
 def test_episodes_and_seeds_differ(name):
     env = make(name)
@@ -296,7 +292,6 @@ def continued(env):
     return [*episode(env, 7), env.reset(), *walk(env, STEPS, 8), env.np_random.random()]
 
 
-@pytest.mark.bits
 @each_id
 @pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_copies_continue_identically(name, how):
@@ -313,7 +308,6 @@ def test_copies_continue_identically(name, how):
     assert same(results[0], results[2])
 
 
-@pytest.mark.bits
 @each_id
 def test_copies_before_the_first_reset_and_after_the_end(name):
     env = make(name)
@@ -326,7 +320,6 @@ def test_copies_before_the_first_reset_and_after_the_end(name):
     assert same(env.reset(), twin.reset())
 
 
-@pytest.mark.bits
 @each_id
 def test_snapshots_lead_back(name):
     """To the same point of the same episode, once and again, here or in another process."""

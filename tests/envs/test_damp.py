@@ -112,7 +112,6 @@ def test_modes_observed_hold_the_energy(vehicle, missed):
     np.testing.assert_allclose(seen["mode_energy"].sum(axis=1), s.energy, rtol=missed)
 
 
-@pytest.mark.bits
 def test_an_observation_is_that_of_the_simulation_alone():
     """Before it is rounded to single precision, which hides how many there are."""
     env = VesVectorEnv(17, "damp", duration=1.0)

@@ -8,8 +8,6 @@ from gymnasium.vector import AutoresetMode
 from tests.envs.walks import IDS, actions, flat, part, same, walk
 from ves_gym.envs.batch import Batch
 
-pytestmark = pytest.mark.bits
-
 each_id = pytest.mark.parametrize("name", IDS)
 WILD = 3e9  # rad/s; a millionth of a second later no number is left
 

@@ -16,8 +16,6 @@ from ves_gym.envs.task import task_from_plain
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
 
-pytestmark = pytest.mark.bits
-
 IDEAL = "ves/PumaRestToRest-v0"
 EMULATED = "ves/PumaRestToRestEmulated-v0"
 VISCOUS = {"joint/viscous": {"damping": ([0.0, 10.0, 0.0], [20.0, 30.0, 5.0])}}

@@ -21,8 +21,6 @@ from ves_gym._util.params import ParameterError
 from ves_gym.envs.batch import ActionError
 from ves_gym.envs.workers import AsyncVectorEnv, EnvWorkerDied
 
-pytestmark = pytest.mark.bits
-
 ROOT = Path(__file__).parents[2]
 STEPS = 12
 IDEAL = "ves/PumaRestToRest-v0"

@@ -37,7 +37,6 @@ NAMES = {name: problem for problem in EVERY for name in probes.probes_of(problem
 # ------------------------------------------------------------------------------- probes
 
 
-@pytest.mark.bits
 @pytest.mark.parametrize("name", NAMES)
 def test_a_probe_gives_what_is_stored(name):
     """To 1e-9 of the largest of each series, whatever the processor."""

@@ -15,7 +15,6 @@ FIRST = {  # with OpenBLAS's code for SkylakeX
 }
 
 
-@pytest.mark.bits
 @pytest.mark.parametrize("id", FIRST)
 def test_an_environment_is_the_same_on_every_processor(id):
     assert processor_free(environment(id)["spec"]) == FIRST[id]

@@ -25,8 +25,6 @@ from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
-pytestmark = pytest.mark.bits
-
 POSE = np.array([0.01, 0.02, -0.03, 0.1, -0.2, 0.3])
 ANGLES = np.array([0.3, -0.2, 0.5])
 NOISE = (

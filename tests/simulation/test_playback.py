@@ -175,7 +175,6 @@ def test_on_a_satellite_the_wrench_is_what_accelerates_it():
 # ------------------------------------------------------------------------------ logs
 
 
-@pytest.mark.bits
 def test_a_run_becomes_a_log_that_repeats_it(tmp_path):
     run = play_motions(System(vehicle=BENT_THESIS), [MOTION, OTHER], settle=0.2, y=0.001)
     run.log(1, note="second").save(tmp_path / "run.csv")

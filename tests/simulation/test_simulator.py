@@ -25,8 +25,6 @@ from ves_gym.simulation.divergence import Divergence
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
-pytestmark = pytest.mark.bits
-
 START = {"q": [0.3, -0.2, 0.5], "v": [0.1, 0.2, -0.3], "y": 0.01, "yd": [0.02] * 6}
 
 

@@ -19,8 +19,6 @@ from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
-pytestmark = pytest.mark.bits
-
 EMULATOR = EmulatorSettings(payload_compensation=True)
 BASES = ("base/amplitude_damping", "base/damping", "base/stiffness", "base/virtual_mass")
 WHOLE = sorted(

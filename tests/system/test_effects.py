@@ -50,7 +50,6 @@ def test_every_effect_is_entered_here():
     assert set(VALUES) == set(EFFECTS)
 
 
-@pytest.mark.bits
 @pytest.mark.parametrize("kind", VALUES)
 def test_at_null_the_run_is_the_nominal_one_to_the_bit(kind, nominal):
     assert null(kind).is_null
@@ -67,7 +66,6 @@ def test_any_other_value_changes_the_motion(kind, nominal):
     assert np.abs(got[-8] - nominal[-8]).max() > 1e-9
 
 
-@pytest.mark.bits
 @pytest.mark.parametrize("kind", VALUES)
 def test_a_null_effect_beside_it_changes_nothing(kind):
     """Whether it comes before or after the one that acts."""
@@ -325,7 +323,6 @@ def test_two_platforms_cannot_add_up_to_none():
             Simulator(NOMINAL.replace(effects=(one, one)), warn_at=None)
 
 
-@pytest.mark.bits
 def test_the_nominal_error_budget_runs():
     system = NOMINAL.replace(effects=LABORATORY_ERRORS)
     assert {type(e) for e in system.effects} == {SensorNoise, SensorDrift}

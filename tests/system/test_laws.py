@@ -71,7 +71,6 @@ def test_torques_are_those_of_the_formulas():
     assert torque[3, 0] == pytest.approx(-(3 + 3 * fade) - 0.2 - 1, rel=1e-6)
 
 
-@pytest.mark.bits
 def test_null_laws_leave_the_run_as_it_is():
     null = (JointViscous(damping=(0.0,) * 3), JointCoulomb(torque=(0.0,) * 3))
     runs = [

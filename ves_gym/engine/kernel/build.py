@@ -71,15 +71,8 @@ def machine() -> str:
     import llvmlite
     import llvmlite.binding as llvm
 
-    return f"{llvmlite.__version__} {llvm.get_host_cpu_name()} {_features()}"
-
-
-def _features() -> str:
-    """List this processor's features less those of VES_GYM_FEATURES ("-avx512f")."""
-    import llvmlite.binding as llvm
-
-    host = llvm.get_host_cpu_features().flatten()
-    return ",".join(k for k in (host, os.environ.get("VES_GYM_FEATURES")) if k)
+    features = llvm.get_host_cpu_features().flatten()
+    return f"{llvmlite.__version__} {llvm.get_host_cpu_name()} {features}"
 
 
 def _target() -> Any:
@@ -91,7 +84,7 @@ def _target() -> Any:
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_default_triple().create_target_machine(
         cpu=llvm.get_host_cpu_name(),
-        features=_features(),
+        features=llvm.get_host_cpu_features().flatten(),
         opt=2,
         jit=True,
     )
