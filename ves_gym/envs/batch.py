@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError, content_hash
-from ves_gym._util.streams import reseed
 from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
 from ves_gym.envs.compiled import Shape, plain_command
 from ves_gym.envs.corners import warn_of_unstable_corners
@@ -190,11 +189,11 @@ class Batch:
             return
         e.number[ids] += 1
         u = np.empty((len(ids), task.draws + self._draws.size))
-        mine = [sim.generators[i] for i in ids.tolist()]
         keys = np.column_stack([k[ids].astype(np.uint64) for k in (e.root, e.index, e.number)])
-        for i, generator, row in zip(ids.tolist(), reseed(mine, keys), u, strict=True):
-            sim.generators[i] = generator
-            generator.random(out=row)
+        for i, key, row in zip(ids.tolist(), keys.tolist(), u, strict=True):
+            seeds = np.random.SeedSequence(key)
+            sim.generators[i] = np.random.Generator(np.random.PCG64(seeds))
+            sim.generators[i].random(out=row)
         if task.randomize:
             self._randomise(ids, u[:, task.draws :])
         begin = task.start(u[:, : task.draws], **(options or {}))
