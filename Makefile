@@ -47,7 +47,7 @@ policies: $(DEV) ## train every released policy again, going on where it stopped
 	for config in ves_gym/baselines/configs/*.toml; do $(BIN)/ves-gym train $$config --resume $(ARGS) || exit 1; done
 	$(BIN)/python scripts/training.py out/train
 
-leaderboard: $(DEV) ## answer, verify and enter what the board lacks; write its page
+leaderboard: $(DEV) ## answer what the board lacks; write its page
 	$(BIN)/python scripts/leaderboard.py $(ARGS)
 
 figures: $(DEV) ## make the documentation's pictures again; one: make figures ARGS=wiring.svg

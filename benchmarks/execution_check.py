@@ -1,9 +1,8 @@
 """Answers that the arm keeps: `python -m benchmarks.execution_check [--queries N] [NAME]`.
 
 Per planner and problem of the track *paths*: answers inside the limits as they are commanded,
-and those that the simulated arm keeps at every physics step (rules 2 of the track:
-`planners/execution_check.py`), with the query's speed limits and with the reserve that is
-left on the board.
+and those that the simulated arm keeps at every physics step (`planners/execution_check.py`),
+with the query's speed limits and with the reserve that is left on the board.
 """
 
 from __future__ import annotations
@@ -13,8 +12,9 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 
-from ves_gym.leaderboard.protocol import get_problem, problems, seeds_of
-from ves_gym.leaderboard.tracks.paths import PathTrack
+from ves_gym.leaderboard.problems import get_problem, problems
+from ves_gym.leaderboard.seeds import seeds_of
+from ves_gym.leaderboard.tracks.paths import path_queries
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.execution_check import RESERVE, executed_violation, solve_with_reserve
 from ves_gym.planners.query import Query, first_violation
@@ -67,7 +67,7 @@ def main(words: Sequence[str]) -> int:
     print("|---|---|---|---|---|---|")
     for name in args.names or QUICK:
         for problem in (get_problem("paths", p) for p in names):
-            queries = PathTrack().queries(problem, seeds_of(problem, None))[: args.queries]
+            queries = path_queries(problem, seeds_of(problem, None))[: args.queries]
             for reserve in (0.0, RESERVE):
                 plans = [
                     solve_with_reserve(get_planner(name), q, reserve=reserve) for q in queries

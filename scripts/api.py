@@ -28,7 +28,7 @@ GROUPS = {
     "Effects": "effects Effect parameter register_effect",
     "Planning": "Query Plan Planner NoPlan register_planner",
     "Environments and policies": "Task register_task Policy Controller load_policy",
-    "Diagnosis and board": "Diagnosis Candidate MjcfMachine make_bundle verify_bundle",
+    "Diagnosis and board": "Diagnosis Candidate MjcfMachine make_entry verify_entry",
     "Errors": "ParameterError",
 }
 ROOMS = (

@@ -203,7 +203,7 @@ FIGURES: dict[str, Figure] = {
         "`ves-gym simulate --mode emulated`, `ves-gym view`",
     ),
     "leaderboard.png": Figure(
-        partial(screenshot, BOARD, (1265, 1130)), "docs/leaderboard/index.html in a browser"
+        partial(screenshot, BOARD, (1265, 780)), "docs/leaderboard/index.html in a browser"
     ),
     "new_tasks.png": Figure(
         lambda target: new_tasks.draw(new_tasks.stored(), target),

@@ -303,7 +303,7 @@ PUBLIC = """
     effects Effect parameter register_effect
     Query Plan Planner NoPlan register_planner
     Task register_task Policy Controller load_policy
-    Diagnosis Candidate MjcfMachine make_bundle verify_bundle
+    Diagnosis Candidate MjcfMachine make_entry verify_entry
     ParameterError
 """
 DOORS = sorted(  # packages that import their names on first use

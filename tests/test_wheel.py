@@ -38,9 +38,7 @@ def test_wheel_holds_only_the_package_and_its_data(wheel):
         "report/page.js",
         "report/dom.js",
     }
-    kept |= {
-        f"leaderboard/{name}" for name in ("page.html", "page.css", "page.js", "charts.js")
-    }
+    kept |= {f"leaderboard/{name}" for name in ("page.html", "page.css", "page.js")}
     kept |= {f"baselines/policies/PumaDamp/ppo.{end}" for end in ("json", "safetensors")}
     assert {f"ves_gym/{name}" for name in kept} <= set(names)
 

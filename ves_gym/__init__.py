@@ -84,8 +84,8 @@ if TYPE_CHECKING:
     from ves_gym.engine.kernel.sensitivity import rollout_gradients as rollout_gradients
     from ves_gym.envs.task import Task as Task
     from ves_gym.envs.task import register_task as register_task
-    from ves_gym.leaderboard.run import make_bundle as make_bundle
-    from ves_gym.leaderboard.verify import verify as verify_bundle
+    from ves_gym.leaderboard.run import make_entry as make_entry
+    from ves_gym.leaderboard.verify import verify as verify_entry
     from ves_gym.mechanics.arm import Arm as Arm
     from ves_gym.mechanics.arm import Inertial as Inertial
     from ves_gym.mechanics.arm import Link as Link
@@ -175,7 +175,7 @@ __all__ = [
     "excitation",
     "get_vehicle",
     "load_policy",
-    "make_bundle",
+    "make_entry",
     "parameter",
     "plan",
     "register_effect",
@@ -185,7 +185,7 @@ __all__ = [
     "rollout_gradients",
     "simulate",
     "train",
-    "verify_bundle",
+    "verify_entry",
 ]
 
 _HOMES = {
@@ -236,13 +236,13 @@ _HOMES = {
     "Task": "envs.task",
     "get_vehicle": "mechanics.vehicle",
     "load_policy": "baselines.policy",
-    "make_bundle": "leaderboard.run",
+    "make_entry": "leaderboard.run",
     "parameter": "system.effect",
     "register_effect": "system.effect:register",
     "register_planner": "planners.registry",
     "register_task": "envs.task",
     "rollout_gradients": "engine.kernel.sensitivity",
-    "verify_bundle": "leaderboard.verify:verify",
+    "verify_entry": "leaderboard.verify:verify",
 }
 _ROOMS = (
     "baselines",

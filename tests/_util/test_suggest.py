@@ -108,15 +108,15 @@ def _reset_option():
 
 
 def _track():
-    from ves_gym.leaderboard.protocol import problems
+    from ves_gym.leaderboard.problems import problems
 
     problems("path")
 
 
 def _problem():
-    from ves_gym.leaderboard.protocol import get_problem
+    from ves_gym.leaderboard.problems import get_problem
 
-    get_problem("paths", "reach100-1")
+    get_problem("paths", "bent-1")
 
 
 def _controller():

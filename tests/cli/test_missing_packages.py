@@ -153,7 +153,6 @@ def test_curves_elsewhere(command, words, says, tmp_path):
             ["teleop", "--keys", "KEYS", "--log", "log.parquet"],
             "pip install 'ves-gym[parquet]'",
         ),
-        (["leaderboard", "render", "board.jsonl", "--parquet"], "'ves-gym[parquet]'"),
         (["merge", "folder", "--parquet"], "'ves-gym[parquet]'"),
         (["diagnose", "a.parquet", "b.parquet"], "pip install 'ves-gym[parquet]'"),
         (
@@ -164,10 +163,6 @@ def test_curves_elsewhere(command, words, says, tmp_path):
         (["benchmark", "--quick", "--first", "1", "--planners", "ompl-qt"], "package ompl"),
         (["sweep", "SWEEP"], "training needs the packages torch and stable-baselines3"),
         (["search", "SPEC"], "search needs the package optuna: pip install 'ves-gym[scale]'"),
-        (
-            ["leaderboard", "import-sb3", "a.zip", "a.json", "--trust"],
-            "pip install 'ves-gym[rl]'",
-        ),
     ],
 )
 def test_refused_in_one_line(command, run_log, tmp_path, words, says):

@@ -16,10 +16,10 @@ UNKNOWN = {
     "plan --goal 1,1,1 --planner refind": "refined",
     "benchmark --suite thesi": "thesis",
     "evaluate ves/PumaReech-v0": "ves/PumaReach-v0",
-    "leaderboard verfy a.zip": "verify",
-    "leaderboard verify a.zip --boad b": "--board",
-    "leaderboard run pats reach100-2s direct": "paths",
-    "leaderboard run paths reach10-2s direct": "reach100-2s",
+    "leaderboard verfy a.json": "verify",
+    "leaderboard verify a.json --boad b": "--board",
+    "leaderboard run pats bent-2s direct": "paths",
+    "leaderboard run paths bnt-2s direct": "bent-2s",
 }
 
 

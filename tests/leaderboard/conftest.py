@@ -1,22 +1,41 @@
-"""Made-up entries and scores."""
+"""Small honest entries, made by the real run, and how a spoiled one is refused."""
 
-import numpy as np
 import pytest
 
-from tests.entries import made_entry
+from tests.leaderboard.entries import DAMP, Gentle, code_of, save_random_policy
+from ves_gym.leaderboard.run import make_entry
 
 
 @pytest.fixture
-def make_entry():
-    return made_entry
+def refused(tmp_path):
+    """The code of a spoiled entry."""
+    return lambda spoiled, **options: code_of(
+        spoiled.write(tmp_path / f"e{len(list(tmp_path.iterdir()))}"), **options
+    )
 
 
-@pytest.fixture
-def noisy_scores():
-    """n scores around a level, the same every time."""
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("entries")
 
-    def make(level, n=50, seed=0, failed=0):
-        values = level * np.exp(0.3 * np.random.default_rng(seed).normal(size=n))
-        return [None if k < failed else float(v) for k, v in enumerate(values)]
 
-    return make
+@pytest.fixture(scope="session")
+def straight(folder):
+    """Ten straight lines."""
+    make_entry(folder / "straight", "paths", "bent-1s-quick", "straight")
+    return folder / "straight"
+
+
+@pytest.fixture(scope="session")
+def policy(folder):
+    """Ten episodes of a policy."""
+    file = save_random_policy(folder / "mine.json")
+    make_entry(folder / "policy", *DAMP, [file], author="someone")
+    return folder / "policy"
+
+
+@pytest.fixture(scope="session")
+def own(folder):
+    """Ten episodes of a controller of one's own, recorded."""
+    make_entry(folder / "own", *DAMP, Gentle())
+    return folder / "own"

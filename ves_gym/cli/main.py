@@ -26,7 +26,7 @@ COMMANDS = {  # name -> what it does; the module of the same name is loaded when
     "evaluate": "controllers and policies side by side on the same episodes",
     "dataset": "episodes as Minari data sets: made from recipes, checked, replayed",
     "policy": "policies as ONNX for other engines, and their model cards",
-    "leaderboard": "bundles that prove a result, their verification, and the board",
+    "leaderboard": "entries that anybody can repeat, their verification, and the board",
     "sweep": "many units of work, on this machine or a cluster; goes on where it stopped",
     "matrix": "methods x machines x tasks x seeds: one page with intervals; goes on",
     "search": "the settings of a sweep that do best, found with Optuna",

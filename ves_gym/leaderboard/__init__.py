@@ -1,4 +1,4 @@
-"""Reproducible leaderboard: entries, bundles that prove them, runs that outgrow a machine."""
+"""Leaderboard: problems, entries that anybody can repeat, their verification, the board."""
 
 from typing import TYPE_CHECKING
 

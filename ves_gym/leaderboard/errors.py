@@ -1,4 +1,4 @@
-"""Why a bundle is refused: one code per reason."""
+"""Why an entry is refused: one code per reason."""
 
 from __future__ import annotations
 
@@ -6,52 +6,30 @@ from enum import Enum
 
 
 class Code(Enum):
-    """Faults of a bundle; the text is the meaning (docs/leaderboard.md)."""
+    """Faults of an entry; the text is the meaning (docs/leaderboard.md)."""
 
-    UNSAFE_ARCHIVE = "a link, a path, a name or a size that no bundle has, or no archive at all"
-    MISSING_MEMBER = "a file that the bundle needs is not in it"
-    EXTRA_MEMBER = "a file that does not belong to the bundle is in it"
-    MALFORMED_MANIFEST = "manifest.json is no canonical JSON of the schema"
-    HASH_MISMATCH = "a file or the manifest is not what its digest says"
-    BAD_SIGNATURE = "the signature is none, of other contents, or by a key of another kind"
-    OLD_PROTOCOL = "made for another version of the track's rules"
+    UNSAFE_FILE = "a link, a name or a size that no file of an entry has"
+    MALFORMED_ENTRY = "entry.json is no JSON of the schema"
     UNKNOWN_PROBLEM = "no such track, problem or kind of method"
-    OLD_ENVIRONMENT = "made for another version or other settings of the environment"
-    SYSTEM_MISMATCH = "made on another system: arm, vehicle, mode, effects or steps"
-    EVALUATOR_MISMATCH = "made by another version of the evaluator, or by one that is not known"
-    EVALUATOR_CHANGED = (
-        "the code here does not compute what its version does: the probe is named"
-    )
-    WRONG_SEEDS = "not the seeds of the problem"
-    MISSING_EPISODE = "an episode, query or case has no row"
+    WRONG_SEEDS = "not the seeds of the problem, or of the method"
+    WRONG_LENGTH = "results, actions, control points or gains are more or fewer than asked"
+    BAD_RECORDING = "an action, motion or gain is not finite, out of bounds or no such thing"
+    BAD_SETTINGS = "settings of the environment that are not the method's to choose"
+    BAD_POLICY = "a policy that cannot be read, does not fit or is not the one that is named"
     REPEATED_GROUP = "two trainings or seeds do the same: one would count twice"
-    EXTRA_EPISODE = "a row is of no episode, query or case of the problem, or there twice"
-    EPISODE_LENGTH = "actions, control points or answers are more or fewer than the rows need"
-    BAD_ACTION = (
-        "an action, motion, gain or answer is not finite, out of bounds or no such thing"
-    )
-    UNKNOWN_ARCHITECTURE = "a policy that is not of the closed list of architectures"
-    BAD_WEIGHTS = "weights that cannot be read, are not finite or do not fit"
-    BELOW_FLOOR = "better than physics permits"
     LEDGER_RESIDUAL = "energy comes from nowhere: the simulation is not to be believed"
-    SCORE_DIFFERS = "a row is not what the replay gives"
-    NOT_REPRODUCED = "the method, run again, does something else"
-    TOO_LONG = "verifying takes longer than the time it is given"
-    NOT_REPRODUCIBLE = "there is nothing to run again: only replaying can prove it"
+    SCORE_DIFFERS = "results are claimed that are better than those found here"
+    NOT_REPRODUCIBLE = "there is neither a recording nor a method that could answer again"
 
     @property
     def slug(self) -> str:
-        """The code as it is printed, such as `hash-mismatch`."""
+        """The code as it is printed, such as `score-differs`."""
         return self.name.lower().replace("_", "-")
 
 
-class BundleError(Exception):
-    """A bundle that is refused."""
+class Refused(Exception):
+    """An entry that is refused."""
 
     def __init__(self, code: Code, why: str) -> None:
-        super().__init__(f"{code.slug}: {' '.join(why.split())}")
-        self.code, self.why = code, why
-
-    def __reduce__(self) -> tuple[type[BundleError], tuple[Code, str]]:
-        """Return what makes it again in another process."""
-        return BundleError, (self.code, self.why)
+        super().__init__(f"{code.slug}: {' '.join(why.split())[:300]}")
+        self.code = code

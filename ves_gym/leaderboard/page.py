@@ -8,7 +8,7 @@ from typing import Any
 from ves_gym._util.params import ParameterError, write_text
 from ves_gym.leaderboard.board import SCHEMA
 from ves_gym.report.pages import assemble, embedded, part
-from ves_gym.report.planner_styles import css, script
+from ves_gym.report.planner_styles import css
 
 _HERE = "ves_gym.leaderboard"
 
@@ -30,7 +30,7 @@ def render_page(board: dict[str, Any]) -> str:
         )
     parts = {
         "style": css() + part("page.css") + part("page.css", _HERE),
-        "script": script() + part("dom.js") + part("charts.js", _HERE) + part("page.js", _HERE),
+        "script": part("dom.js") + part("page.js", _HERE),
         "data": embedded(board),
     }
     return assemble(part("page.html", _HERE), parts)

@@ -1,221 +1,104 @@
-"""`leaderboard run`: answer a problem and write the bundle that proves it."""
+"""`leaderboard run`: answer a problem and write the entry."""
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
-from ves_gym._util.params import ParameterError, to_plain
+from ves_gym._util.params import ParameterError
 from ves_gym._util.threads import on_one_thread
 from ves_gym.baselines.controllers import Controller
-from ves_gym.baselines.policy import load_policy
-from ves_gym.baselines.registry import get_controller
-from ves_gym.leaderboard import evaluators, fingerprint
-from ves_gym.leaderboard.archive import MANIFEST, write_members
-from ves_gym.leaderboard.bundle import SCHEMA, digest, sealed
-from ves_gym.leaderboard.errors import BundleError
-from ves_gym.leaderboard.policy_files import ARCHITECTURES, policy_names
-from ves_gym.leaderboard.probes import require_behaviour
-from ves_gym.leaderboard.protocol import (
-    MOST_GROUPS,
-    PROTOCOL,
-    Problem,
-    Seeds,
-    get_problem,
-    seeds_of,
-)
-from ves_gym.leaderboard.tracks.base import (
-    Answers,
-    LeaderboardTrack,
-    Method,
-    Progress,
-    no_progress,
-    repeated,
-)
-from ves_gym.leaderboard.tracks.damping import DampingTrack
-from ves_gym.leaderboard.tracks.diagnosis import DiagnosisTrack
+from ves_gym.baselines.policy import versions
+from ves_gym.leaderboard.entry import Entry, Method, Results, to_bytes
+from ves_gym.leaderboard.files import ENTRY, RECORDING, pack, write_files
+from ves_gym.leaderboard.methods import given
+from ves_gym.leaderboard.problems import Problem, get_problem
+from ves_gym.leaderboard.seeds import Seeds, seeds_of
+from ves_gym.leaderboard.statistics import repeated
+from ves_gym.leaderboard.tracks.base import Answers, Progress, Track, no_progress
+from ves_gym.leaderboard.tracks.damping import GainTrack, Tuner
 from ves_gym.leaderboard.tracks.paths import PathTrack
-from ves_gym.leaderboard.tracks.policies import PolicyTrack, chosen_settings
-from ves_gym.leaderboard.tracks.registry import get_track
+from ves_gym.leaderboard.tracks.tasks import DampTrack, TaskTrack
 from ves_gym.planners.query import Planner
-from ves_gym.planners.registry import get_planner
 
 
-def make_bundle(
-    path: str | os.PathLike[str],
+def make_entry(
+    folder: str | os.PathLike[str],
     track: str,
     problem: str,
-    method: str | Planner | Controller | Sequence[str | os.PathLike[str]],
+    method: str | Planner | Controller | Tuner | Sequence[str | os.PathLike[str]],
     *,
     name: str | None = None,
-    author: str = "",
+    author: str = "anonymous",
     seeds: Sequence[int] = (0,),
     salt: str | None = None,
     training: Mapping[str, Any] | None = None,
-    folder: Path | None = None,
     workers: int = 1,
     progress: Progress = no_progress,
-) -> Path:
-    """Answer a problem and write the bundle.
+) -> Entry:
+    """Answer a problem and write the entry.
 
     Args:
-        path: new or empty folder, or a .zip file.
-        method: name of a built-in planner, controller, tuner or selector; a planner or
-            controller of one's own (its bundle can be replayed, not reproduced); or the files
-            of policies.
-        seeds: of the method, 0, 1, ... in order: one group of rows each. Policies: one per
+        folder: new or empty; gets `entry.json`, files of policies, and the recording of a
+            method of one's own.
+        track, problem: see `problems`.
+        method: name of a built-in planner, controller or tuner, or of a released policy; files
+            of policies; or a planner, a controller or a function that finds gains.
+        name: on the board; default the method's.
+        author: on the board.
+        seeds: of the method, 0, 1, ... in order: one group of results each. Policies: one per
             file, as told by them.
         salt: of the official seeds; None for the public ones.
         training: what it took to make the method, plain data; default what policies tell.
-        folder, workers: see `DiagnosisTrack` and `PathTrack`.
+        workers: processes that plan.
+        progress: called with the stage and the fraction done.
 
     Returns:
-        The path.
+        The entry.
     """
     question = get_problem(track, problem)
-    drawn = seeds_of(question, salt)
-    try:
-        require_behaviour(question)
-    except BundleError as error:  # of what nobody would accept, sooner than hours later
-        raise ParameterError(error.why) from None
-    if not 1 <= len(seeds) <= MOST_GROUPS or tuple(seeds) != tuple(range(len(seeds))):
-        raise ParameterError(
-            f"seeds of a method must be 0, 1, ... in order, {MOST_GROUPS} at most, got"
-            f" {', '.join(map(str, seeds)) or 'none'}: the protocol fixes them"
-        )
-    rules = get_track(track, folder, workers)
-    begun = _timestamp()
+    drawn, rules = seeds_of(question, salt), track_of(question, workers)
+    entered = given(question, method, seeds)
     with on_one_thread():  # as `verify` does
-        answers, described = _answer(rules, question, drawn, method, tuple(seeds), progress)
-    if (twice := repeated(answers.rows, answers.method)) is not None:
+        answers = rules.answer(question, drawn, entered.method, entered.agents, progress)
+        results = results_of(rules, question, drawn, entered.method, answers)
+    if (twice := repeated(results, entered.method.kind)) is not None:
         raise ParameterError(
             f"groups {twice[0]} and {twice[1]} do the same, and one of them would count twice:"
             " leave it out"
         )
-    manifest = {
-        "schema": SCHEMA,
-        "track": track,
-        "protocol": PROTOCOL[track],
-        "problem": problem,
-        "name": name or answers.method.name or described.get("name", ""),
-        "author": author,
-        "kind": answers.method.kind,
-        "seeds": {
-            "which": drawn.which,
-            "mark": drawn.mark,
-            "list": rules.seed_list(question, drawn),
-        },
-        "spec": spec_of(rules, question),
-        "method": {k: v for k, v in to_plain(vars(answers.method)).items() if k != "kind"},
-        "members": {},
-        "rows": answers.rows,
-        "about": {
-            "versions": fingerprint.package_versions(),
-            "cpu": fingerprint.cpu_model(),
-            "simd": fingerprint.simd(),
-            "settings": described.get("settings", {}),
-            "training": dict(training)
-            if training is not None
-            else described.get("training", {}),
-            "begun": begun,
-            "ended": _timestamp(),
-        },
-    }
-    members = {rules.payload(question): answers.payload, **answers.members}
-    manifest["members"] = {
-        k: {"bytes": len(data), "sha256": digest(data)} for k, data in members.items()
-    }
-    return write_members(path, {**members, MANIFEST: sealed(manifest)})
-
-
-def spec_of(rules: LeaderboardTrack, problem: Problem) -> dict[str, Any]:
-    """Return the hashes of all that an answer to a problem depends on.
-
-    Args:
-        rules: its track.
-        problem: the problem.
-    """
-    system = rules.system(problem)
-    id = problem.environment
-    return {
-        "environment": None if id is None else fingerprint.environment(id),
-        "system": system.hash,
-        "model": fingerprint.model_xml(system),
-        "evaluator": evaluators.identity(problem),
-    }
-
-
-def _answer(
-    rules: LeaderboardTrack,
-    problem: Problem,
-    drawn: Seeds,
-    method: Any,
-    seeds: tuple[int, ...],
-    on_progress: Progress,
-) -> tuple[Answers, dict[str, Any]]:
-    if isinstance(rules, PathTrack):
-        planner = get_planner(method) if isinstance(method, str) else method
-        chosen = Method(kind="planner", name=planner.name, seeds=seeds)
-        return rules.run(problem, drawn, planner, chosen, on_progress), {}
-    if isinstance(rules, DiagnosisTrack):
-        chosen = Method(kind="selector", name=str(method))
-        return rules.run(problem, drawn, chosen, on_progress), {}
-    if problem.environment is None:
-        assert isinstance(rules, DampingTrack)
-        chosen = Method(kind="gains", name=str(method), seeds=seeds)
-        return rules.run_tuner(problem, drawn, chosen, on_progress), {}
-    assert isinstance(rules, PolicyTrack)
-    is_controller = hasattr(method, "act")
-    if is_controller or isinstance(method, str):
-        agents = [method] if is_controller else [get_controller(method, seed) for seed in seeds]
-        chosen = Method(
-            kind="controller",
-            name=agents[0].name,
-            seeds=seeds[: len(agents)],
-            settings=chosen_settings(agents[0], problem.environment),
-        )
-        described = {"settings": {"privileged": bool(agents[0].privileged)}}
-        return rules.run(problem, drawn, agents, chosen, {}, on_progress), described
-    return _policies(rules, problem, drawn, [Path(p) for p in method], on_progress)
-
-
-def _policies(
-    rules: PolicyTrack, problem: Problem, drawn: Seeds, files: list[Path], on_progress: Progress
-) -> tuple[Answers, dict[str, Any]]:
-    if not 1 <= len(files) <= MOST_GROUPS:
-        raise ParameterError(f"a bundle holds 1 to {MOST_GROUPS} policies, got {len(files)}")
-    policies = [load_policy(file) for file in files]
-    assert problem.environment is not None
-    choices = [chosen_settings(p, problem.environment) for p in policies]
-    if any(c != choices[0] for c in choices):
-        raise ParameterError("policies of one bundle must ask for the same settings")
-    members: dict[str, bytes] = {}
-    weights = []
-    for group, file in enumerate(files):
-        named, data = policy_names(group)
-        members[named] = file.read_bytes()
-        members[data] = file.with_suffix(".safetensors").read_bytes()
-        weights.append(hashlib.sha256(members[data]).hexdigest())
-    told_seeds = [p.about.get("seed") for p in policies]
-    seeds = [k for k in told_seeds if isinstance(k, int) and k >= 0]
-    distinct = len(seeds) == len(files) and len(set(seeds)) == len(seeds)
-    method = Method(
-        kind="policy",
-        seeds=tuple(seeds) if distinct else tuple(range(len(files))),
-        architecture=ARCHITECTURES[0],
-        weights=tuple(weights),
-        settings=choices[0],
+    told = {} if training is None else {"training": dict(training)}
+    entry = Entry(
+        track=track,
+        problem=problem,
+        name=name or entered.name,
+        author=author,
+        level="reproduced" if entered.built_in else "replayed",
+        seeds=drawn.name,
+        method=entered.method,
+        results=dict(results),
+        about={"versions": versions(), **entered.about, **told},
     )
-    about = policies[0].about
-    training = {k: about[k] for k in ("algorithm", "steps", "env") if k in about}
-    described = {"name": str(about.get("algorithm", policies[0].name)), "training": training}
-    controllers: list[Controller] = list(policies)
-    return rules.run(problem, drawn, controllers, method, members, on_progress), described
+    files = {ENTRY: to_bytes(entry), **entered.files}
+    if not entered.built_in:
+        files[RECORDING] = pack(answers.recording)
+    write_files(folder, files)
+    return entry
 
 
-def _timestamp() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")
+def track_of(problem: Problem, workers: int = 1) -> Track:
+    """The track of a problem; `workers` are processes that plan."""
+    if problem.track == "paths":
+        return PathTrack(workers)
+    if problem.track == "tasks":
+        return TaskTrack()
+    return GainTrack() if problem.environment is None else DampTrack()
+
+
+def results_of(
+    rules: Track, problem: Problem, seeds: Seeds, method: Method, answers: Answers
+) -> Results:
+    """Results of answers, with the seconds that they took."""
+    results = rules.replay(problem, seeds, method, answers.recording)
+    return results if answers.seconds is None else {**results, "seconds": answers.seconds}

@@ -1,1 +1,1 @@
-"""The tracks of the leaderboard: how each is answered, replayed and answered again."""
+"""Tracks of the leaderboard: how their problems are answered and replayed."""

@@ -1,0 +1,216 @@
+"""Who answers: a method as it is given to `run`, and as an entry names it to answer again."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ves_gym._util.params import ParameterError
+from ves_gym._util.suggest import did_you_mean
+from ves_gym.baselines.comparison import policy_files
+from ves_gym.baselines.policy import Policy, load_policy, released
+from ves_gym.baselines.registry import CONTROLLERS, get_controller
+from ves_gym.leaderboard.entry import MOST_GROUPS, Method
+from ves_gym.leaderboard.errors import Code, Refused
+from ves_gym.leaderboard.files import policy_names
+from ves_gym.leaderboard.problems import Problem
+from ves_gym.leaderboard.tracks.damping import TUNERS, tuner
+from ves_gym.leaderboard.tracks.settings import chosen_settings
+from ves_gym.planners.registry import PLANNERS, get_planner
+
+# A planner, a controller per group, or a function that finds gains; see the tracks.
+Agents = Sequence[Any]
+
+
+class Given(NamedTuple):
+    """A method with the objects that answer, one per group, and the files it needs again."""
+
+    method: Method
+    agents: Agents
+    name: str
+    files: dict[str, bytes]
+    about: dict[str, Any]  # what is told of it
+
+    @property
+    def built_in(self) -> bool:
+        """True where it can answer again from the entry and the files."""
+        return bool(self.method.name or self.method.weights)
+
+
+def given(problem: Problem, method: Any, seeds: Sequence[int]) -> Given:
+    """Return the method that somebody enters.
+
+    Args:
+        problem: that it is to answer.
+        method: name of a built-in planner, controller or tuner, or of a released policy; files
+            or folders of policies; or a planner, controller or function of one's own.
+        seeds: of the method, 0, 1, ... in order, one per group; of policies not asked for.
+    """
+    if list(seeds) != list(range(len(seeds))) or not 1 <= len(seeds) <= MOST_GROUPS:
+        raise ParameterError(
+            f"seeds of a method must be 0, 1, ... in order, {MOST_GROUPS} at most, got"
+            f" {', '.join(map(str, seeds)) or 'none'}: none can be picked"
+        )
+    if isinstance(method, (str, os.PathLike)):
+        words = [os.fspath(method)]
+    else:
+        words = [os.fspath(k) for k in method] if isinstance(method, Sequence) else []
+    id = problem.environment
+    if id is not None and words and (len(words) > 1 or words[0] not in CONTROLLERS):
+        return _policies(id, words)
+    if len(words) > 1:
+        raise ParameterError(f"expected one method, got {' '.join(words)}")
+    agents = [_built_in(problem, words[0], k) if words else method for k in seeds]
+    settings, about = {}, {}
+    if id is not None:
+        settings = chosen_settings(agents[0], id)
+        about = {"privileged": bool(agents[0].privileged)}
+    name = words[0] if words else str(getattr(method, "name", ""))
+    made = Method(
+        kind="controller" if id is not None else problem.kinds[0],
+        name=name if words and name in _known(problem) else "",
+        seeds=tuple(seeds),
+        settings=settings,
+    )
+    return Given(made, agents, name, {}, about)
+
+
+def again(
+    problem: Problem, method: Method, files: Mapping[str, bytes]
+) -> tuple[Method, Agents]:
+    """Return what answers again, built in or from the files; nothing submitted is run.
+
+    Raises:
+        Refused: WRONG_SEEDS, NOT_REPRODUCIBLE, BAD_POLICY, BAD_SETTINGS.
+    """
+    if method.kind == "policy":
+        policies = _load(problem, method, files)
+        choices = [_settings(policy, problem) for policy in policies]
+        if any(choice != choices[0] for choice in choices):
+            raise Refused(Code.BAD_POLICY, "policies of one entry must ask for the same")
+        return replace(method, settings=choices[0]), policies
+    if method.seeds != tuple(range(len(method.seeds))):
+        raise Refused(
+            Code.WRONG_SEEDS,
+            f"seeds of a {method.kind} are 0, 1, ... in order, got {method.seeds}",
+        )
+    known = _known(problem)
+    if method.name not in known:
+        raise Refused(
+            Code.NOT_REPRODUCIBLE,
+            f"no recording, and no built-in {method.kind} {method.name!r}",
+        )
+    agents = [_built_in(problem, method.name, seed) for seed in method.seeds]
+    settings = _settings(agents[0], problem) if method.kind == "controller" else {}
+    return replace(method, settings=settings), agents
+
+
+def _known(problem: Problem) -> Sequence[str]:
+    if problem.environment is not None:
+        return tuple(CONTROLLERS)
+    return tuple(PLANNERS) if problem.track == "paths" else TUNERS
+
+
+def _built_in(problem: Problem, name: str, seed: int) -> Any:
+    if problem.environment is not None:
+        return get_controller(name, seed)
+    if problem.track == "paths":
+        return get_planner(name)
+    if name not in TUNERS:
+        raise ParameterError(
+            f"gains must be one of {', '.join(TUNERS)}, got {name!r:.80}"
+            f"{did_you_mean(name, TUNERS)}"
+        )
+    return tuner(name)
+
+
+def _settings(agent: Any, problem: Problem) -> dict[str, Any]:
+    assert problem.environment is not None
+    try:
+        return chosen_settings(agent, problem.environment)
+    except ParameterError as error:
+        raise Refused(Code.BAD_SETTINGS, str(error)) from None
+
+
+# ------------------------------------------------------------------------- policies
+
+
+def _policies(id: str, words: Sequence[str]) -> Given:
+    if len(words) == 1 and not Path(words[0]).suffix and not Path(words[0]).exists():
+        names = [*CONTROLLERS, *released(id)]
+        if words[0] not in names:
+            raise ParameterError(
+                f"method must be a controller, a policy released for {id} or files of policies:"
+                f" one of {', '.join(names)}, got {words[0]!r}{did_you_mean(words[0], names)}"
+            )
+    places = [file for word in words for file in policy_files(word, id)]
+    if not 1 <= len(places) <= MOST_GROUPS:
+        raise ParameterError(f"an entry has 1 to {MOST_GROUPS} policies, got {len(places)}")
+    policies = [load_policy(file) for file in places]
+    settings = [chosen_settings(policy, id) for policy in policies]
+    if any(choice != settings[0] for choice in settings):
+        raise ParameterError("policies of one entry must ask for the same settings")
+    files: dict[str, bytes] = {}
+    for group, file in enumerate(places):
+        table, weights = policy_names(group)
+        files[table] = file.read_bytes()
+        files[weights] = file.with_suffix(".safetensors").read_bytes()
+    told = policies[0].about
+    method = Method(
+        kind="policy",
+        seeds=_training_seeds(policies),
+        weights=tuple(_digest(files[policy_names(g)[1]]) for g in range(len(places))),
+        settings=settings[0],
+    )
+    about = {"training": {k: told[k] for k in ("algorithm", "steps", "env") if k in told}}
+    return Given(method, policies, places[0].stem, files, about)
+
+
+def _training_seeds(policies: Sequence[Policy]) -> tuple[int, ...]:
+    """The seeds that the policies tell of, or their numbers."""
+    told = [p.about.get("seed") for p in policies]
+    seeds = [k for k in told if isinstance(k, int) and k >= 0]
+    return tuple(seeds) if len(set(seeds)) == len(policies) else tuple(range(len(policies)))
+
+
+def _load(problem: Problem, method: Method, files: Mapping[str, bytes]) -> list[Policy]:
+    assert problem.environment is not None
+    of_ours = {
+        _digest(path.with_suffix(".safetensors").read_bytes()): path
+        for path in released(problem.environment).values()
+    }
+    out = []
+    for group, digest in enumerate(method.weights):
+        table, weights = policy_names(group)
+        if {table, weights} <= files.keys():
+            if _digest(files[weights]) != digest:
+                raise Refused(Code.BAD_POLICY, f"{weights}: not the weights that are named")
+            out.append(_read(files, table, weights))
+        elif digest in of_ours:
+            out.append(load_policy(of_ours[digest]))
+        else:
+            raise Refused(
+                Code.NOT_REPRODUCIBLE,
+                f"{table} is not there, and no released policy has its weights",
+            )
+    return out
+
+
+def _read(files: Mapping[str, bytes], table: str, weights: str) -> Policy:
+    with tempfile.TemporaryDirectory() as folder:
+        for name in (table, weights):
+            (Path(folder) / name).write_bytes(files[name])
+        try:
+            return load_policy(Path(folder) / table)
+        except Exception as error:  # the parsers' own, whatever a file made them raise
+            why = f"{table}: {type(error).__name__}: {str(error).replace(folder, '')}"
+            raise Refused(Code.BAD_POLICY, why) from None
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

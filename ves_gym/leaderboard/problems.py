@@ -1,0 +1,91 @@
+"""The problems of the leaderboard, by track: what is asked, how often, and who may answer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gymnasium as gym
+
+from ves_gym._util.params import ParameterError
+from ves_gym._util.suggest import did_you_mean
+
+# track: name and unit of the score of an episode; lower is better
+SCORES = {
+    "paths": ("E_mean over the straight line's", "1"),
+    "tasks": ("E_mean of solved episodes", "J"),
+    "damping": ("strain integral over that of the high gains", "1"),
+}
+QUICK = "-quick"  # after a problem's name: a part of it, for a first try, not for the board
+VEHICLES = ("bent", "straight-horizontal")  # of paths, by finite elements
+DURATIONS = {"1s": 1.0, "2s": 2.0, "4s": 4.0}  # s
+OBSTACLES = "-obstacles"
+GAINS = "gains-bent"  # joint gains for releases of the beam
+GAINS_VEHICLE = "bent"
+DAMPING_TASKS = ("ves/PumaDamp-", "ves/PumaDampEmulated-")
+_COUNT, _QUICK = 100, 10  # queries or episodes
+_RELEASES, _RELEASES_QUICK = 50, 5
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A problem of a track."""
+
+    track: str
+    name: str
+
+    @property
+    def quick(self) -> bool:
+        """True of the short form."""
+        return self.name.endswith(QUICK)
+
+    @property
+    def base(self) -> str:
+        """Its name without that."""
+        return self.name.removesuffix(QUICK)
+
+    @property
+    def count(self) -> int:
+        """Episodes, queries or releases."""
+        if self.base == GAINS:
+            return _RELEASES_QUICK if self.quick else _RELEASES
+        return _QUICK if self.quick else _COUNT
+
+    @property
+    def environment(self) -> str | None:
+        """Id of its environment, None where there is none."""
+        return self.base if self.base.startswith("ves/") else None
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of methods that can answer."""
+        if self.environment is not None:
+            return ("policy", "controller")
+        return ("planner",) if self.track == "paths" else ("gains",)
+
+
+def problems(track: str) -> tuple[str, ...]:
+    """Names of a track's problems, the quick ones included."""
+    ids = sorted(k for k in gym.registry if k.startswith("ves/"))
+    named = {
+        "paths": [f"{v}-{d}{o}" for v in VEHICLES for d in DURATIONS for o in ("", OBSTACLES)],
+        "tasks": ids,
+        "damping": [GAINS, *(k for k in ids if k.startswith(DAMPING_TASKS))],
+    }
+    if track not in named:
+        raise ParameterError(
+            f"track must be one of {', '.join(SCORES)}, got {track!r:.80}"
+            f"{did_you_mean(track, SCORES)}"
+        )
+    return tuple(name + part for name in named[track] for part in ("", QUICK))
+
+
+def get_problem(track: str, name: str) -> Problem:
+    """A problem by track and name."""
+    names = problems(track)
+    if name not in names:
+        listed = ", ".join(k for k in names if not k.endswith(QUICK))
+        raise ParameterError(
+            f"problem of track {track} must be one of {listed}, or with {QUICK} after it, got"
+            f" {name!r:.80}{did_you_mean(name, names)}"
+        )
+    return Problem(track, name)
