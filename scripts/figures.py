@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 import ves_gym as vg  # noqa: E402 - run as a file, the root is not on the path
-from scripts import new_tasks, offline, training, wiring  # noqa: E402
+from scripts import new_tasks, training, wiring  # noqa: E402
 from ves_gym._util.params import ParameterError, write_bytes, write_text  # noqa: E402
 from ves_gym.cli.main import main as ves_gym  # noqa: E402
 
@@ -208,9 +208,6 @@ FIGURES: dict[str, Figure] = {
     "new_tasks.png": Figure(
         lambda target: new_tasks.draw(new_tasks.stored(), target),
         "docs/training/new_tasks.json",
-    ),
-    "offline.png": Figure(
-        lambda target: offline.draw(offline.stored()), "docs/training/offline.json"
     ),
     "ratio_reach100.png": Figure(
         partial(benchmark, "ratio.png", REACH), f"`ves-gym benchmark {' '.join(REACH)}`"
