@@ -7,9 +7,8 @@ from ves_gym._util.lazy import lazily as _lazily
 if TYPE_CHECKING:
     from ves_gym.planners.coupling import coupling_matrix as coupling_matrix
     from ves_gym.planners.coupling import modes as modes
-    from ves_gym.planners.lower_bound import bound_energy as bound_energy
 
-__all__ = ["bound_energy", "coupling_matrix", "modes"]
+__all__ = ["coupling_matrix", "modes"]
 
-_HOMES = {"coupling_matrix": "coupling", "modes": "coupling", "bound_energy": "lower_bound"}
+_HOMES = {"coupling_matrix": "coupling", "modes": "coupling"}
 __getattr__, __dir__ = _lazily(__name__, _HOMES)

@@ -10,7 +10,7 @@ With u = H(q) q', E_mean = J_R(u) + 1/2 int u^T R u dt (`conjugate`), and for ev
     E_mean >= min over motions of (int l^T u + 1/2 u^T R u dt) - J_R*(l)
            >= f(0, start) - f(T, goal) - int e dt - J_R*(l)
 
-for every potential f with residual e (`potential`): benchmarks/lower_bound.md has the proof.
+for every potential f with residual e (`potential`): README.md has the proof.
 Any l, f and y are valid; `barrier` finds good ones, and `LowerBound.check` evaluates them, so
 that the answer does not rest on the optimiser. Arms of more than four joints: the part of the
 bound that follows from the first moment of the arm's mass alone.
@@ -24,14 +24,20 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
+from benchmarks.lower_bound.barrier import Barrier
+from benchmarks.lower_bound.conjugate import MomentumCost, conjugate, local_part, momentum_cost
+from benchmarks.lower_bound.potential import (
+    Potential,
+    ReachableSet,
+    Setting,
+    Shapes,
+    residual_floor,
+)
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import root
-from ves_gym.planners.barrier import Barrier
-from ves_gym.planners.conjugate import MomentumCost, conjugate, local_part, momentum_cost
 from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.mean_energy import MeanEnergy
-from ves_gym.planners.potential import Potential, ReachableSet, Setting, Shapes, residual_floor
 from ves_gym.planners.prediction import LinearBase
 from ves_gym.planners.query import Query, require_time
 from ves_gym.planners.sequential import minimise

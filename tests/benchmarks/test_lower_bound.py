@@ -6,17 +6,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from tests.arms import planar_arm, six_joint_arm
-from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
-from ves_gym.planners.conjugate import conjugate, is_convex, local_part, momentum_cost
-from ves_gym.planners.direct import Direct, MotionProblem
-from ves_gym.planners.lower_bound import bound_energy
-from ves_gym.planners.mean_energy import MeanEnergy
-from ves_gym.planners.potential import (
+from benchmarks.lower_bound.bound import bound_energy
+from benchmarks.lower_bound.conjugate import conjugate, is_convex, local_part, momentum_cost
+from benchmarks.lower_bound.potential import (
     Potential,
     ReachableSet,
     Setting,
@@ -25,6 +17,14 @@ from ves_gym.planners.potential import (
     coupling_of,
     residual_floor,
 )
+from tests.arms import planar_arm, six_joint_arm
+from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
+from ves_gym.planners.direct import Direct, MotionProblem
+from ves_gym.planners.mean_energy import MeanEnergy
 from ves_gym.planners.prediction import LinearBase, joint_momentum
 from ves_gym.planners.query import Query
 from ves_gym.planners.refine import Refined, detours

@@ -15,8 +15,8 @@ import numpy as np
 import scipy.linalg
 import scipy.ndimage
 
+from benchmarks.lower_bound.potential import Potential, Setting
 from ves_gym._util.params import Array
-from ves_gym.planners.potential import Potential, Setting
 
 _ROUNDS = 6  # of adding samples
 _LOOK = 11  # samples per joint where the answer is looked at
