@@ -41,14 +41,19 @@ def random_steps(env: VectorEnv, env_steps: int) -> Callable[[], None]:
 
 
 def against_workers(
-    kind: type[VectorEnv], n: int, backend: str, id: str = ID, workers: int = 8
+    kind: type[VectorEnv],
+    n: int,
+    backend: str,
+    id: str = ID,
+    workers: int = 8,
+    runs: int = RUNS,
 ) -> Pair:
     """Our vector of n against SyncVectorEnv or AsyncVectorEnv of the same task and engine."""
     ours = gym.make_vec(id, num_envs=n, backend=backend)
     theirs = kind([lambda: gym.make(id, backend=backend)] * workers)
     try:
         steps = n * PERIODS
-        return side_by_side(random_steps(ours, steps), random_steps(theirs, steps), RUNS)
+        return side_by_side(random_steps(ours, steps), random_steps(theirs, steps), runs)
     finally:
         theirs.close()
 
@@ -62,7 +67,7 @@ def has_envpool() -> bool:
     return True
 
 
-def against_envpool(id: str, n: int = 256, mine: str = ID) -> Pair:
+def against_envpool(id: str, n: int = 256, mine: str = ID, runs: int = RUNS) -> Pair:
     """Our vector of n on the kernel against EnvPool's, through Gymnasium's interface."""
     import envpool
 
@@ -77,10 +82,12 @@ def against_envpool(id: str, n: int = 256, mine: str = ID) -> Pair:
         for action in moves:
             theirs.step(action)
 
-    return side_by_side(work, reference, RUNS)
+    return side_by_side(work, reference, runs)
 
 
-def single(reference: str = "Pusher-v5", steps: int = 1000, mine: str = ID) -> Pair:
+def single(
+    reference: str = "Pusher-v5", steps: int = 1000, mine: str = ID, runs: int = RUNS
+) -> Pair:
     """One environment of `gym.make` against another, resets included."""
 
     def work(id: str) -> Callable[[], None]:
@@ -98,7 +105,7 @@ def single(reference: str = "Pusher-v5", steps: int = 1000, mine: str = ID) -> P
 
         return go
 
-    return side_by_side(work(mine), work(reference), RUNS)
+    return side_by_side(work(mine), work(reference), runs)
 
 
 _FIRST = """
@@ -160,9 +167,10 @@ def memory(id: str = ID, n: int = 4096) -> float:
     return float(out)
 
 
-def report() -> dict[str, object]:
-    """Every figure above, printed as it comes."""
+def report(small: bool = False) -> dict[str, object]:
+    """Every figure above, printed as it comes; `small`: just enough to see that it comes."""
     results: dict[str, object] = {}
+    few, many, workers, runs = (2, 2, 1, 1) if small else (64, 256, 8, RUNS)
 
     def tell(name: str, what: str, pair: Pair, steps: int) -> None:
         results[name] = vars(pair)
@@ -173,28 +181,30 @@ def report() -> dict[str, object]:
         )
 
     for kind in (SyncVectorEnv, AsyncVectorEnv):
-        pair = against_workers(kind, 64, "mujoco")
-        tell(f"{kind.__name__}(8), MuJoCo", "env n = 64", pair, 64 * PERIODS)
+        pair = against_workers(kind, few, "mujoco", workers=workers, runs=runs)
+        tell(f"{kind.__name__}({workers}), MuJoCo", f"env n = {few}", pair, few * PERIODS)
     for id in ("Pusher-v5", "Reacher-v5") if has_envpool() else ():
-        tell(f"EnvPool {id}", "env n = 256", against_envpool(id), 256 * PERIODS)
-        pair = against_envpool(id, mine=EMULATED)
-        tell(f"EnvPool {id}, emulated", "env n = 256", pair, 256 * PERIODS)
-    pair = against_workers(AsyncVectorEnv, 256, "kernel")
-    tell("AsyncVectorEnv(8)", "env n = 256", pair, 256 * PERIODS)
-    pair = against_workers(AsyncVectorEnv, 256, "kernel", EMULATED)
-    tell("AsyncVectorEnv(8), emulated", "env n = 256", pair, 256 * PERIODS)
-    tell("Pusher-v5", "gym.make", single(), 1000)
-    tell("Pusher-v5, emulated", "gym.make", single(mine=EMULATED), 1000)
-    first = first_step()
+        pair = against_envpool(id, many, runs=runs)
+        tell(f"EnvPool {id}", f"env n = {many}", pair, many * PERIODS)
+        pair = against_envpool(id, many, EMULATED, runs)
+        tell(f"EnvPool {id}, emulated", f"env n = {many}", pair, many * PERIODS)
+    for id, note in ((ID, ""), (EMULATED, ", emulated")):
+        pair = against_workers(AsyncVectorEnv, many, "kernel", id, workers, runs)
+        tell(f"AsyncVectorEnv({workers}){note}", f"env n = {many}", pair, many * PERIODS)
+        steps = 2 if small else 1000
+        pair = single(steps=steps, mine=id, runs=runs)
+        tell(f"Pusher-v5{note}", "gym.make", pair, steps)
+    first = first_step(runs)
     results["first step"] = first
     print(
         f"first step        {first['ours']:.2f} s after the process's start"
         f" (`import gymnasium` alone {first['gymnasium']:.2f} s)"
     )
-    for id in (ID, EMULATED):
+    count = few if small else 4096
+    for id in (ID,) if small else (ID, EMULATED):
         name = id.rpartition("/")[2]
-        results[f"memory {name}"] = used = memory(id)
-        print(f"4,096 environments {used:,.0f} MiB, {name}")
+        results[f"memory {name}"] = used = memory(id, count)
+        print(f"{count:,} environments {used:,.0f} MiB, {name}")
     return results
 
 

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from dataclasses import asdict
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from benchmarks.timing import Pair, side_by_side
 from ves_gym.engine.backends.kernel import KernelBackend
 from ves_gym.engine.backends.mujoco import MujocoBackend
 from ves_gym.engine.kernel.sensitivity import rollout_gradients
+from ves_gym.engine.kernel.trace import parameters
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
@@ -20,7 +22,7 @@ PERIODS = 20
 RUNS = 15
 
 
-def bare_physics(n: int, threads: int) -> Pair:
+def bare_physics(n: int, threads: int, runs: int = RUNS) -> Pair:
     """PERIODS control periods of n simulations without anything around the engines."""
     system = System()
     ours, theirs = (kind(system, n, threads) for kind in (KernelBackend, MujocoBackend))
@@ -41,10 +43,10 @@ def bare_physics(n: int, threads: int) -> Pair:
         for _ in range(PERIODS):
             theirs.batch.step(nstep=system.substeps)
 
-    return side_by_side(kernel, mujoco, RUNS)
+    return side_by_side(kernel, mujoco, runs)
 
 
-def simulator(n: int, system: System | None = None) -> Pair:
+def simulator(n: int, system: System | None = None, runs: int = RUNS) -> Pair:
     """PERIODS calls of `Simulator.step` with the arm held."""
     system = system or System()
 
@@ -58,12 +60,12 @@ def simulator(n: int, system: System | None = None) -> Pair:
 
         return go
 
-    return side_by_side(run("kernel"), run("mujoco"), RUNS)
+    return side_by_side(run("kernel"), run("mujoco"), runs)
 
 
-def emulated(n: int) -> Pair:
-    """The same in the laboratory, whose own arithmetic is NumPy with either engine."""
-    return simulator(n, System(mode="emulated"))
+def emulated(n: int, runs: int = RUNS) -> Pair:
+    """The same in the laboratory, whose own arithmetic is NumPy with MuJoCo."""
+    return simulator(n, System(mode="emulated"), runs)
 
 
 _FIRST = """
@@ -98,22 +100,18 @@ def first_simulator(runs: int = 3) -> dict[str, float]:
     return {kind: float(np.median(values)) for kind, values in times.items()}
 
 
-_NAMES = (
-    *("K11", "K22", "link2.mass", "D55", "link3.com1", "base.mass", "M33", "kp1"),
-    *("K33", "K44", "K55", "K66", "link1.mass", "link2.com1", "kd1", "D11"),
-)
-
-
-def sensitivities(p: int) -> float:
-    """Rollouts that one with the derivatives along p parameters costs, 64 runs of 1 s."""
+def sensitivities(p: int, n: int = 64, steps: int = 800, runs: int = RUNS) -> float:
+    """Rollouts that one with the derivatives along p parameters costs, n runs of some steps."""
     system = System()
-    sim = Simulator(system, 64)
-    hold = np.tile(sim.servo_command(0 * sim.state.q, 0 * sim.state.v)[:, None], (1, 801, 1))
-    names = _NAMES[:p]
+    sim = Simulator(system, n)
+    hold = sim.servo_command(0 * sim.state.q, 0 * sim.state.v)
+    hold = np.tile(hold[:, None], (1, steps + 1, 1))
+    known, _ = parameters(system)
+    names = known[:: len(known) // p][:p]
     pair = side_by_side(
         lambda: rollout_gradients(system, hold, wrt=names),
         lambda: rollout_gradients(system, hold),
-        RUNS,
+        runs,
     )
     return 1 / pair.ratio
 
@@ -123,11 +121,44 @@ def steps_per_second(n: int, seconds: float) -> float:
     return n * PERIODS * System().substeps / seconds
 
 
+def report(small: bool = False) -> dict[str, object]:
+    """Print and return the figures; `small`: just enough to see that they can be had."""
+    out: dict[str, object] = {}
+    runs, many = (1, 2) if small else (RUNS, 256)
+    for n, threads in ((many, 1), (many, 2)):
+        pair = bare_physics(n, threads, runs)
+        out[f"n{n}_threads{threads}"] = asdict(pair)
+        print(
+            f"kernel n = {n:<4}   {pair.ratio:5.1f} x bare batch physics of MuJoCo,"
+            f" {threads} thread(s) ({pair.low:.1f}-{pair.high:.1f}),"
+            f" {steps_per_second(n, pair.ours):,.0f} steps/s"
+        )
+    for n in (1, many):
+        pair = simulator(n, runs=runs)
+        out[f"simulator_n{n}"] = asdict(pair)
+        print(
+            f"kernel n = {n:<4}   {pair.ratio:5.1f} x MuJoCo under Simulator.step"
+            f" ({pair.low:.1f}-{pair.high:.1f}), {steps_per_second(n, pair.ours):,.0f} steps/s"
+        )
+    pair = emulated(many, runs)
+    out[f"emulated_n{many}"] = asdict(pair)
+    print(
+        f"kernel n = {many:<4}   {pair.ratio:5.1f} x MuJoCo under Simulator.step, emulated"
+        f" ({pair.low:.1f}-{pair.high:.1f})"
+    )
+    first = first_simulator(1 if small else 3)
+    out["first"] = first
+    print(
+        f"kernel, first     {first['cold']:.2f} s compiled,"
+        f" {first['cached']:.3f} s from the cache"
+    )
+    size = {"n": 2, "steps": 2, "runs": 1} if small else {}
+    cost = {p: sensitivities(p, **size) for p in ((1,) if small else (1, 2, 4, 8, 16))}
+    out["sensitivities"] = cost
+    words = ", ".join(f"{value:.1f} rollouts for p = {p}" for p, value in cost.items())
+    print(f"kernel, derivatives along p parameters: {words}")
+    return out
+
+
 if __name__ == "__main__":
-    for count, threads in ((256, 1), (256, 2), (1, 1)):
-        print("bare", count, threads, bare_physics(count, threads))
-    for count in (1, 256):
-        print("Simulator", count, simulator(count))
-    print("emulated", 256, emulated(256))
-    print(first_simulator())
-    print("sensitivities", [sensitivities(p) for p in (1, 8, 16)])
+    report()

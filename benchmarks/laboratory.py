@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import asdict
+
 from benchmarks.timing import Pair, side_by_side
 from ves_gym.hardware.leg_servo import FILTERED, leg_clock
 from ves_gym.simulation.simulator import Simulator
@@ -9,6 +12,7 @@ from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 PERIODS = 20
+RUNS = 7
 CONTROL_DT, PHYSICS_DT = leg_clock(FILTERED)
 SYSTEMS = {
     "pose servo": System(mode="emulated"),
@@ -24,7 +28,7 @@ SYSTEMS = {
 }
 
 
-def emulated_against_ideal(name: str, n: int, backend: str = "mujoco") -> Pair:
+def emulated_against_ideal(name: str, n: int, backend: str, runs: int = RUNS) -> Pair:
     """PERIODS control periods of n simulations; ratio 1 would be as fast as ideal mode."""
     system = SYSTEMS[name]
     ours = Simulator(system, n, backend=backend, threads=1, warn_at=None)
@@ -35,4 +39,22 @@ def emulated_against_ideal(name: str, n: int, backend: str = "mujoco") -> Pair:
         for _ in range(PERIODS):
             sim.step(hold)
 
-    return side_by_side(lambda: run(ours), lambda: run(ideal))
+    return side_by_side(lambda: run(ours), lambda: run(ideal), runs)
+
+
+def report(small: bool = False) -> dict[str, object]:
+    """Print and return the ratios; `small`: just enough to see that they can be had."""
+    out: dict[str, object] = {}
+    sizes = (1,) if small else (1, 256)
+    for backend, n, name in itertools.product(("mujoco", "kernel"), sizes, SYSTEMS):
+        pair = emulated_against_ideal(name, n, backend, 1 if small else RUNS)
+        out[f"{name}, {backend}, n{n}"] = asdict(pair)
+        print(
+            f"emulated n = {n:<4} {pair.ratio:5.2f} of ideal mode"
+            f" ({pair.low:.2f}-{pair.high:.2f}), {name}, {backend}"
+        )
+    return out
+
+
+if __name__ == "__main__":
+    report()

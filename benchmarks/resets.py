@@ -9,6 +9,7 @@ is that of its steps, measured on forty of them. The least of eight is taken of 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from time import process_time
 from typing import Any
 
@@ -39,18 +40,22 @@ ROWS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-def reset_and_episode(task: str, settings: dict[str, Any]) -> tuple[float, float]:
+def reset_and_episode(
+    task: str, settings: dict[str, Any], n: int = ENVS, repeats: int = REPEATS
+) -> tuple[float, float]:
     """Processor time of a reset of all environments, and of stepping their episode [s].
 
     Args:
         task: name.
         settings: of the environments.
+        n: environments.
+        repeats: of both.
     """
-    env = VesVectorEnv(ENVS, task, threads=1, **settings)
+    env = VesVectorEnv(n, task, threads=1, **settings)
     env.reset(seed=0)
     resets, steps = [], []
-    action = np.zeros((ENVS, *env.single_action_space.shape))
-    for _ in range(REPEATS):
+    action = np.zeros((n, *env.single_action_space.shape))
+    for _ in range(repeats):
         began = process_time()
         env.reset()
         resets.append(process_time() - began)
@@ -61,14 +66,15 @@ def reset_and_episode(task: str, settings: dict[str, Any]) -> tuple[float, float
     return min(resets), min(steps) * env.task.steps
 
 
-def report(names: list[str]) -> dict[str, float]:
-    """Print a row for each, and return the shares."""
-    out = {}
+def report(small: bool = False, names: Sequence[str] = tuple(ROWS)) -> dict[str, object]:
+    """Print a row for each, and return the shares; `small`: just enough to see them."""
+    out: dict[str, object] = {}
     for name in names:
-        reset, episode = reset_and_episode(*ROWS[name])
-        out[name] = reset / episode
+        sizes = (2, 1) if small else (ENVS, REPEATS)
+        reset, episode = reset_and_episode(*ROWS[name], *sizes)
+        out[name] = share = reset / max(episode, 1e-9)
         print(
-            f"reset {name:24s} {out[name]:7.1%}: {1e3 * reset:6.1f} of {1e3 * episode:6.1f} ms",
+            f"reset {name:24s} {share:7.1%}: {1e3 * reset:6.1f} of {1e3 * episode:6.1f} ms",
             flush=True,
         )
     return out
@@ -78,7 +84,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rows", nargs="+", choices=list(ROWS), default=list(ROWS))
-    report(parser.parse_args().rows)
+    report(names=parser.parse_args().rows)
 
 
 if __name__ == "__main__":

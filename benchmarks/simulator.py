@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import asdict
+
 from mujoco.batch import Batch
 
 from benchmarks.timing import Pair, side_by_side
@@ -11,9 +12,10 @@ from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
 PERIODS = 20
+RUNS = 7
 
 
-def simulator_against_batch(n: int) -> Pair:
+def simulator_against_batch(n: int, runs: int = RUNS) -> Pair:
     """PERIODS control periods of n simulations; ratio >= 1 would be no overhead at all."""
     system = System()
     sim = Simulator(system, n, backend="mujoco")
@@ -28,7 +30,7 @@ def simulator_against_batch(n: int) -> Pair:
         for _ in range(PERIODS):
             bare.step(nstep=system.substeps)
 
-    return side_by_side(ours, reference)
+    return side_by_side(ours, reference, runs)
 
 
 def steps_per_second(n: int, pair: Pair) -> float:
@@ -36,7 +38,18 @@ def steps_per_second(n: int, pair: Pair) -> float:
     return n * PERIODS * System().substeps / pair.ours
 
 
+def report(small: bool = False) -> dict[str, object]:
+    """Print and return the ratios; `small`: just enough to see that they can be had."""
+    out: dict[str, object] = {}
+    for n in (1,) if small else (1, 256):
+        pair = simulator_against_batch(n, 1 if small else RUNS)
+        out[f"n{n}"] = asdict(pair)
+        print(
+            f"Simulator n = {n:<4} {pair.ratio:5.2f} of bare batch physics"
+            f" ({pair.low:.2f}-{pair.high:.2f}), {steps_per_second(n, pair):,.0f} steps/s"
+        )
+    return out
+
+
 if __name__ == "__main__":
-    np.set_printoptions(precision=3)
-    for size in (1, 256):
-        print(size, simulator_against_batch(size))
+    report()

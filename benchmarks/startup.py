@@ -33,24 +33,29 @@ def seconds_of(code: str) -> None:
     subprocess.run([sys.executable, "-c", code], check=True, env=environment)
 
 
-def import_time() -> Pair:
+def import_time(runs: int = RUNS) -> Pair:
     """`import ves_gym` beside `import gymnasium`; `ratio` is gymnasium's time over ours."""
     return side_by_side(
-        lambda: seconds_of("import ves_gym"), lambda: seconds_of("import gymnasium"), RUNS
+        lambda: seconds_of("import ves_gym"), lambda: seconds_of("import gymnasium"), runs
     )
 
 
-def first_step(name: str) -> Pair:
+def first_step(name: str, runs: int = RUNS) -> Pair:
     """Make, reset and step one of our environments beside Pusher-v5."""
     ours = _STEP.format(id=f"ves_gym:ves/{name}-v0")
     reference = _STEP.format(id=REFERENCE)
-    return side_by_side(lambda: seconds_of(ours), lambda: seconds_of(reference), RUNS)
+    return side_by_side(lambda: seconds_of(ours), lambda: seconds_of(reference), runs)
 
 
-def report() -> dict[str, object]:
-    """Print ours over the reference's time, as medians of pairs; return the figures."""
+def report(small: bool = False) -> dict[str, object]:
+    """Print ours over the reference's time, as medians of pairs; return the figures.
+
+    Args:
+        small: just enough to see that they can be had.
+    """
     results: dict[str, object] = {}
-    pairs = {"import": import_time(), **{name: first_step(name) for name in IDS}}
+    names, runs = (list(IDS)[:1], 1) if small else (list(IDS), RUNS)
+    pairs = {"import": import_time(runs), **{name: first_step(name, runs) for name in names}}
     for name, pair in pairs.items():
         results[name] = asdict(pair)
         what, over = (

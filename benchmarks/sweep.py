@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -89,6 +89,17 @@ def costs(folder: Path) -> list[tuple[str, int, float, float]]:
     return out
 
 
+def report(small: bool = False) -> dict[str, object]:
+    """Print and return the share; `small`: just enough to see that it can be had."""
+    found = overhead(2, 1, 0.01) if small else overhead()
+    print(
+        f"sweep            {found.efficiency:5.3f} of ideal: {found.jobs} jobs of"
+        f" {found.ideal * found.workers / found.jobs:g} s on {found.workers} workers in"
+        f" {found.took:.1f} s"
+    )
+    return asdict(found) | {"efficiency": found.efficiency}
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -99,11 +110,7 @@ def main() -> None:
             for what, count, seconds, size in costs(Path(folder)):
                 print(f"{what}: {seconds:.2f} s, {size / 1e3:.1f} kB (median of {count})")
         return
-    found = overhead()
-    print(
-        f"sweep {found.efficiency:5.3f} of ideal: {found.jobs} jobs of 1 s on"
-        f" {found.workers} workers in {found.took:.1f} s"
-    )
+    report()
 
 
 if __name__ == "__main__":

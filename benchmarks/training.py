@@ -61,32 +61,37 @@ def _clocked(venv: Any) -> Any:
     return Clocked(venv)
 
 
-def _learner(venv: Any) -> Callable[[], None]:
+def _learner(venv: Any, batch: int) -> Callable[[], None]:
     from stable_baselines3 import PPO
     from stable_baselines3.common.logger import Logger
 
     model = PPO(
-        "MlpPolicy", venv, n_steps=BATCH // ENVS, batch_size=BATCH, device="cpu", seed=0
+        "MlpPolicy",
+        venv,
+        n_steps=batch // venv.num_envs,
+        batch_size=batch,
+        device="cpu",
+        seed=0,
     )
     model.set_logger(
         Logger(folder=None, output_formats=[])
     )  # else a folder in the temporary one
 
     def work() -> None:
-        model.learn(ROLLOUTS * BATCH, reset_num_timesteps=False)
+        model.learn(ROLLOUTS * batch, reset_num_timesteps=False)
 
     return work
 
 
-def ppo() -> tuple[Pair, float, float]:
+def ppo(envs: int = ENVS, batch: int = BATCH, runs: int = RUNS) -> tuple[Pair, float, float]:
     """Seconds per measurement, and the share of each side's that is in env.step."""
     import torch
     from stable_baselines3.common.vec_env import DummyVecEnv
 
     from ves_gym.baselines.sb3 import Sb3VecEnv
 
-    native = _clocked(Sb3VecEnv(gym.make_vec(ID, num_envs=ENVS, threads=1).unwrapped))
-    single = _clocked(DummyVecEnv([lambda: gym.make(ID, backend="mujoco")] * ENVS))
+    native = _clocked(Sb3VecEnv(gym.make_vec(ID, num_envs=envs, threads=1).unwrapped))
+    single = _clocked(DummyVecEnv([lambda: gym.make(ID, backend="mujoco")] * envs))
     spent = {"native": 0.0, "single": 0.0}
 
     def timed(name: str, work: Callable[[], None]) -> Callable[[], None]:
@@ -101,7 +106,9 @@ def ppo() -> tuple[Pair, float, float]:
     torch.set_num_threads(1)
     try:
         pair = side_by_side(
-            timed("native", _learner(native)), timed("single", _learner(single)), RUNS
+            timed("native", _learner(native, batch)),
+            timed("single", _learner(single, batch)),
+            runs,
         )
     finally:
         torch.set_num_threads(threads)
@@ -110,20 +117,20 @@ def ppo() -> tuple[Pair, float, float]:
     return pair, native.stepping / spent["native"], single.stepping / spent["single"]
 
 
-def share(id: str = EMULATED) -> float:
+def share(envs: int = ENVS, batch: int = BATCH, runs: int = RUNS) -> float:
     """Part of PPO's time that the native environment's steps and resets take."""
     import torch
 
     from ves_gym.baselines.sb3 import Sb3VecEnv
 
-    native = _clocked(Sb3VecEnv(gym.make_vec(id, num_envs=ENVS, threads=1).unwrapped))
+    native = _clocked(Sb3VecEnv(gym.make_vec(EMULATED, num_envs=envs, threads=1).unwrapped))
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        learn = _learner(native)
+        learn = _learner(native, batch)
         learn()
         native.stepping, begin = 0.0, time.perf_counter()
-        for _ in range(RUNS):
+        for _ in range(runs):
             learn()
         return float(native.stepping / (time.perf_counter() - begin))
     finally:
@@ -135,12 +142,13 @@ def _config(learner: str, hyperparameters: dict[str, Any], **changes: Any) -> An
     from ves_gym.baselines.config import TrainConfig
 
     return TrainConfig(
-        env=LEARNED, algorithm="PPO", learner=learner, n_envs=ENVS, hold=4, reward_scale=20.0,
-        hyperparameters=hyperparameters, **{"total_timesteps": 10**9, **changes},
+        env=LEARNED, algorithm="PPO", learner=learner, hold=4, reward_scale=20.0,
+        hyperparameters=hyperparameters,
+        **{"n_envs": ENVS, "total_timesteps": 10**9, **changes},
     )  # fmt: skip
 
 
-def learners(hyperparameters: dict[str, Any], rollouts: int = ROLLOUTS) -> Pair:
+def learners(hyperparameters: dict[str, Any], envs: int = ENVS, runs: int = RUNS) -> Pair:
     """Seconds per measurement of the native learner and of Stable-Baselines3's."""
     from gymnasium.vector import AutoresetMode
 
@@ -148,10 +156,10 @@ def learners(hyperparameters: dict[str, Any], rollouts: int = ROLLOUTS) -> Pair:
     from ves_gym.baselines.train import make_learner, one_thread
 
     def work(learner: str) -> Callable[[], None]:
-        config = _config(learner, hyperparameters)
-        env = make_vector(LEARNED, ENVS, AutoresetMode.SAME_STEP, threads=1)
+        config = _config(learner, hyperparameters, n_envs=envs)
+        env = make_vector(LEARNED, envs, AutoresetMode.SAME_STEP, threads=1)
         trained = make_learner(config, 0, env)
-        count = rollouts * ENVS * hyperparameters["n_steps"]
+        count = ROLLOUTS * envs * hyperparameters["n_steps"]
 
         def go() -> None:
             trained.learn(trained.steps + count, lambda: None)
@@ -159,10 +167,12 @@ def learners(hyperparameters: dict[str, Any], rollouts: int = ROLLOUTS) -> Pair:
         return go
 
     with one_thread("native"), one_thread("sb3"):
-        return side_by_side(work("native"), work("sb3"), RUNS)
+        return side_by_side(work("native"), work("sb3"), runs)
 
 
-def returns() -> tuple[list[float], list[float]]:
+def returns(
+    decisions: int = DECISIONS, seeds: tuple[int, ...] = SEEDS, **changes: Any
+) -> tuple[list[float], list[float]]:
     """Mean return of the last policy of every seed: native learner, Stable-Baselines3."""
     import tempfile
     from pathlib import Path
@@ -171,46 +181,49 @@ def returns() -> tuple[list[float], list[float]]:
 
     out: dict[str, list[float]] = {"native": [], "sb3": []}
     for learner, found in out.items():
-        config = _config(learner, LARGE, total_timesteps=DECISIONS)
-        for seed in SEEDS:
+        config = _config(learner, LARGE, total_timesteps=decisions, **changes)
+        for seed in seeds:
             with tempfile.TemporaryDirectory() as folder:
                 found.append(train(config, seed, Path(folder))[-1]["return"])
     return out["native"], out["sb3"]
 
 
-def _tell_learners() -> dict[str, object]:
+def _tell_learners(small: bool) -> dict[str, object]:
     out: dict[str, object] = {}
+    envs, runs = (2, 1) if small else (ENVS, RUNS)
     for name, chosen in (("its defaults", DEFAULTS), ("large batches", LARGE)):
-        pair = learners(chosen)
-        steps = ROLLOUTS * ENVS * chosen["n_steps"]
+        pair = learners(chosen, envs, runs)
+        steps = ROLLOUTS * envs * chosen["n_steps"]
         print(
             f"native learner, {name}: {pair.processor:.1f} x Stable-Baselines3 in processor"
             f" time, {pair.ratio:.1f} x on the clock ({pair.low:.1f}-{pair.high:.1f}),"
             f" {steps / pair.ours:,.0f} against {steps / pair.reference:,.0f} decisions/s"
         )
         out[name] = vars(pair)
-    out["returns"], out["returns_reference"] = returns()
+    few: dict[str, Any] = {"decisions": 128, "seeds": (0,), "n_envs": 2, "eval_episodes": 1}
+    ours, theirs = returns(**few) if small else returns()
+    out["returns"], out["returns_reference"] = ours, theirs
     print(
-        f"mean return after {DECISIONS:,} decisions of {LEARNED}, a seed each:"
-        f" native {np.round(out['returns'], 3)}, Stable-Baselines3"
-        f" {np.round(out['returns_reference'], 3)}"
+        f"mean return on {LEARNED}, a seed each: native {np.round(ours, 3)},"
+        f" Stable-Baselines3 {np.round(theirs, 3)}"
     )
     return out
 
 
-def report() -> dict[str, object]:
-    """The figures, printed."""
+def report(small: bool = False) -> dict[str, object]:
+    """The figures, printed; `small`: just enough to see that they can be had."""
     if not has_sb3():
         return {}
-    learned = _tell_learners()
-    pair, ours, theirs = ppo()
-    steps = ROLLOUTS * BATCH
+    learned = _tell_learners(small)
+    envs, batch, runs = (2, 8, 1) if small else (ENVS, BATCH, RUNS)
+    pair, ours, theirs = ppo(envs, batch, runs)
+    steps = ROLLOUTS * batch
     print(
-        f"PPO n = {ENVS}, batch {BATCH}  {pair.ratio:5.1f} x one MuJoCo per environment"
+        f"PPO n = {envs}, batch {batch}  {pair.ratio:5.1f} x one MuJoCo per environment"
         f" ({pair.low:.1f}-{pair.high:.1f}), {steps / pair.ours:,.0f} against"
         f" {steps / pair.reference:,.0f} steps/s; in env.step {ours:.0%} against {theirs:.0%}"
     )
-    emulated = share()
+    emulated = share(envs, batch, runs)
     print(f"PPO on {EMULATED.split(':')[1]}: {emulated:.0%} of the time in env.step and reset")
     shares = {"share": ours, "share_reference": theirs, "share_emulated": emulated}
     return {**vars(pair), **shares, "learners": learned}
