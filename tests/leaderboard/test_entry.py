@@ -77,6 +77,17 @@ def test_an_entry_that_is_none(place, value, why):
     assert why in malformed(json.dumps(plain).encode())
 
 
+def test_what_is_told_is_no_deeper_than_it_can_be_written():
+    text = to_bytes(made_entry()).decode()
+    for depth in (100, 400, 900, 5000):
+        deep = '"about":{"a":' + "[" * depth + "]" * depth + ',"versions"'
+        data = text.replace('"about":{"versions"', deep).encode()
+        try:
+            from_bytes(data)
+        except Refused as error:
+            assert error.code is Code.MALFORMED_ENTRY and depth > 100
+
+
 def test_a_key_that_is_missing():
     plain = json.loads(to_bytes(made_entry()))
     for key in ("track", "method", "results"):

@@ -149,7 +149,9 @@ def from_bytes(data: bytes) -> Entry:
         plain = json.loads(data, object_pairs_hook=_once, parse_constant=_no_number)
         entry: Entry = from_plain(Entry, plain)
         arrays = _arrays(entry.results, len(entry.method.seeds))
-        return replace(entry, results=dict(arrays))
+        entry = replace(entry, results=dict(arrays))
+        to_bytes(entry)  # whatever is told in it can be written again
+        return entry
     except (ValueError, TypeError, RecursionError) as error:
         raise Refused(Code.MALFORMED_ENTRY, str(error)) from None
 
