@@ -34,7 +34,6 @@ GROUPS = {
 ROOMS = (
     "baselines",
     "diagnosis",
-    "diagnosis.benchmark",
     "envs",
     "experiments",
     "hardware",

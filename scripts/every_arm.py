@@ -36,7 +36,6 @@ START, END = "<!-- every arm -->", "<!-- end -->"
 NO_ARM = {
     "leaderboard": "its problems have arms of their own",
     "sweep, search, merge": "arms stand in their files",
-    "diagnose-benchmark": "its machines are the PUMA's",
     "doctor": "asks the computer",
 }
 

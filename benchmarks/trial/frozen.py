@@ -13,6 +13,7 @@ absolutely. Another processor may differ in the last digits, and where a search 
 import json
 import math
 import tempfile
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -35,12 +36,16 @@ def stored() -> dict[str, Any]:
     return found
 
 
-def labelled(numbers: range) -> Cases:
-    """Return label and answer of the stored cases whose numbers are in a range."""
+def labelled(counts: Mapping[str, int]) -> Cases:
+    """Return label and answer of the first cases of sets.
+
+    Args:
+        counts: set -> how many.
+    """
     found, out = stored(), []
     for name, case in found["cases"].items():
         number, _, index = name.partition("-")
-        if int(index) in numbers:
+        if int(index) < counts[number]:
             drawn = asdict(draw(found["secrets"][number], int(index)))
             out.append(({**drawn, "effects": case["effects"]}, case))
     return out

@@ -5,7 +5,7 @@ import shlex
 
 import numpy as np
 
-from ves_gym.diagnosis.benchmark.blind.machine import nominal
+from tests.diagnosis.thesis_laboratory import SYSTEM
 from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.effects import JointDriveGain, SensorNoise
 from ves_gym.mechanics.motion import Motion
@@ -13,7 +13,6 @@ from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.runlog import RunLog
 
-SYSTEM = nominal()
 KEPT = ("joint/drive_gain", "joint/torque_offset")
 NOISE = {"q": 2e-5, "tau": 0.3, "y": 1e-5}
 

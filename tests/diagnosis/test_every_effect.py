@@ -1,6 +1,6 @@
 """Every registered effect, injected at ten times the noise: seen at its port, and named.
 
-The noise is that of the blind benchmark. A gap is the root mean square by which an effect
+A gap is the root mean square by which an effect
 changes a channel, over that channel's noise, of the channel that it changes most.
 """
 
@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 
 import ves_gym as vg
+from tests.diagnosis.thesis_laboratory import COLOUR, STD, SYSTEM, coloured
 from ves_gym.diagnosis import diagnose as d
-from ves_gym.diagnosis.benchmark.blind.machine import nominal
-from ves_gym.diagnosis.benchmark.blind.noise import COLOUR, STD, coloured
 from ves_gym.diagnosis.data.measured_run import run_of
 from ves_gym.diagnosis.excitation import excitation_motions
 from ves_gym.diagnosis.inference.candidates import library
@@ -43,7 +42,6 @@ pytestmark = pytest.mark.filterwarnings(
     "ignore::ves_gym.simulation.loop_linearisation.EmulationWarning"
 )
 ROOT = Path(__file__).parents[2]
-SYSTEM = nominal()
 NOISE = {**STD, "wg": STD["w"], "y_cmd": STD["y"]}
 HISS = SensorNoise(force=tuple(STD["w"][:3].tolist()), moment=tuple(STD["w"][3:].tolist()))
 MOTIONS = excitation_motions(1, duration=6.0, seed=1)

@@ -6,9 +6,9 @@ import types
 import numpy as np
 import pytest
 
+from tests.diagnosis.thesis_laboratory import SYSTEM
 from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis import next_motion as next_motion_module
-from ves_gym.diagnosis.benchmark.blind.machine import nominal
 from ves_gym.diagnosis.inference.fit import fit
 from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.diagnosis.next_motion import CLEAR, next_motion
@@ -18,7 +18,6 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.simulation.playback import play_motions
 
-SYSTEM = nominal()
 KINDS = ("joint/drive_gain", "joint/torque_offset", "joint/coulomb", "joint/viscous")
 NOISE = SensorNoise(force=(0.3,) * 3, moment=(0.1,) * 3)
 TRUTH = JointDriveGain(error=(0.0, 0.007, 0.0))

@@ -33,7 +33,6 @@ COMMANDS = {  # name -> what it does; the module of the same name is loaded when
     "merge": "one table of the results of sweeps",
     "pped": "joint gains that take vibration out of the base (thesis 4.3)",
     "diagnose": "where logs and description disagree, and what is missing",
-    "diagnose-benchmark": "blind benchmark of diagnose: machines with something hidden",
     "calibrate": "gravity parameters and sensor matrix from a log of poses",
     "structure": "a vehicle file from M and K of a finite-element model",
     "emulation-check": "is an emulation stable, and how true, before it runs",

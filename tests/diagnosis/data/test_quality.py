@@ -62,7 +62,7 @@ def tone(size, frequency):
 def test_a_tone_is_told_with_its_frequency(logs):
     (found,) = faults(runs_of(logs, w=tone(1.0, 50.0)))
     assert (found.signal, found.kind, found.shared) == ("w", "tone", False)
-    assert found.frequency == pytest.approx(50.0, abs=0.1)
+    assert found.frequency == pytest.approx(50.0, abs=1 / 8 + 0.044)  # a bin of 8 s, a step
     assert faults(runs_of(logs, w=tone(0.01, 50.0))) == ()  # far below the noise
 
 
