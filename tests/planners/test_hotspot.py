@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from tests.arms import PLANAR_GAINS, WRIST_GAINS, planar_arm, six_joint_arm
-from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 from ves_gym.mechanics.vehicle import BENT_THESIS, get_vehicle
 from ves_gym.planners.bad_path import worst_order
-from ves_gym.planners.coupling import coupling_length, coupling_matrix, spots
-from ves_gym.planners.hotspot import Lattice, Roadmap, resample
+from ves_gym.planners.coupling import coupling_length
+from ves_gym.planners.hotspot import lattice, resample, roadmap
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import reach100
@@ -174,47 +173,17 @@ def test_a_roadmap_is_as_good_as_the_lattice():
     start, goal = np.array([-1.0, -0.8, 1.5]), np.array([1.2, 0.9, -1.4])
     lengths = [
         coupling_length(system, resample(network(system, 2.0).route(start, goal), 200), 2.0)
-        for network in (Lattice, Roadmap)
+        for network in (lattice, roadmap)
     ]
     assert lengths[1] < 1.1 * lengths[0]
 
 
 def test_a_roadmap_reaches_every_corner():
     system = System(vehicle=BENT_THESIS, arm=six_joint_arm())
-    roadmap = Roadmap(system, None)
     low, high = system.arm.column("q_min"), system.arm.column("q_max")
-    path = roadmap.route(low, high)
+    path = roadmap(system, None).route(low, high)
     np.testing.assert_array_equal(path[[0, -1]], [low, high])
     assert ((path >= low) & (path <= high)).all()
-
-
-@pytest.mark.parametrize("arm", [None, six_joint_arm()], ids=["three joints", "six"])
-@pytest.mark.parametrize("hot", [True, False])
-def test_spots_are_local_extremes_of_the_whole_joint_space(arm, hot):
-    """No neighbour within 0.02 rad, inside the box, is hotter (cooler)."""
-    system = (
-        System(vehicle=BENT_THESIS) if arm is None else System(vehicle=BENT_THESIS, arm=arm)
-    )
-    extrema = spots(system, hot=hot, count=3, samples=512)
-    assert len(extrema) == 3
-    values = [s.coupling for s in extrema]
-    assert values == sorted(values, reverse=hot)
-    low, high = system.arm.column("q_min"), system.arm.column("q_max")
-    rng, sign = np.random.default_rng(0), 1 if hot else -1
-    for spot in extrema:
-        near = np.clip(spot.q + rng.uniform(-0.02, 0.02, (200, system.arm.n)), low, high)
-        strongest = np.linalg.eigvalsh(coupling_matrix(system, near))[:, -1]
-        assert np.linalg.eigvalsh(coupling_matrix(system, spot.q))[-1] == pytest.approx(
-            spot.coupling
-        )
-        assert (sign * (strongest - spot.coupling) <= 1e-4 * spot.coupling).all()
-    gaps = [np.linalg.norm(a.q - b.q) for a, b in itertools.combinations(extrema, 2)]
-    assert min(gaps) >= 0.2
-
-
-def test_spots_that_cannot_be():
-    with pytest.raises(ParameterError, match="need 1 <= count <= samples, got 0 and 4096"):
-        spots(System(vehicle=BENT_THESIS), count=0)
 
 
 def test_two_joints_are_fine():

@@ -18,8 +18,8 @@ from ves_gym.planners import sequential
 from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.obstacles import Box, Sphere, Surroundings, collisions
 from ves_gym.planners.prediction import predict
-from ves_gym.planners.query import NoPlan, Query, first_violation, solve
-from ves_gym.planners.refine import Refined, detours, refine, refine_duration
+from ves_gym.planners.query import Query, first_violation, solve
+from ves_gym.planners.refine import Refined, detours, refine
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import SPEED_LIMITS, reach100
 from ves_gym.system.system import System
@@ -195,28 +195,6 @@ def test_of_many_joints_starts_are_compared_with_fewer_points(monkeypatch):
     assert plan.feasible and plan.predicted.E_mean < 0.5 * energy(query, query.straight)
 
 
-# ------------------------------------------------------------------------------ duration
-
-
-def test_the_duration_may_be_chosen():
-    """With no price on time the longest of a range, or near it; with one, less."""
-    query = QUERIES["reach-2s-000"]
-    motion, info = refine_duration(query, 1.5, 4.0, free=12)
-    assert motion.duration == info["duration"] > 3.0
-    hurried, paid = refine_duration(query, 1.5, 4.0, price=0.02, free=12)
-    assert hurried.duration < motion.duration
-    timed = dataclasses.replace(query, duration=hurried.duration)
-    assert first_violation(timed, hurried) is None
-    assert paid["cost"] == pytest.approx(
-        energy(timed, hurried) + 0.02 * hurried.duration, rel=0.02
-    )
-
-
-def test_no_duration_in_range():
-    with pytest.raises(NoPlan, match=r"no motion keeps the limits in 0\.05 to 0\.1 s"):
-        refine_duration(QUERIES["reach-2s-000"], 0.05, 0.1, free=6, looks=3)
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -227,13 +205,6 @@ def test_no_duration_in_range():
             lambda q: refine(q, Motion.straight([0.0], [1.0], 2.0)),
             "motion must have 3 joints, got 1",
         ),
-        (lambda q: refine_duration(q, 2.0, 1.0), "need 0 < shortest < longest"),
-        (lambda q: refine_duration(q, 1.0, np.inf), "need 0 < shortest < longest"),
-        (
-            lambda q: refine_duration(q, 1.0, 2.0, price=-1.0),
-            "price must be >= 0 J/s, got -1.0",
-        ),
-        (lambda q: refine_duration(q, 1.0, 2.0, looks=2), "looks must be >= 3, got 2"),
     ],
 )
 def test_options_that_are_none(call, message):

@@ -1,4 +1,4 @@
-"""Coupling between joint motion and the base: the matrix Q(q), its spectral form, spots.
+"""Coupling between joint motion and the base: the matrix Q(q), its spectral form.
 
 Q is reconstructed (the thesis and its sources print no formula; docs/physics.md): the
 strain energy that an instantaneous joint displacement leaves in the base. It holds for
@@ -12,8 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import scipy.optimize
-from scipy.stats import qmc
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.kernel.maps import coupling_matrices
@@ -179,62 +177,3 @@ def coupling_length(
     Q = metric(system, (points[1:] + points[:-1]) / 2, duration)
     squares = np.einsum("ki,kij,kj->k", step, Q, step)
     return float(np.sqrt(np.maximum(squares, 0)).sum())
-
-
-class Spot(NamedTuple):
-    """A configuration where coupling is locally largest (a hot spot) or least."""
-
-    q: Array  # (n,) rad
-    coupling: float  # largest eigenvalue of the matrix [J/rad^2]
-
-
-def spots(
-    system: System,
-    *,
-    hot: bool = True,
-    duration: float | None = None,
-    count: int = 5,
-    samples: int = 4096,
-) -> list[Spot]:
-    """Return the strongest hot spots in the joint space of all n joints, or the least coupled.
-
-    Starts from the best of Halton's points in the joint box, each followed uphill (or
-    downhill) inside the box; those within 0.2 rad of a better one are the same spot.
-
-    Args:
-        system: arm and vehicle.
-        hot: largest coupling; False for least.
-        duration: of Q_T [s]; None for raw Q.
-        count: spots wanted.
-        samples: Halton's points.
-
-    Returns:
-        At most `count` spots, strongest (or least coupled) first.
-
-    Raises:
-        ParameterError: not 1 <= count <= samples.
-    """
-    if count < 1 or samples < count:
-        raise ParameterError(f"need 1 <= count <= samples, got {count} and {samples}")
-    arm, sign = system.arm, -1.0 if hot else 1.0
-    low, high = arm.column("q_min"), arm.column("q_max")
-    at = qmc.scale(qmc.Halton(arm.n, scramble=False).random(samples), low, high)
-
-    def strength(q: npt.ArrayLike) -> Array:
-        return np.asarray(
-            sign * np.linalg.eigvalsh(metric(system, q, duration))[..., -1], float
-        )
-
-    extrema: list[Spot] = []
-    for k in np.argsort(strength(at)):
-        if any(np.linalg.norm(at[k] - spot.q) < _SAME for spot in extrema):
-            continue
-        best = scipy.optimize.minimize(
-            lambda q: float(strength(q)), at[k], method="L-BFGS-B",
-            bounds=scipy.optimize.Bounds(low, high),
-        )  # fmt: skip
-        if all(np.linalg.norm(best.x - spot.q) >= _SAME for spot in extrema):
-            extrema.append(Spot(best.x, float(sign * best.fun)))
-        if len(extrema) >= count:
-            break
-    return sorted(extrema, key=lambda spot: sign * spot.coupling)

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -82,113 +83,37 @@ class HotSpot:
         return motion, info
 
 
-# ------------------------------------------------------------------------- lattice
+# ------------------------------------------------------------------------- networks
 
 
-class JointSpaceGraph(Protocol):
-    """Joint space as a graph of coupling lengths."""
+class Network:
+    """Joint space as points, with the coupling lengths of straight ways between neighbours.
 
-    name: str
-
-    def route(self, start: Array, goal: Array) -> Array:
-        """Return the shortest path through the graph.
-
-        Args:
-            start, goal: (n,) [rad].
-
-        Returns:
-            (k, n) way-points [rad].
-        """
-
-
-class Lattice:
-    """Joint space on a regular lattice with coupling lengths on its edges."""
-
-    name = "lattice"
-
-    def __init__(self, system: System, duration: float | None) -> None:
-        self.axes = _axes(system.arm)
-        self.shape = tuple(len(axis) for axis in self.axes)
-        self.points = np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1)
-        self.system, self.duration = system, duration
-        self.graph, self.least = self._edges(_moves(system.arm.n))
-
-    def _edges(self, moves: list[tuple[int, ...]]) -> tuple[scipy.sparse.csr_array, float]:
-        index = np.arange(int(np.prod(self.shape))).reshape(self.shape)
-        heads, tails = [], []
-        for move in moves:
-            from_cells = tuple(
-                slice(max(0, -m), s - max(0, m)) for m, s in zip(move, self.shape, strict=True)
-            )
-            to_cells = tuple(
-                slice(max(0, m), s - max(0, -m)) for m, s in zip(move, self.shape, strict=True)
-            )
-            heads.append(index[from_cells].ravel())
-            tails.append(index[to_cells].ravel())
-        a, b = np.concatenate(heads), np.concatenate(tails)
-        flat = self.points.reshape(-1, len(self.shape))
-        lengths, least = self._lengths(flat[a], flat[b])
-        return _graph(lengths, a, b, len(flat)), least
-
-    def _lengths(self, a: Array, b: Array, least: float | None = None) -> tuple[Array, float]:
-        step = b - a
-        Q = metric(self.system, (a + b) / 2, self.duration)
-        if least is None:
-            least = float(LEAST * np.mean(np.trace(Q, axis1=-2, axis2=-1)) / step.shape[-1])
-        squares = np.einsum("ki,kij,kj->k", step, Q, step) + least * np.sum(step**2, axis=-1)
-        return np.sqrt(np.maximum(squares, 0)), least
-
-    def route(self, start: Array, goal: Array) -> Array:
-        """Return the shortest path from start to goal through the lattice.
-
-        Args:
-            start, goal: (n,) [rad].
-
-        Returns:
-            (k, n) way-points [rad].
-        """
-        flat = self.points.reshape(-1, len(self.shape))
-        size = len(flat)
-        rows, columns, values = [], [], []
-        for end, q in ((size, start), (size + 1, goal)):
-            near = np.flatnonzero((np.abs(flat - q) <= 1.5 * _PITCH).all(axis=1))
-            lengths, _ = self._lengths(
-                np.broadcast_to(q, flat[near].shape), flat[near], self.least
-            )
-            rows.append(np.full(len(near), end))
-            columns.append(near)
-            values.append(lengths)
-        old = self.graph.tocoo()
-        a = np.concatenate([old.row, *rows])
-        b = np.concatenate([old.col, *columns])
-        graph = _graph(np.concatenate([old.data, *values]), a, b, size + 2)
-        return np.vstack([flat, start, goal])[_shortest(graph, size, size + 1)]
-
-
-class Roadmap:
-    """Joint space of any dimension as Halton's points, joined to their neighbours.
-
-    The number of neighbours is that of PRM* (Karaman and Frazzoli 2011).
+    Args:
+        name: lattice or roadmap.
+        points: (N, n) [rad].
+        edges: neighbours, two (E,) of their numbers.
+        costs: (E,) their lengths.
+        lengths: of ways from (k, n) to (k, n), (k,).
+        near: numbers of the points that a configuration (n,) is joined to.
+        joins_ends: start and goal are neighbours, too.
     """
 
-    name = "roadmap"
-
-    def __init__(self, system: System, duration: float | None) -> None:
-        arm = system.arm
-        low, high = arm.column("q_min"), arm.column("q_max")
-        # "qt" and "q" as the lattice has them, compiled
-        self.metric = Metric(system, "q" if duration is None else "qt", duration)
-        halton = qmc.Halton(arm.n, scramble=False).random(_ROADMAP)
-        self.points = qmc.scale(halton, low, high)
-        self.neighbours = int(np.ceil(math.e * (1 + 1 / arm.n) * np.log(_ROADMAP)))
-        self.tree = scipy.spatial.cKDTree(self.points)
-        _, near = self.tree.query(self.points, self.neighbours + 1)
-        a = np.repeat(np.arange(_ROADMAP), self.neighbours)
-        self.edges = a, near[:, 1:].ravel()
-        self.lengths = self.metric.lengths(self.points[a], self.points[self.edges[1]])
+    def __init__(
+        self,
+        name: str,
+        points: Array,
+        edges: tuple[Ints, Ints],
+        costs: Array,
+        lengths: Callable[[Array, Array], Array],
+        near: Callable[[Array], Ints],
+        joins_ends: bool,
+    ) -> None:
+        self.name, self.points, self.edges, self.costs = name, points, edges, costs
+        self._lengths, self._near, self._joins_ends = lengths, near, joins_ends
 
     def route(self, start: Array, goal: Array) -> Array:
-        """Return the shortest path from start to goal through the roadmap.
+        """Return the shortest path through the network.
 
         Args:
             start, goal: (n,) [rad].
@@ -196,26 +121,87 @@ class Roadmap:
         Returns:
             (k, n) way-points [rad].
         """
-        ends, size = np.array([start, goal]), len(self.points)
-        _, near = self.tree.query(ends, self.neighbours)
-        a = np.repeat([size, size + 1], self.neighbours)
-        lengths = self.metric.lengths(ends[a - size], self.points[near.ravel()])
-        graph = _graph(
-            np.concatenate([self.lengths, lengths, [self.metric.lengths(start, goal)]]),
-            np.concatenate([self.edges[0], a, [size]]),
-            np.concatenate([self.edges[1], near.ravel(), [size + 1]]),
-            size + 2,
-        )
-        return np.vstack([self.points, ends])[_shortest(graph, size, size + 1)]
+        size = len(self.points)
+        a, b, costs = [self.edges[0]], [self.edges[1]], [self.costs]
+        for k, q in enumerate((start, goal)):
+            near = self._near(q)
+            a.append(np.full(len(near), size + k))
+            b.append(near)
+            places = self.points[near]
+            costs.append(self._lengths(np.broadcast_to(q, places.shape), places))
+        if self._joins_ends:
+            a.append(np.array([size]))
+            b.append(np.array([size + 1]))
+            costs.append(self._lengths(start[None], goal[None]))
+        # 32-bit indices: what SciPy's graph routines take in every supported release
+        ends = tuple(np.concatenate(k).astype(np.int32) for k in (a, b))
+        shape = (size + 2, size + 2)
+        graph = scipy.sparse.csr_array((np.concatenate(costs), ends), shape=shape)
+        _, before = dijkstra(graph, directed=False, indices=size, return_predecessors=True)
+        nodes = [size + 1]
+        while nodes[-1] != size:
+            nodes.append(int(before[nodes[-1]]))
+        return np.vstack([self.points, start, goal])[nodes[::-1]]
 
 
-def _shortest(graph: scipy.sparse.csr_array, a: int, b: int) -> list[int]:
-    """Nodes on the shortest way from a to b."""
-    _, before = dijkstra(graph, directed=False, indices=a, return_predecessors=True)
-    nodes = [b]
-    while nodes[-1] != a:
-        nodes.append(int(before[nodes[-1]]))
-    return nodes[::-1]
+def lattice(system: System, duration: float | None) -> Network:
+    """A regular lattice of `_PITCH`, every point joined to all around it.
+
+    Args:
+        system: arm and vehicle.
+        duration: of Q_T [s]; None for raw Q.
+    """
+    axes = _axes(system.arm)
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+    index = np.arange(len(points)).reshape([len(axis) for axis in axes])
+    heads, tails = [], []
+    for move in itertools.product((-1, 0, 1), repeat=len(axes)):
+        if move > (0,) * len(axes):
+            pairs = list(zip(move, index.shape, strict=True))
+            heads.append(index[tuple(slice(max(0, -m), s - max(0, m)) for m, s in pairs)])
+            tails.append(index[tuple(slice(max(0, m), s - max(0, -m)) for m, s in pairs)])
+    a, b = (np.concatenate([k.ravel() for k in part]) for part in (heads, tails))
+    Q = metric(system, (points[a] + points[b]) / 2, duration)
+    least = float(LEAST * np.mean(np.trace(Q, axis1=-2, axis2=-1)) / len(axes))
+
+    def size(step: Array, Q: Array) -> Array:
+        squares = np.einsum("ki,kij,kj->k", step, Q, step) + least * np.sum(step**2, axis=-1)
+        return np.sqrt(np.maximum(squares, 0))
+
+    def lengths(start: Array, end: Array) -> Array:
+        return size(end - start, metric(system, (start + end) / 2, duration))
+
+    def near(q: Array) -> Ints:
+        return np.flatnonzero((np.abs(points - q) <= 1.5 * _PITCH).all(axis=1))
+
+    costs = size(points[b] - points[a], Q)
+    return Network("lattice", points, (a, b), costs, lengths, near, joins_ends=False)
+
+
+def roadmap(system: System, duration: float | None) -> Network:
+    """Halton's points in joint space of any dimension, joined to their neighbours.
+
+    As many as in PRM* (Karaman and Frazzoli 2011).
+
+    Args:
+        system: arm and vehicle.
+        duration: of Q_T [s]; None for raw Q.
+    """
+    arm = system.arm
+    halton = qmc.Halton(arm.n, scramble=False).random(_ROADMAP)
+    points = qmc.scale(halton, arm.column("q_min"), arm.column("q_max"))
+    count = int(np.ceil(math.e * (1 + 1 / arm.n) * np.log(_ROADMAP)))
+    tree = scipy.spatial.cKDTree(points)
+    _, neighbours = tree.query(points, count + 1)
+    edges = np.repeat(np.arange(_ROADMAP), count), neighbours[:, 1:].ravel()
+    # "qt" and "q" as the lattice has them, compiled
+    lengths = Metric(system, "q" if duration is None else "qt", duration).lengths
+
+    def near(q: Array) -> Ints:
+        return np.asarray(tree.query(q, count)[1])
+
+    costs = lengths(points[edges[0]], points[edges[1]])
+    return Network("roadmap", points, edges, costs, lengths, near, joins_ends=True)
 
 
 def _axes(arm: Arm) -> list[Array]:
@@ -226,23 +212,12 @@ def _axes(arm: Arm) -> list[Array]:
     ]
 
 
-def _moves(n: int) -> list[tuple[int, ...]]:
-    return [m for m in itertools.product((-1, 0, 1), repeat=n) if m > (0,) * n]
-
-
-def _graph(lengths: Array, a: Ints, b: Ints, size: int) -> scipy.sparse.csr_array:
-    # 32-bit indices: what SciPy's graph routines take in every supported release
-    ends = a.astype(np.int32), b.astype(np.int32)
-    return scipy.sparse.csr_array((lengths, ends), shape=(size, size))
-
-
 @lru_cache(maxsize=16)
-def _network(system: System, duration: float | None) -> JointSpaceGraph:
+def _network(system: System, duration: float | None) -> Network:
     """A lattice where it is small enough."""
     nodes = int(np.prod([len(axis) for axis in _axes(system.arm)]))
-    if nodes * (3**system.arm.n - 1) // 2 <= _LARGEST:
-        return Lattice(system, duration)
-    return Roadmap(system, duration)
+    small = nodes * (3**system.arm.n - 1) // 2 <= _LARGEST
+    return (lattice if small else roadmap)(system, duration)
 
 
 # ---------------------------------------------------------------------- relaxation

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import scipy.optimize
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
@@ -122,66 +120,6 @@ def refine(
         raise ParameterError("refine needs at least one motion, got none")
     problem = MotionProblem(query, free)
     return _best(problem, [problem.of(motion) for motion in starts])
-
-
-def refine_duration(
-    query: Query,
-    shortest: float,
-    longest: float,
-    *,
-    price: float = 0.0,
-    free: int = _FREE,
-    looks: int = 7,
-) -> tuple[Motion, dict[str, Any]]:
-    """Minimise predicted E_mean + price times duration over motions and durations.
-
-    Args:
-        query: the ends and limits; its duration is not used.
-        shortest, longest: bounds of the duration [s].
-        price: J per second of motion.
-        free: control points of the answer.
-        looks: durations compared, geometrically spaced, before the best is refined.
-
-    Returns:
-        The best motion, and its duration [s] and cost [J].
-
-    Raises:
-        ParameterError: bad bounds, price or looks.
-        NoPlan: no motion respects the limits within the bounds.
-    """
-    if not 0 < shortest < longest < math.inf:
-        raise ParameterError(f"need 0 < shortest < longest [s], got {shortest} and {longest}")
-    if not (math.isfinite(price) and price >= 0):
-        raise ParameterError(f"price must be >= 0 J/s, got {price}")
-    if looks < 3:
-        raise ParameterError(f"looks must be >= 3, got {looks}")
-    results: dict[float, tuple[float, Motion]] = {}
-    start = query.straight
-
-    def cost(duration: float) -> float:
-        timed_query = replace(query, duration=float(duration))
-        problem = MotionProblem(timed_query, free)
-        starts = [problem.straight, problem.of(start)]
-        best = min((minimise(problem, x, 40, _COARSE) for x in starts), key=rank)
-        value = best.energy + price * duration if _is_feasible(best) else math.inf
-        results[float(duration)] = value, problem.motion(best.x)
-        return value
-
-    grid = np.geomspace(shortest, longest, looks)
-    for duration in grid[::-1]:  # each starts from its longer neighbour
-        cost(duration)
-        start = results[float(duration)][1]
-    values = [results[float(k)][0] for k in grid]
-    k = int(np.argmin(values))
-    if not math.isfinite(values[k]):
-        raise NoPlan(f"no motion keeps the limits in {shortest:g} to {longest:g} s")
-    start = results[float(grid[k])][1]
-    bounds = grid[max(k - 1, 0)], grid[min(k + 1, looks - 1)]
-    scipy.optimize.minimize_scalar(
-        cost, bounds=bounds, method="bounded", options={"maxiter": 8, "xatol": 1e-2}
-    )
-    duration, (value, motion) = min(results.items(), key=lambda item: item[1][0])
-    return motion, {"duration": duration, "cost": value, "durations": sorted(results)}
 
 
 def detours(problem: MotionProblem, count: int, seed: int) -> list[Array]:
