@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import write_table
-from ves_gym.planners.best_known import read_best
+from ves_gym.planners.benchmark_summary import read_best
 from ves_gym.planners.obstacles import Box, Sphere, Surroundings, collisions
 from ves_gym.system.system import System
 

@@ -23,7 +23,7 @@ from ves_gym.cli.common import (
     write_json,
 )
 from ves_gym.planners.benchmark import run_benchmark
-from ves_gym.planners.best_known import merge_best
+from ves_gym.planners.benchmark_summary import merge_best
 from ves_gym.planners.objective import parse_weights
 from ves_gym.planners.registry import PLANNERS, get_planner, weighted
 from ves_gym.planners.suites import OBSTACLES, SUITES, Suite, get_suite

@@ -30,8 +30,14 @@ from ves_gym._util.process_pool import Workers
 from ves_gym._util.version import __version__
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo
 from ves_gym.mechanics.limits import LimitCheck
-from ves_gym.planners.benchmark_summary import BASELINE, anytime, rank_correlation, summarise
-from ves_gym.planners.best_known import add_scores
+from ves_gym.planners.benchmark_summary import (
+    BASELINE,
+    add_scores,
+    anytime,
+    rank_correlation,
+    summarise,
+)
+from ves_gym.planners.comparison import measured
 from ves_gym.planners.execution_check import executed_violation, solve_with_reserve
 from ves_gym.planners.ompl_search import Ompl
 from ves_gym.planners.query import Plan, Query
@@ -236,15 +242,15 @@ def _simulate_all(
             batch = [runs[i] for i in part]
             plans = [r.plan for r in batch]
             recording = _play(system, plans, _record_dt(system), seed)
-            measured = _measure(recording)
+            energies = measured(recording)
             moved = _disturbances(recording, [r.plan.query for r in batch])
-            ideal, in_space = None, measured
+            ideal, in_space = None, energies
             if system.mode == "emulated":
                 ideal = _play(system.ideal(), plans, _record_dt(system), seed)
-                in_space = _measure(ideal)
+                in_space = measured(ideal)
             for k, (i, run) in enumerate(zip(part, batch, strict=True)):
                 check = recording.limit_check(k, v_max=run.plan.query.v_max)
-                rows[i] = _row(run, measured[k], in_space[k], check, moved[k])
+                rows[i] = _row(run, energies[k], in_space[k], check, moved[k])
                 if rows[i]["success"]:
                     why = executed_violation(run.plan.query, recording, k)
                     rows[i] |= {"success": why is None, "failure": why}
@@ -275,17 +281,6 @@ def _play(system: System, plans: Sequence[Plan], record_dt: float, seed: int) ->
     return play_motions(
         system, motions, servo=servo, settle=TAIL, record_dt=record_dt, seed=seed, watch=True
     )
-
-
-def _measure(run: Recording) -> list[Energies | None]:
-    """Energies of each run, None for one that was stopped."""
-    stopped = {e.simulation for e in run.events}
-    complete = [i for i in range(len(run.q)) if i not in stopped]
-    out: list[Energies | None] = [None] * len(run.q)
-    if complete:
-        for i, measured in zip(complete, run.energies(complete, as_it_is=True), strict=True):
-            out[i] = measured
-    return out
 
 
 def _disturbances(run: Recording, queries: Sequence[Query]) -> list[Disturbance | None]:

@@ -197,13 +197,13 @@ def compare_planners(query: Query, planners: Sequence[Planner], *, seed: int = 0
     plans = [solve(planner, query, seed) for planner in planners]
     motions = [plan.motion for plan in plans if plan.motion is not None]
     run = simulate_motions(query, motions)
-    measured = _measured(run)
-    straight = measured[-1]
+    energies = measured(run)
+    straight = energies[-1]
     rows = []
     i = -1
     for plan in plans:
         i += plan.motion is not None  # its run
-        simulated = None if plan.motion is None else measured[i]
+        simulated = None if plan.motion is None else energies[i]
         ratio = None
         if simulated is not None and straight is not None and straight.E_mean > 0:
             ratio = simulated.E_mean / straight.E_mean
@@ -253,10 +253,12 @@ def simulate_motions(query: Query, motions: Sequence[Motion]) -> Recording:
     )
 
 
-def _measured(run: Recording) -> list[Energies | None]:
+def measured(run: Recording) -> list[Energies | None]:
     """Energies of each run; None for one that a safety stop ended."""
     stopped = {event.simulation for event in run.events}
-    if len(stopped) == len(run.q):
-        return [None] * len(run.q)
-    parts = run.energies()
-    return [None if k in stopped else part for k, part in enumerate(parts)]
+    complete = [i for i in range(len(run.q)) if i not in stopped]
+    out: list[Energies | None] = [None] * len(run.q)
+    if complete:
+        for i, part in zip(complete, run.energies(complete, as_it_is=True), strict=True):
+            out[i] = part
+    return out
