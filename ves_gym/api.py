@@ -154,7 +154,6 @@ def plan(
     from ves_gym.planners.obstacles import read_surroundings
     from ves_gym.planners.query import Query, solve, speed_limits
     from ves_gym.planners.registry import weighted
-    from ves_gym.planners.tool_goal import solve_to_tool
 
     system = _system(system)
     n = system.arm.n
@@ -172,6 +171,8 @@ def plan(
     )
     method = _planner(planner) if weights is None else weighted(_planner(planner), weights)
     if isinstance(goal, ToolPose):
+        from ves_gym.planners.tool_goal import solve_to_tool
+
         return solve_to_tool(method, query, goal, seed)
     return solve(method, query, seed)
 

@@ -208,7 +208,7 @@ from ves_gym.planners.suites import SPEED_LIMITS
 system = System(vehicle=BENT_THESIS)
 query = Query(system=system, start={ENDS["start"]}, goal={ENDS["goal"]}, duration=2.0,
               v_max=SPEED_LIMITS)
-for planner in reversed(PLANNERS.values()):
+for planner in reversed(list(PLANNERS.values())):
     print(planner.name, content_hash(solve(planner, query, 3).motion))
 """
     env = {**os.environ, "PYTHONHASHSEED": "7"}

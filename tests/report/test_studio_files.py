@@ -11,7 +11,7 @@ from ves_gym.cli.main import main
 from ves_gym.effects import BaseStiffness
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.query import Query, solve
-from ves_gym.planners.straight import Straight
+from ves_gym.planners.shaping import Straight
 from ves_gym.report.notebook import Studio
 from ves_gym.report.studio import studio_data
 from ves_gym.report.studio_files import open_item

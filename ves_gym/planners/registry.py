@@ -1,43 +1,71 @@
-"""Planners by name."""
+"""Planners by name, each imported when it is first asked for."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, MutableMapping
+from importlib import import_module
 from typing import Any, TypeVar
 
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.planners.bad_path import BadPath
-from ves_gym.planners.damp import DampRelease
-from ves_gym.planners.direct import Direct
-from ves_gym.planners.hotspot import HotSpot
 from ves_gym.planners.objective import parse_weights
-from ves_gym.planners.ompl_search import OBJECTIVES, Ompl
 from ves_gym.planners.query import Planner
-from ves_gym.planners.reaction_null import ReactionNull
-from ves_gym.planners.refine import Refined
-from ves_gym.planners.robust import Robust
-from ves_gym.planners.shaping import SHAPERS, Shaped, SmoothJerk
-from ves_gym.planners.straight import Straight
 
-_ALL: list[Planner] = [
-    Straight(),
-    SmoothJerk(),
-    *(Shaped(kind) for kind in SHAPERS),
-    BadPath(),
-    HotSpot(band_limited=False),
-    HotSpot(band_limited=True),
-    ReactionNull(),
-    *(Ompl(objective=objective) for objective in OBJECTIVES),
-    Direct(),
-    DampRelease(),
-    Refined(),
-    Refined(free=32, starts=24, name="refined-long"),  # what is best known comes from it
-    Robust(),
-    Robust(objective="worst", name="robust-worst"),
-]
 P = TypeVar("P", bound=Planner | type[Planner])
-PLANNERS: dict[str, Planner] = {planner.name: planner for planner in _ALL}
+
+# name -> "module:class" below this package, and its settings
+_HOMES: dict[str, tuple[str, dict[str, Any]]] = {
+    "straight": ("shaping:Straight", {}),
+    "smooth-jerk": ("shaping:SmoothJerk", {}),
+    "shaped-zv": ("shaping:Shaped", {"kind": "zv"}),
+    "shaped-zvd": ("shaping:Shaped", {"kind": "zvd"}),
+    "bad-path": ("bad_path:BadPath", {}),
+    "hotspot-q": ("hotspot:HotSpot", {"band_limited": False}),
+    "hotspot-qt": ("hotspot:HotSpot", {"band_limited": True}),
+    "reaction-null": ("reaction_null:ReactionNull", {}),
+    "ompl-q": ("ompl_search:Ompl", {"objective": "q"}),
+    "ompl-qt": ("ompl_search:Ompl", {"objective": "qt"}),
+    "ompl-time": ("ompl_search:Ompl", {"objective": "time"}),
+    "direct": ("direct:Direct", {}),
+    "damp": ("damp:DampRelease", {}),
+    "refined": ("refine:Refined", {}),
+    # what is best known comes from it
+    "refined-long": ("refine:Refined", {"free": 32, "starts": 24, "name": "refined-long"}),
+    "robust": ("robust:Robust", {}),
+    "robust-worst": ("robust:Robust", {"objective": "worst", "name": "robust-worst"}),
+}
+_WEIGHTED = ("direct", "refined", "refined-long")
+
+
+class _Planners(MutableMapping[str, Planner]):
+    """Planners by name, those of `_HOMES` made when first asked for."""
+
+    def __init__(self) -> None:
+        self._made: dict[str, Planner | None] = dict.fromkeys(_HOMES)
+
+    def __getitem__(self, name: str) -> Planner:
+        planner = self._made[name]
+        if planner is None:
+            home, settings = _HOMES[name]
+            module, _, kind = home.partition(":")
+            made = getattr(import_module(f"ves_gym.planners.{module}"), kind)(**settings)
+            planner = self._made[name] = made
+        return planner
+
+    def __setitem__(self, name: str, planner: Planner) -> None:
+        self._made[name] = planner
+
+    def __delitem__(self, name: str) -> None:
+        del self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._made)
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+
+PLANNERS = _Planners()
 
 
 def register_planner(planner: P) -> P:
@@ -96,7 +124,10 @@ def weighted(planner: Planner, weights: Mapping[str, float]) -> Planner:
     Raises:
         ParameterError: it takes none, or a weight that is none.
     """
-    if not isinstance(planner, Direct | Refined):
-        able = ", ".join(k for k, p in PLANNERS.items() if isinstance(p, Direct | Refined))
-        raise ParameterError(f"weights are for planners {able}, got {planner.name}")
-    return planner.weighted(weights)
+    able = getattr(planner, "weighted", None)
+    if able is None:
+        raise ParameterError(
+            f"weights are for planners {', '.join(_WEIGHTED)}, got {planner.name}"
+        )
+    out: Planner = able(weights)
+    return out

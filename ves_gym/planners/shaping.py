@@ -1,4 +1,4 @@
-"""Vibration-aware references: the straight line with a smoother law, and input shaping.
+"""The straight line: by a quintic, by a smoother law, and with input shaping.
 
 A shaped motion is the straight line's law split among impulses so placed that a mode they
 leave swinging is left at rest (zero vibration, ZV; with zero slope in frequency, ZVD: Singer
@@ -22,6 +22,25 @@ from ves_gym.system.system import System
 SHAPERS = ("zv", "zvd")
 _SAMPLES = 2001
 _CONTROLS = 96  # of the fitted motion: follows a shaped law to about 1e-4 of the way
+
+
+class Straight:
+    """Straight joint line, quintic rest to rest: what others are compared with."""
+
+    name = "straight"
+    summary = "straight joint line, quintic time law"
+
+    def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
+        """Return the straight quintic; deterministic.
+
+        Args:
+            query: the ends and the duration.
+            seed: not used.
+
+        Returns:
+            The motion.
+        """
+        return query.straight, {}
 
 
 class SmoothJerk:
