@@ -25,7 +25,7 @@ from ves_gym.planners.benchmark import (
 from ves_gym.planners.execution_check import solve_with_reserve
 from ves_gym.planners.query import NoPlan, Plan, Query
 from ves_gym.planners.registry import PLANNERS, get_planner
-from ves_gym.planners.suites import Suite, get_suite, reach100, uncompensated
+from ves_gym.planners.suites import Suite, get_suite, reach100
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.energy import energies
@@ -375,12 +375,12 @@ def test_ranks_in_the_laboratory_and_in_space():
     """By query: one agrees, one is upside down, one too small to rank."""
 
     def pair(planner, query, emulated, ideal):
-        return row(planner, query, emulated, E_mean_ideal=ideal, compensated=True)
+        return row(planner, query, emulated, E_mean_ideal=ideal)
 
     rows = [pair(p, "a", e, e) for p, e in zip("xyz", (1.0, 2.0, 3.0), strict=True)]
     rows += [pair(p, "b", e, -e) for p, e in zip("xyz", (1.0, 2.0, 3.0), strict=True)]
     rows += [pair("x", "c", 1.0, 1.0), pair("y", "c", 2.0, 2.0)]
-    rows += [{**pair("w", "a", 0.0, 9.0), "compensated": False}]
+    rows += [pair("w", "a", None, 9.0)]  # stopped
     (correlation,) = rank_correlation(rows)
     assert correlation == {"vehicle": "bent-thesis", "duration": 1.0, "n": 2, "rho_median": 0.0}
     assert rank_correlation(rows[:3])[0]["rho_median"] == pytest.approx(1.0)
@@ -473,9 +473,9 @@ def test_among_obstacles():
 
 # -------------------------------------------------------------------------- emulated
 
-EXTRA = {"compensated", "stopped", "E_mean_ideal", "E_res_ideal", "E_peak_ideal"}
+EXTRA = {"stopped", "E_mean_ideal", "E_res_ideal", "E_peak_ideal"}
 EXTRA |= {"emulation_error", "base_error"}
-NAMES = ["straight", "bad-path", "bad-path (weight not compensated)"]
+NAMES = ["straight", "bad-path"]
 
 
 @pytest.fixture(scope="module")
@@ -488,7 +488,6 @@ def lab():
         name="lab",
         queries=(("beam", question),),
         planners=("bad-path",),
-        uncompensated_runs=(("go", "bad-path"),),
     )
 
 
@@ -511,7 +510,7 @@ def test_mode_ideal_has_none_of_the_laboratory_s_keys(result):
     for row in result["rows"]:
         assert not row.keys() & EXTRA
     for row in result["summary"]:
-        assert not row.keys() & {"compensated", "stopped", "emulation_error_median"}
+        assert not row.keys() & {"stopped", "emulation_error_median"}
     for trace in result["traces"]:
         assert {k for s in trace["series"] for k in s} == {"planner", "t", "E"}
 
@@ -520,16 +519,13 @@ def test_an_emulated_row_stands_beside_the_same_motion_in_space(lab, emulated):
     """Each run again on its own, in the laboratory and in space."""
     assert emulated["mode"] == "emulated"
     assert [r["planner"] for r in emulated["rows"]] == NAMES
-    assert [r["compensated"] for r in emulated["rows"]] == [True, True, False]
     system = lab.queries[0][1].system
     query = dataclasses.replace(lab.queries[0][1], system=system.ideal())
-    for row, machine in zip(
-        emulated["rows"], [system, system, uncompensated(system)], strict=True
-    ):
-        name = row["planner"].split()[0]
+    for row in emulated["rows"]:
+        name = row["planner"]
         plan = solve_with_reserve(get_planner(name), query, 0)
         laboratory, space = (
-            play_motions(s, [plan.motion], record_dt=12.5e-3) for s in (machine, query.system)
+            play_motions(s, [plan.motion], record_dt=12.5e-3) for s in (system, query.system)
         )
         E, E_space = (
             energies(run.system, run.t, run.q, run.y, run.yd, duration=2.0)[0]
@@ -553,20 +549,11 @@ def test_an_emulated_row_stands_beside_the_same_motion_in_space(lab, emulated):
         assert row["prediction_error"] == pytest.approx(expected)
 
 
-def test_the_weight_of_the_arm_shows_only_where_it_is_not_compensated(emulated):
-    """Thesis Figure 4-3: without compensation the data is of the weight, not of the path."""
-    compensated, weighed = emulated["rows"][1:]
-    assert abs(compensated["emulation_error"]) < 0.1
-    assert weighed["base_error"] > 5 * compensated["base_error"]
-    assert weighed["E_mean_ideal"] == pytest.approx(compensated["E_mean_ideal"])
-
-
 def test_pictures_hold_both_runs_and_say_what_emulated(emulated):
     json.dumps(emulated, allow_nan=False)
     assert emulated["machine"]["operation"] == "microgravity"
     assert emulated["machine"]["platform"] == "pose servo, 8 Hz"
     assert [p["name"] for p in emulated["planners"]] == NAMES
-    assert [p.get("motion_of") for p in emulated["planners"]] == [None, None, "bad-path"]
     (trace,) = emulated["traces"]
     assert [s["planner"] for s in trace["series"]] == NAMES
     for series in trace["series"]:
@@ -574,9 +561,8 @@ def test_pictures_hold_both_runs_and_say_what_emulated(emulated):
             assert {len(curves[k]) for k in ("t", "E", "strain", "distance")} == {
                 len(curves["t"])
             }
-    # maps and animation are of the planners' answers
-    assert [r["planner"] for r in emulated["scenes"][0]["runs"]] == NAMES[:2]
-    assert [p["planner"] for p in emulated["maps"][0]["paths"]] == NAMES[:2]
+    assert [r["planner"] for r in emulated["scenes"][0]["runs"]] == NAMES
+    assert [p["planner"] for p in emulated["maps"][0]["paths"]] == NAMES
 
 
 def test_leg_servos_bring_their_own_clock(lab):
@@ -590,7 +576,6 @@ def test_leg_servos_bring_their_own_clock(lab):
     suite = dataclasses.replace(
         lab,
         queries=(("beam", dataclasses.replace(query, system=system)),),
-        uncompensated_runs=(),
     )
     result = run_benchmark(suite, planners=["straight"], workers=1)
     assert result["machine"]["platform"] == "six legs, filtered servo"
@@ -598,32 +583,21 @@ def test_leg_servos_bring_their_own_clock(lab):
 
 
 def test_stopped_runs_have_a_reason_and_no_energy(lab):
-    """A tenth of the weight drives the platform to the end of its legs; the run that is
-    not compensated is zeroed at the start, and goes on."""
+    """A tenth of the weight drives the platform to the end of its legs."""
     result = run_benchmark(with_effects(lab, GravityScale(error=0.1)), workers=1)
     json.dumps(result, allow_nan=False)
-    *stopped, weighed = result["rows"]
-    assert weighed["stopped"] is None and weighed["E_mean"] > 0
     assert "gravity/scale" in result["machine"]["effects"]
-    for row in stopped:
+    for row in result["rows"]:
         assert re.match(r"platform frozen at t = [\d.]+ s: .+", row["stopped"])
         assert row["success"] is False
         for key in ("E_mean", "E_res", "t_5", "emulation_error", "base_error"):
             assert row[key] is None
         assert row["E_mean_ideal"] > 0
-    for row in result["summary"][:2]:
+    for row in result["summary"]:
         assert row["stopped"] == row["n"] == 1
         assert row["success_rate"] == 0
         assert row["E_mean_median"] is row["ratio_median"] is row["ratio_low"] is None
-    cut, finished = (result["traces"][0]["series"][k]["t"][-1] for k in (0, 2))
-    assert cut < 2 and finished == pytest.approx(12.0, abs=0.1)
-
-
-def test_a_benchmark_whose_every_run_is_stopped(lab):
-    suite = with_effects(lab, GravityScale(error=0.1))
-    result = run_benchmark(dataclasses.replace(suite, uncompensated_runs=()), workers=1)
-    json.dumps(result, allow_nan=False)
-    assert all(row["stopped"] and row["E_mean"] is None for row in result["rows"])
+    assert result["traces"][0]["series"][0]["t"][-1] < 2
     for run in result["scenes"][0]["runs"]:
         assert run["base"][-1] == run["base"][-2]  # stays where it stopped
 

@@ -7,8 +7,6 @@ import pytest
 
 from tests.arms import planar_arm, seven_joint_arm, six_joint_arm
 from ves_gym._util.params import ParameterError, content_hash, write_table
-from ves_gym.effects import GravityScale, SensorLag
-from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.arm_library import arm_names, get_arm
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 from ves_gym.mechanics.puma import PUMA_560
@@ -24,15 +22,12 @@ from ves_gym.planners.suites import (
     SPEED_LIMITS,
     SUITES,
     get_suite,
-    is_compensated,
     reach100,
     reach_durations,
     reach_obstacles,
     reach_range,
     transfer,
-    uncompensated,
 )
-from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 
@@ -191,40 +186,6 @@ def test_the_thesis_suite():
     assert "bad-path" in suite.planners
     assert set(suite.planners) <= set(PLANNERS)
     assert shoulder.v_max is None
-
-
-def test_in_the_laboratory_the_good_path_is_also_played_with_its_weight():
-    """Not in space, and not on a machine that does not subtract the weight anyway."""
-    system = System(vehicle=BENT_THESIS, mode="emulated")
-    assert get_suite("thesis", system=system).uncompensated_runs == (
-        ("good-and-bad", "hotspot-q"),
-    )
-    assert get_suite("thesis", system=System(vehicle=BENT_THESIS)).uncompensated_runs == ()
-    assert get_suite("thesis", system=uncompensated(system)).uncompensated_runs == ()
-    assert (
-        get_suite(
-            "reach100", system=system, quick=True, vehicle="bent-thesis"
-        ).uncompensated_runs
-        == ()
-    )
-
-
-def test_uncompensated_is_the_same_machine_with_the_weight_left_in():
-    """Errors of the estimate go with the estimate; those of the sensor stay."""
-    effects = GravityScale(error=0.01), SensorLag(error=0.1)
-    platform = PoseServo(bandwidth=5.0)
-    system = System(
-        vehicle=BENT_THESIS,
-        mode="emulated",
-        emulator=EmulatorSettings(platform=platform),
-        effects=effects,
-        drive="prescribed",
-    )
-    other = uncompensated(system)
-    lab = EmulatorSettings(platform=platform, operation="admittance", zero_at_start=True)
-    assert other == system.replace(emulator=lab, effects=effects[1:])
-    assert is_compensated(system) and not is_compensated(other)
-    assert is_compensated(system.ideal())
 
 
 def test_the_thesis_suite_on_one_of_its_vehicles():

@@ -212,24 +212,18 @@ def fake_result(
 
 
 def emulate(result: Result) -> Result:
-    """The result as of mode emulated: the straight line stopped, direct also uncompensated."""
-    label = "direct (weight not compensated)"
+    """The result as of mode emulated: the straight line stopped."""
     result["mode"] = "emulated"
     result["machine"] = {"operation": "microgravity", "effects": "none"}
-    result["planners"].append(
-        {"name": label, "summary": "with its weight", "motion_of": "direct"}
-    )
     energies = ("E_mean", "E_res", "E_peak", "E_strain_peak", "E_int", "W_port", "t_5")
-    for row in [*result["rows"]]:
-        row.update(mode="emulated", compensated=True, stopped=None, E_mean_ideal=row["E_mean"])
+    for row in result["rows"]:
+        row.update(mode="emulated", stopped=None, E_mean_ideal=row["E_mean"])
         row.update(emulation_error=0.01, base_error=0.02)
-        if row["planner"] == "direct":
-            result["rows"].append({**row, "planner": label, "compensated": False})
         if row["planner"] == "straight":
             row.update(dict.fromkeys((*energies, "emulation_error", "base_error")))
             row.update(stopped="platform frozen at t = 0.5000 s: too far", success=False)
     for row in result["summary"]:
-        row.update(compensated=True, stopped=0, emulation_error_median=0.01)
+        row.update(stopped=0, emulation_error_median=0.01)
         row.update(base_error_median=0.02, ratio_median=None, ratio_low=None, ratio_high=None)
         if row["planner"] == "straight":
             row.update(stopped=row["n"], E_mean_median=None)
@@ -238,11 +232,9 @@ def emulate(result: Result) -> Result:
         for series in trace["series"]:
             curves = {k: series[k] for k in ("t", "E")} | {"strain": series["E"]}
             curves["distance"] = [0.01 * e for e in series["E"]]
-            series.update(curves, compensated=True, ideal=dict(curves))
+            series.update(curves, ideal=dict(curves))
             if series["planner"] == "straight":
                 series.update({k: v[:20] for k, v in curves.items()})
-        last = {**trace["series"][-1], "planner": label, "compensated": False}
-        trace["series"].append(last)
     return result
 
 

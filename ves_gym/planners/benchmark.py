@@ -43,7 +43,7 @@ from ves_gym.planners.ompl_search import Ompl
 from ves_gym.planners.query import Plan, Query
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.scenes import PlayedPlan, coupling_maps, scene, trace
-from ves_gym.planners.suites import Suite, is_compensated, uncompensated
+from ves_gym.planners.suites import Suite
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.recording import Recording
 from ves_gym.system.disturbance import MEASURES, Disturbance, disturbance_to_plain
@@ -101,20 +101,13 @@ def run_benchmark(
     alone = dict(zip(keys, jobs, strict=True))
     answers = _plan_all(list(alone.values()), seed, workers, report)
     plans = dict(zip(alone, (plan for _, plan in answers), strict=True))
-    runs = []
-    for (name, vehicle, query), key in zip(questions, keys, strict=True):
-        plan = plans[key]
-        runs.append(_Run(name, vehicle, plan, query.system))
-        if (query.name, name) in suite.uncompensated_runs:
-            runs.append(_Run(name + _UNCOMPENSATED, vehicle, plan, uncompensated(query.system)))
+    runs = [
+        _Run(name, vehicle, plans[key], query.system)
+        for (name, vehicle, query), key in zip(questions, keys, strict=True)
+    ]
     rows, groups = _simulate_all(runs, seed, report)
     add_scores(rows, {v: q.system.ideal().hash for v, q in suite.queries}, BASELINE)
     first = suite.queries[0][1].system
-    listed = [{"name": n, "summary": get_planner(n).summary} for n in names]
-    for label in dict.fromkeys(r.label for r in runs if r.label not in names):
-        name = label.removesuffix(_UNCOMPENSATED)
-        what = f"the motion of {name}, the arm's weight zeroed once at the start, then left in"
-        listed.append({"name": label, "summary": what, "motion_of": name})
     return {
         "schema": SCHEMA,
         "suite": suite.name,
@@ -127,7 +120,7 @@ def run_benchmark(
         "systems": _systems(suite),
         "frequency_weight": str(suite.queries[0][1].weight),
         **({"machine": _machine(first)} if first.mode == "emulated" else {}),
-        "planners": listed,
+        "planners": [{"name": n, "summary": get_planner(n).summary} for n in names],
         "rows": rows,
         "summary": summarise(rows),
         "anytime": anytime(rows),
@@ -210,7 +203,6 @@ def _run_workers(
 
 # ----------------------------------------------------------------------- simulation
 
-_UNCOMPENSATED = " (weight not compensated)"
 Group = tuple[str, list[PlayedPlan]]  # vehicle, the planners' answers to one query
 
 
@@ -218,7 +210,7 @@ Group = tuple[str, list[PlayedPlan]]  # vehicle, the planners' answers to one qu
 class _Run:
     """A plan and the system its motion is played on."""
 
-    label: str  # the planner's name, or how its motion is played
+    planner: str  # its name
     vehicle: str
     plan: Plan
     system: System
@@ -258,9 +250,7 @@ def _simulate_all(
                     rows[i] |= _emulation(recording, ideal, k, rows[i], in_space[k])
                 name = run.plan.query.name
                 if name in showcase:
-                    picture = PlayedPlan(
-                        run.plan, recording, k, run.label, ideal, is_compensated(system)
-                    )
+                    picture = PlayedPlan(run.plan, recording, k, run.planner, ideal)
                     pictures[vehicle, name].append((i, picture))
             report("simulating", len(rows) / len(runs))
     return [rows[i] for i in range(len(runs))], [
@@ -301,17 +291,12 @@ def _showcase_queries(queries: list[Query]) -> set[str]:
 def _showcase(groups: list[Group]) -> list[Group]:
     """Groups whose maps and animation are shown: at most three, the middle durations.
 
-    One of each vehicle before a second of any. Planners' answers only: the same motion under
-    another load is for the traces.
+    One of each vehicle before a second of any.
     """
     ordered = sorted(groups, key=lambda g: abs(np.log(g[1][0].plan.query.duration / 2.0)))
     names = [vehicle for vehicle, _ in ordered]
-    ordered = [
-        g for _, g in sorted(enumerate(ordered), key=lambda p: names[: p[0]].count(p[1][0]))
-    ]
-    return [
-        (v, [s for s in answers if s.label == s.plan.planner]) for v, answers in ordered[:3]
-    ]
+    first = sorted(enumerate(ordered), key=lambda p: names[: p[0]].count(p[1][0]))
+    return [group for _, group in first[:3]]
 
 
 def _row(
@@ -342,10 +327,7 @@ def _row(
 
 def _row_without_motion(run: _Run) -> dict[str, Any]:
     """The row of a query that the planner had no answer to."""
-    emulated: dict[str, Any] = {}
-    if run.system.mode == "emulated":
-        emulated = dict.fromkeys(_EMULATED_COLUMNS)
-        emulated["compensated"] = is_compensated(run.system)
+    emulated = _EMULATED_COLUMNS if run.system.mode == "emulated" else ()
     return {
         **_labels(run),
         **dict.fromkeys((*_MEASURES, *MEASURES, "predicted", "prediction_error")),
@@ -354,14 +336,14 @@ def _row_without_motion(run: _Run) -> dict[str, Any]:
         "failure": run.plan.failure,
         **dict.fromkeys(("reference_breaks", "arm_breaks")),
         "info": run.plan.info,
-        **emulated,
+        **dict.fromkeys(emulated),
     }
 
 
 def _labels(run: _Run) -> dict[str, Any]:
     query = run.plan.query
     return {
-        "planner": run.label,
+        "planner": run.planner,
         "query": query.name,
         "vehicle": run.vehicle,
         "mode": run.system.mode,
@@ -371,7 +353,6 @@ def _labels(run: _Run) -> dict[str, Any]:
 
 
 _EMULATED_COLUMNS = (
-    "compensated",
     "stopped",
     "E_mean_ideal",
     "E_res_ideal",
@@ -395,7 +376,6 @@ def _emulation(
         if largest > 0:
             base_error = float(np.linalg.norm(place - reference, axis=-1).max()) / largest
     return {
-        "compensated": is_compensated(run.system),
         "stopped": stop,
         **{f"{key}_ideal": getattr(in_space, key) for key in ("E_mean", "E_res", "E_peak")},
         "emulation_error": _excess(row["E_mean"], in_space.E_mean),

@@ -53,7 +53,6 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         emulated = {}
         if "stopped" in members[0]:
             emulated = {
-                "compensated": members[0]["compensated"],
                 "stopped": sum(r["stopped"] is not None for r in members),
                 "emulation_error_median": _median(_numbers(members, "emulation_error")),
                 "base_error_median": _median(_numbers(members, "base_error")),
@@ -152,7 +151,7 @@ def rank_correlation(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """
     queries: dict[tuple[str, float, str], list[tuple[float, float]]] = defaultdict(list)
     for row in rows:
-        if row["compensated"] and row["E_mean"] is not None:
+        if row["E_mean"] is not None:
             pair = (row["E_mean"], row["E_mean_ideal"])
             queries[row["vehicle"], row["duration"], row["query"]].append(pair)
     groups: dict[tuple[str, float], list[float]] = defaultdict(list)

@@ -24,9 +24,8 @@ class PlayedPlan(NamedTuple):
     plan: Plan
     run: Recording
     k: int
-    label: str  # the planner's name, or how its motion was played
+    label: str  # the planner's name, as it was asked
     ideal: Recording | None = None  # mode emulated: the same motions in space
-    compensated: bool = True
 
 
 _FRAME = 0.05  # s between frames of an animation
@@ -55,7 +54,6 @@ def trace(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
             **_curves(played.run, played.k, played.ideal is not None),
         }
         if played.ideal is not None:
-            data["compensated"] = played.compensated
             data["ideal"] = _curves(played.ideal, played.k, True)
         series.append(data)
     return {

@@ -62,9 +62,6 @@ class Suite:
     name: str
     queries: tuple[tuple[str, Query], ...]
     planners: tuple[str, ...]
-    uncompensated_runs: tuple[
-        tuple[str, str], ...
-    ] = ()  # (query, planner) also played `uncompensated`
     described: Mapping[str, System] = field(
         default_factory=dict
     )  # vehicle name -> what is known
@@ -193,21 +190,6 @@ def others_of(described: System) -> dict[str, tuple[System, System]]:
         out["soft, weak, 5 kg"] = of(soft, weak, heavy), described
         out["stiff, weak, 5 kg, friction"] = of(stiff, weak, heavy, *friction), described
     return out
-
-
-def uncompensated(system: System) -> System:
-    """The same machine with the arm's weight zeroed once at the start, then left in.
-
-    Errors of the gravity estimate act on nothing there, and go.
-    """
-    lab = replace(system.emulator_settings, operation="admittance", zero_at_start=True)
-    effects = tuple(e for e in system.effects if not e.kind.startswith("gravity/"))
-    return system.replace(emulator=lab, effects=effects)
-
-
-def is_compensated(system: System) -> bool:
-    """True if the arm does not weigh on the vehicle: in space, or by subtraction (eq. 2.1)."""
-    return system.mode == "ideal" or system.emulator_settings.operation == "microgravity"
 
 
 def reach_range(arm: Arm) -> Array:
@@ -357,8 +339,7 @@ def thesis(system: System, vehicle: str | None) -> Suite:
 
     Shoulder: App. A.3, joint 1 through 180 deg in 2 s, joints 2 and 3 at 0, on the
     horizontal straight beam and the bent beam. Good and bad: two paths between the same
-    ends on the bent beam (4.2; the thesis prints no joint angles, these are ours). In the
-    laboratory the good path is also played without gravity compensation (Figure 4-3).
+    ends on the bent beam (4.2; the thesis prints no joint angles, these are ours).
     The beams are condensed as in its Appendix A.
 
     Args:
@@ -414,7 +395,4 @@ def thesis(system: System, vehicle: str | None) -> Suite:
         name="thesis",
         queries=tuple(queries),
         planners=("straight", "bad-path", "hotspot-q", "hotspot-qt", "direct"),
-        uncompensated_runs=()
-        if system.mode == "ideal" or not is_compensated(system)
-        else (("good-and-bad", "hotspot-q"),),
     )

@@ -135,8 +135,7 @@ function moveCursor(time) {
 
 if (choices("traces", $("trace-pick"), traces.map(caseLabel), "energy traces")) {
   const first = data.scenes?.[0]; // what the animation shows, or the first
-  const weighed = traces.findIndex((trace) => trace.series.some((s) => replays.has(s.planner)));
-  const start = weighed >= 0 ? weighed : Math.max(0, traces.findIndex((trace) =>
+  const start = Math.max(0, traces.findIndex((trace) =>
     trace.query === first?.query && trace.vehicle === first?.vehicle
     && trace.duration === first?.duration));
   plot.item = traces[start];

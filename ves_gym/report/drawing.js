@@ -3,16 +3,12 @@
 const data = JSON.parse(document.getElementById("data").textContent);
 
 const names = (data.planners ?? []).map((planner) => planner.name);
-/** Labels of motions that a planner found and another machine played. */
-const replays = new Set((data.planners ?? []).filter((p) => p.motion_of).map((p) => p.name));
 
 /** [place in the palette, dash] of a planner; the rule of planner_styles.py. */
 const unlisted = names.filter((name) => !Object.hasOwn(STYLES, name));
 function styleOf(planner) {
   if (Object.hasOwn(STYLES, planner)) return STYLES[planner];
   const at = Math.max(0, unlisted.indexOf(planner));
-  const first = Object.keys(STYLES).find((name) => planner.startsWith(`${name} `));
-  if (first) return [STYLES[first][0], DASHES[1 + (at % 3)]];
   return OTHER_STYLES[at % OTHER_STYLES.length];
 }
 const colour = (planner) => `var(--s${styleOf(planner)[0]})`;

@@ -33,8 +33,8 @@ function cases() {
   return [...groups.values()];
 }
 
-/** Whether a summary row has a ratio and stands for a planner, not for another load. */
-const rated = (row) => row?.ratio_median > 0 && !replays.has(row.planner);
+/** Whether a summary row has a ratio. */
+const rated = (row) => row?.ratio_median > 0;
 
 /** The row of least ratio among those that have one, or null. */
 function least(rows) {

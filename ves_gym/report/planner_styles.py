@@ -50,7 +50,7 @@ def style_of(planner: str, names: Sequence[str] = ()) -> Style:
     """Return how a planner is drawn.
 
     Args:
-        planner: its name; "direct ..." is the motion of `direct`, played in another way.
+        planner: its name.
         names: all that are drawn together: a planner that the table does not have takes a
             style that none of it has, by its place among those.
 
@@ -61,9 +61,6 @@ def style_of(planner: str, names: Sequence[str] = ()) -> Style:
         return STYLES[planner]
     unlisted = [name for name in names if name not in STYLES]
     place = unlisted.index(planner) if planner in unlisted else 0
-    first = next((name for name in STYLES if planner.startswith(f"{name} ")), None)
-    if first is not None:
-        return STYLES[first]._replace(dash=_DASHES[1 + place % 3])
     return _OTHERS[place % len(_OTHERS)]
 
 
