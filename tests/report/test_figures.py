@@ -93,7 +93,7 @@ def test_a_stopped_run_and_the_run_in_space_are_drawn(make_emulated):
     """Two lines per run, and a cross for the stop."""
     result = make_emulated(planners=4, queries=1, durations=(2.0,), points=9)
     lines = time_figure(result, "distance").axes[0].lines
-    assert len(lines) == 5 * 2 + 1
+    assert len(lines) == 4 * 2 + 1
     (cross,) = [curve for curve in lines if curve.get_marker() == "x"]
     first = result["traces"][0]["series"][0]
     assert cross.get_xdata() == [first["t"][-1]]
