@@ -49,7 +49,7 @@ def test_policies_and_what_they_took(call, tmp_path):
 
 def test_a_planner_of_ones_own_is_loaded_by_its_name(call, refused, tmp_path, monkeypatch):
     (tmp_path / "mypackage.py").write_text(
-        "from ves_gym.planners.straight import Straight\n"
+        "from ves_gym.planners.shaping import Straight\n"
         "class Mine(Straight):\n    name = 'mine'\n"
     )
     monkeypatch.syspath_prepend(tmp_path)

@@ -380,7 +380,7 @@ def test_ranks_in_the_laboratory_and_in_space():
     rows = [pair(p, "a", e, e) for p, e in zip("xyz", (1.0, 2.0, 3.0), strict=True)]
     rows += [pair(p, "b", e, -e) for p, e in zip("xyz", (1.0, 2.0, 3.0), strict=True)]
     rows += [pair("x", "c", 1.0, 1.0), pair("y", "c", 2.0, 2.0)]
-    rows += [pair("w", "a", None, 9.0)]  # stopped
+    rows += [row("w", "a", None, peak=1.0, E_mean_ideal=9.0)]  # stopped
     (correlation,) = rank_correlation(rows)
     assert correlation == {"vehicle": "bent-thesis", "duration": 1.0, "n": 2, "rho_median": 0.0}
     assert rank_correlation(rows[:3])[0]["rho_median"] == pytest.approx(1.0)
