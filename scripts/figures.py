@@ -165,17 +165,16 @@ def screenshot(
     path = find_browser()
     if path is None:
         raise ParameterError(f"{target.name} needs a browser: looked for {', '.join(NAMES)}")
-    with tempfile.TemporaryDirectory() as profile:
-        browser = Browser(path, profile)
-        try:
-            browser.screen(*size)
-            browser.send("Emulation.setScrollbarsHidden", hidden=True)
-            browser.open(page.as_uri())
-            if script is not None:
-                browser.do(script)
-            browser.picture(target, whole=False)
-        finally:
-            browser.close()
+    browser = Browser(path)
+    try:
+        browser.screen(*size)
+        browser.send("Emulation.setScrollbarsHidden", hidden=True)
+        browser.open(page.as_uri())
+        if script is not None:
+            browser.do(script)
+        browser.picture(target, whole=False)
+    finally:
+        browser.close()
 
 
 def schematic(target: Path) -> None:

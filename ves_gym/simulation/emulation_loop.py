@@ -327,7 +327,7 @@ class EmulationLoop:
         spent = np.flatnonzero(self._next == _AHEAD)
         if len(spent):
             self._noise[spent], self._next[spent] = self._drawn(spent, _AHEAD, 18), 0
-        out = self._noise[np.arange(self.n), self._next]
+        out: Array = self._noise[np.arange(self.n), self._next]
         self._next += 1
         return out
 
