@@ -135,6 +135,7 @@ CASES = {
     "maximum": (lambda a, b: np.maximum(a, np.maximum(b, 0.5)), A2, B2),
     "largest": (lambda a: a.max(axis=-1), A2),
     "rint": (np.rint, HALVES),
+    "sum of nothing": (lambda a: a[:, 3:].sum(axis=1) + a[0, 3:].sum(axis=0), A2),
     "cumsum": (lambda a: np.cumsum(a, axis=0), A2),
     "products with vectors": (lambda a, b: a @ b[0] + b[1] @ a.T + b[0] @ b[1], A2, B2),
     "solve": (solve, MATRICES, VECTORS),

@@ -271,7 +271,7 @@ def _reduced(
         raise Untraceable(f"numpy.{name} over everything")
     combine = _operations()[name]
     if not array.shape[axis] and name == "add":
-        return np.zeros(np.sum(array, axis=axis, keepdims=keepdims).shape)
+        return np.zeros(array.shape).sum(axis=axis, keepdims=keepdims)
     out = functools.reduce(
         lambda a, b: _apply(combine, a, b), list(np.moveaxis(array, axis, 0))
     )
