@@ -18,7 +18,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "api.md"
 GROUPS = {
     "Verbs": (
         "simulate plan compare coupling_map diagnose evaluate train energy check_emulation"
-        " render excitation"
+        " render excitation calibrate"
     ),
     "Model": (
         "System Arm Link Inertial PUMA_560 Beam MatrixVehicle Satellite get_vehicle"
@@ -26,7 +26,7 @@ GROUPS = {
     ),
     "Simulation": "Simulator State Divergence RunLog Energies EnergyBalance rollout_gradients",
     "Effects": "effects Effect parameter register_effect",
-    "Planning": "Query Plan Planner NoPlan register_planner",
+    "Planning": "Query Case load_case Plan Planner NoPlan register_planner",
     "Environments and policies": "Task register_task Policy Controller load_policy",
     "Diagnosis and board": "Diagnosis Candidate MjcfMachine make_entry verify_entry",
     "Errors": "ParameterError",

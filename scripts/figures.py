@@ -90,8 +90,7 @@ def shoulder_turn(target: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         ends = ("--start=-90,0,0", "--goal", "90,0,0", "--duration", "2", "--v-max", "none")
         command("plan", "--planner", "straight", *ends, "--out", folder)
-        motion = str(Path(folder) / "motion.json")
-        animation(("--motion", motion), "720x360", "10", target)
+        animation(("--case", str(Path(folder) / "case.toml")), "720x360", "10", target)
 
 
 def teleop(target: Path) -> None:

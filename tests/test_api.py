@@ -56,16 +56,16 @@ def command(tmp_path, *words):
 def test_plan_and_energy_are_those_of_the_command(tmp_path, plan, comparison):
     words = ("plan", f"--goal={DEGREES}", "--duration", "1", "--planner", "direct")
     result = command(tmp_path, *words)
-    assert result["control"] == np.array(plan.motion.control).tolist()
     assert result["predicted"] == plan.predicted.to_dict()
     assert result["simulated"] == comparison["direct"].simulated.to_dict()
     assert result["straight"] == comparison.straight.to_dict()
-    assert vg.Motion.load(tmp_path / "motion.json") == plan.motion
+    case = vg.load_case(tmp_path / "case.toml")
+    assert (case.query, case.motion) == (plan.query, plan.motion)
 
 
 def test_simulate_is_that_of_the_command(tmp_path, plan, log):
-    plan.motion.save(tmp_path / "motion.json")
-    result = command(tmp_path, "simulate", "--motion", str(tmp_path / "motion.json"))
+    plan.case.save(tmp_path / "case.toml")
+    result = command(tmp_path, "simulate", "--case", str(tmp_path / "case.toml"))
     there = vg.RunLog.load(result["log"])
     assert there.digest == result["digest"]
     for name in ("t", "q", "v", "tau", "y", "yd", "w"):
@@ -221,8 +221,8 @@ def test_paths_keep_their_planners_colours(comparison):
 
 
 def test_results_are_saved_and_read(tmp_path, plan, comparison):
-    plan.save(tmp_path / "plan.json")
-    assert vg.Plan.load(tmp_path / "plan.json") == plan
+    plan.case.save(tmp_path / "case.toml")
+    assert vg.load_case(tmp_path / "case.toml") == plan.case
     comparison.save(tmp_path / "comparison.json")
     again = type(comparison).load(tmp_path / "comparison.json")
     assert again.to_dict() == comparison.to_dict() and again.table == comparison.table
@@ -246,7 +246,8 @@ def test_results_are_saved_and_read(tmp_path, plan, comparison):
             lambda: vg.plan([0, 0, 0], GOAL, system="bent"),
             "must be a System, got 'bent'",
         ),
-        (lambda: vg.simulate([1, 2]), "needs a Motion or a Plan"),
+        (lambda: vg.plan([0, 0, 0]), "plan needs a goal"),
+        (lambda: vg.simulate([1, 2]), "needs a Motion, a Plan or a Case"),
         (lambda: vg.compare("direct"), "needs a Query or a Plan, got 'direct'"),
         (lambda: vg.coupling_map(q4=0.0), "q1, q2, q3, got 'q4'"),
         (lambda: vg.coupling_map(q1=0.0, q2=0.0), "sweeps two joints"),

@@ -295,15 +295,15 @@ def test_a_path_that_leads_nowhere_is_seen():
 
 # what `import ves_gym as vg` promises: a name less breaks somebody's program
 PUBLIC = """
-    simulate plan compare coupling_map diagnose evaluate train energy check_emulation render
-    excitation
+    simulate plan compare coupling_map diagnose evaluate train energy calibrate check_emulation
+    render excitation
     System Arm Link Inertial PUMA_560 Beam MatrixVehicle Satellite get_vehicle EmulatorSettings
     JointServo Motion
     Simulator State Divergence RunLog Energies EnergyBalance rollout_gradients
     effects Effect parameter register_effect
     Query Plan Planner NoPlan register_planner
-    Task register_task Policy Controller load_policy
-    Diagnosis Candidate MjcfMachine make_entry verify_entry
+    Task register_task Policy Controller load_case load_policy
+    Diagnosis Candidate Case MjcfMachine make_entry verify_entry
     ParameterError
 """
 DOORS = sorted(  # packages that import their names on first use

@@ -43,6 +43,9 @@ if TYPE_CHECKING:
     )
     from ves_gym._util.params import ParameterError as ParameterError
     from ves_gym.api import (
+        calibrate as calibrate,
+    )
+    from ves_gym.api import (
         check_emulation as check_emulation,
     )
     from ves_gym.api import (
@@ -104,6 +107,12 @@ if TYPE_CHECKING:
     from ves_gym.mechanics.vehicle import (
         get_vehicle as get_vehicle,
     )
+    from ves_gym.planners.case import (
+        Case as Case,
+    )
+    from ves_gym.planners.case import (
+        load_case as load_case,
+    )
     from ves_gym.planners.query import (
         NoPlan as NoPlan,
     )
@@ -140,6 +149,7 @@ __all__ = [
     "Arm",
     "Beam",
     "Candidate",
+    "Case",
     "Controller",
     "Diagnosis",
     "Divergence",
@@ -165,6 +175,7 @@ __all__ = [
     "State",
     "System",
     "Task",
+    "calibrate",
     "check_emulation",
     "compare",
     "coupling_map",
@@ -174,6 +185,7 @@ __all__ = [
     "evaluate",
     "excitation",
     "get_vehicle",
+    "load_case",
     "load_policy",
     "make_entry",
     "parameter",
@@ -191,6 +203,7 @@ __all__ = [
 _HOMES = {
     **dict.fromkeys(
         (
+            "calibrate",
             "check_emulation",
             "compare",
             "coupling_map",
@@ -208,6 +221,7 @@ _HOMES = {
     "Arm": "mechanics.arm",
     "Beam": "mechanics.vehicle",
     "Candidate": "diagnosis.inference.candidates",
+    "Case": "planners.case",
     "Controller": "baselines.controllers",
     "Diagnosis": "diagnosis.diagnose",
     "Divergence": "simulation.divergence",
@@ -235,6 +249,7 @@ _HOMES = {
     "System": "system.system",
     "Task": "envs.task",
     "get_vehicle": "mechanics.vehicle",
+    "load_case": "planners.case",
     "load_policy": "baselines.policy",
     "make_entry": "leaderboard.run",
     "parameter": "system.effect",

@@ -5,6 +5,7 @@ SI units throughout: angles in radians, as everywhere in Python; the command lin
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError, Vector, finite
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.limits import require_limits
@@ -32,17 +34,20 @@ if TYPE_CHECKING:
     from ves_gym.diagnosis.inference.candidates import Candidate
     from ves_gym.diagnosis.machines.mjcf import MjcfMachine
     from ves_gym.mechanics.tool_pose import ToolPose
+    from ves_gym.planners.case import Case
     from ves_gym.planners.comparison import Comparison
     from ves_gym.planners.coupling_map import CouplingMap
     from ves_gym.planners.obstacles import Surroundings
     from ves_gym.planners.query import Plan, Planner, Query
+    from ves_gym.simulation.calibration_summary import CalibrationSummary
     from ves_gym.simulation.stability import EmulationCheck
+    from ves_gym.system.frequency_weight import FrequencyWeight
 
     Follow = Callable[[Array], tuple[Array, Array]]  # instants (m,) -> pose and rate (m, 6)
 
 
 def simulate(
-    motion: Motion | Plan,
+    motion: Motion | Plan | Case,
     system: System | None = None,
     *,
     servo: JointServo | None = None,
@@ -50,126 +55,153 @@ def simulate(
     record_dt: float | None = None,
     y: npt.ArrayLike = 0.0,
     yd: npt.ArrayLike = 0.0,
-    platform: Follow | None = None,
+    platform: Motion | Follow | None = None,
     latch: Sequence[tuple[float, str]] = (),
-    seed: int = 0,
+    seed: int | None = None,
     backend: str = "auto",
     note: str = "",
+    progress: Callable[[float], None] | None = None,
 ) -> RunLog:
     """Play a motion on a system and record it, as `ves-gym simulate` does.
 
     Args:
-        motion: a motion or a plan.
-        system: what is simulated; default the plan's own, else `System()`.
-        servo: of the joints; default the plan's own, else the thesis's high gains.
+        motion: a case, a plan or a motion; of a case without a motion the straight line of its
+            query.
+        system: what is simulated; default that of the case or plan, else `System()`.
+        servo: of the joints; default that of the case or plan, else the arm's own.
         settle: how long the joints are held afterwards [s].
         record_dt: between records [s]; default the physics step, in mode emulated the
             control period.
         y, yd: base pose and rate at the start (6,) [m, rad].
-        platform: what the platform follows under operation "position": instants (m,) [s] ->
-            pose and rate, (m, 6) each.
+        platform: what the platform follows under operation "position": a motion of 6
+            coordinates, or instants (m,) [s] -> pose and rate, (m, 6) each.
         latch: when the tool's latch acts on the system's payload [s], at records: (0.5,
             "grasp"), (2.0, "release").
-        seed: of sensor noise and drift.
+        seed: of sensor noise and drift; default that of the case, else 0.
         backend: engine: auto, kernel, mujoco, gpu-kernel or gpu-kernel-float32.
         note: text for the log.
+        progress: called with the fraction done.
 
     Returns:
-        The run log; a run that a safety stop ended is as long as it ran.
+        The run log; a run that a safety stop ended is as long as it ran. Its metadata have what
+        the joints took of their limits, looked at between the records as well.
 
     Raises:
         ParameterError: a motion outside the joints' range, a plan without a motion, or
             a value out of its range.
         Divergence: the simulation left the meaningful range.
     """
-    from ves_gym.planners.query import Plan
     from ves_gym.simulation.playback import play_motions
 
-    if isinstance(motion, Plan):
-        answer, query = motion.motion, motion.query
-        if answer is None:
-            raise ParameterError(f"{motion.planner} found no motion: {motion.failure}")
-        motion, system, servo = answer, system or query.system, servo or query.servo
-    if not isinstance(motion, Motion):
-        raise ParameterError(f"simulate needs a Motion or a Plan, got {motion!r}")
-    system = _system(system)
-    if motion.n == system.arm.n:
-        require_limits(system.arm, motion, ("position",))
+    case = _case(motion, system, servo)
+    system, played = case.system, case.motion
+    assert played is not None
+    require_limits(system.arm, played, ("position",))
     default = system.physics_dt if system.mode == "ideal" else system.control_dt
+    if isinstance(platform, Motion):
+        if platform.n != 6:
+            raise ParameterError(f"a platform has 6 coordinates, got {platform.n}")
+        y, platform = platform.start, _followed(platform)
     recording = play_motions(
         system,
-        [motion],
-        servo=servo or OWN_GAINS,
+        [played],
+        servo=case.servo,
         settle=settle,
         record_dt=default if record_dt is None else record_dt,
         y=y,
         yd=yd,
         platform=platform,
         latch=latch,
-        seed=seed,
+        seed=case.seed if seed is None else seed,
         backend=backend,
+        watch=True,
+        progress=progress,
     )
     return recording.log(0, note)
 
 
 def plan(
-    start: npt.ArrayLike,
-    goal: npt.ArrayLike | ToolPose,
+    start: npt.ArrayLike | None = None,
+    goal: npt.ArrayLike | ToolPose | None = None,
     *,
-    duration: float = 2.0,
+    case: Case | None = None,
+    duration: float | None = None,
     planner: str | Planner = "direct",
     system: System | None = None,
     v_max: npt.ArrayLike | None = None,
     a_max: npt.ArrayLike | None = None,
     surroundings: Surroundings | str | os.PathLike[str] | None = None,
-    servo: JointServo = OWN_GAINS,
+    servo: JointServo | None = None,
+    weight: FrequencyWeight | None = None,
     weights: Mapping[str, float] | None = None,
-    seed: int = 0,
+    seed: int | None = None,
 ) -> Plan:
     """Find one path with one planner, as `ves-gym plan` does.
 
+    What is not given is that of the case's query, where there is one.
+
     Args:
-        start, goal: joint angles (n,) [rad]; or as the goal a `mechanics.tool_pose.ToolPose`:
-            of the configurations that reach it the one of least predicted E_mean is chosen.
-        duration: of the motion [s].
+        start, goal: joint angles (n,) [rad], from rest as near to 0 as the limits allow; or as
+            the goal a `mechanics.tool_pose.ToolPose`: of the configurations that reach it the
+            one of least predicted E_mean is chosen.
+        case: a query, or a system alone.
+        duration: of the motion [s]; default 2.
         planner: name (`ves-gym list planners`) or planner.
         system: arm and vehicle; default `System()`.
         v_max: limits of joint speed (n,) [rad/s]; default those of the arm, "none" for none.
         a_max: limits of joint acceleration (n,) [rad/s^2]; default none.
         surroundings: what not to touch, or the file that says it.
-        servo: what will move the joints.
+        servo: what will move the joints; default the arm's own.
+        weight: filter of the measure `E_weighted`; default what is above 1 Hz.
         weights: of disturbance measures that count beside the energy (`direct`, `refined`), as
             in {"acceleration_peak": 0.03}; 1 is the straight line's energy at its measure.
-        seed: of planners that search.
+        seed: of planners that search; default 0.
 
     Returns:
         The motion with its predicted energies; or, in `failure`, why there is none or which
-        limit it breaks.
+        limit it breaks. `case` has all of it, to be saved and played.
 
     Raises:
-        ParameterError: an unknown planner, ends outside the joints' range, or a tool pose out
-            of reach.
+        ParameterError: no goal, an unknown planner, ends outside the joints' range, or a tool
+            pose out of reach.
     """
     from ves_gym.mechanics.tool_pose import ToolPose
+    from ves_gym.planners.case import Case, speed_limits
     from ves_gym.planners.obstacles import read_surroundings
-    from ves_gym.planners.query import Query, solve, speed_limits
+    from ves_gym.planners.query import Query, solve
     from ves_gym.planners.registry import weighted
 
-    system = _system(system)
-    n = system.arm.n
+    case = Case() if case is None else case
+    system = _system(case.system if system is None else system)
+    arm, known = system.arm, case.query
     if isinstance(surroundings, (str, os.PathLike)):
         surroundings = read_surroundings(surroundings)
-    query = Query(
-        system=system,
-        start=_vector(start, n, "start"),
-        goal=_vector(start if isinstance(goal, ToolPose) else goal, n, "goal"),
-        duration=duration,
-        v_max=speed_limits(system.arm, v_max),
-        a_max=None if a_max is None else _vector(a_max, n, "a_max"),
-        surroundings=surroundings,
-        servo=servo,
-    )
+    given: dict[str, Any] = {
+        "duration": duration,
+        "surroundings": surroundings,
+        "servo": servo,
+        "weight": weight,
+        "start": None if start is None else _vector(start, arm.n, "start"),
+        "a_max": None if a_max is None else _vector(a_max, arm.n, "a_max"),
+    }
+    given = {key: value for key, value in given.items() if value is not None}
+    if goal is not None and not isinstance(goal, ToolPose):
+        given["goal"] = _vector(goal, arm.n, "goal")
+    if v_max is not None:
+        given["v_max"] = speed_limits(arm, v_max)
+    if known is not None:
+        query = dataclasses.replace(known, system=system, **given)
+    elif goal is None:
+        raise ParameterError("plan needs a goal: joint angles, a tool pose, or a case's query")
+    else:
+        rest = tuple(np.clip(0.0, arm.column("q_min"), arm.column("q_max")).tolist())
+        own = case.servo if system.arm == case.system.arm else OWN_GAINS
+        usual = {"duration": 2.0, "servo": own, "start": rest}
+        limits = {"v_max": speed_limits(arm)}
+        given = {**usual, **limits, **given}
+        query = Query(system=system, **{"goal": given["start"], **given})
     method = _planner(planner) if weights is None else weighted(_planner(planner), weights)
+    seed = case.seed if seed is None else seed
     if isinstance(goal, ToolPose):
         from ves_gym.planners.tool_goal import solve_to_tool
 
@@ -213,6 +245,7 @@ def coupling_map(
     duration: float | None = None,
     points: int = 61,
     others: str = "given",
+    progress: Callable[[float], None] | None = None,
     **at: float,
 ) -> CouplingMap:
     """Sweep two joints over their range and map how strongly they couple to the base.
@@ -225,6 +258,7 @@ def coupling_map(
         points: per axis.
         others: the other joints are "given", or chosen at every point for the "least" or the
             "most" coupling.
+        progress: called with the fraction done.
         at: angles of the other joints [rad] by name, q1, q2, ...; default as near to
             0 as its limits allow.
 
@@ -255,7 +289,9 @@ def coupling_map(
         pair = free[0], free[1]
     else:
         pair = _pair(joints, n)
-    return swept(system, pair, fixed, duration=duration, points=points, others=others)
+    return swept(
+        system, pair, fixed, duration=duration, points=points, others=others, progress=progress
+    )
 
 
 def diagnose(
@@ -406,6 +442,8 @@ def train(
     config: str | os.PathLike[str] | TrainConfig,
     *,
     algorithm: str | None = None,
+    learner: str | None = None,
+    imitate: str | None = None,
     steps: int | None = None,
     seeds: Sequence[int] | None = None,
     settings: Mapping[str, Any] | None = None,
@@ -416,12 +454,14 @@ def train(
     tensorboard: str | os.PathLike[str] = "",
     wandb: str = "",
 ) -> TrainingResult:
-    """Learn policies with Stable-Baselines3, one per seed, as `ves-gym train` does.
+    """Learn policies, one per seed, as `ves-gym train` does.
 
     Args:
         config: an environment that a configuration comes with, a .toml file, or a
             `TrainConfig`.
         algorithm: ppo, sac or sac-her; default the first there is.
+        learner: sb3 or native; default the configuration's.
+        imitate: a controller whose actions are learned first (native).
         steps: in all, instead of the configuration's.
         seeds: of weights, exploration and training episodes; default the configuration's.
         settings: of the environment, beside the configuration's.
@@ -439,17 +479,15 @@ def train(
         ParameterError: no such configuration, the extra `rl` is not installed, or `folder`
             holds a run and `resume` is false.
     """
-    import dataclasses
-
     from ves_gym.baselines.config import TrainConfig, choose_config
     from ves_gym.baselines.tracking import Tracking
-    from ves_gym.baselines.train import train_seeds
+    from ves_gym.baselines.train import PACKAGES, train_seeds
     from ves_gym.baselines.training_result import TrainingResult
 
     chosen = config if isinstance(config, TrainConfig) else choose_config(config, algorithm)
-    changes: dict[str, Any] = {}
-    if steps is not None:
-        changes["total_timesteps"] = steps
+    changes: dict[str, Any] = {} if imitate is None else {"learner": "native"}
+    given = {"imitate": imitate, "learner": learner, "total_timesteps": steps}
+    changes |= {name: value for name, value in given.items() if value is not None}
     if seeds is not None:
         changes["seeds"] = tuple(seeds)
     if settings is not None:
@@ -457,6 +495,9 @@ def train(
     chosen = dataclasses.replace(chosen, **changes)
     if workers < 1:
         raise ParameterError(f"workers must be >= 1, got {workers}")
+    require("training", *PACKAGES[chosen.learner])
+    tracking = Tracking(tensorboard=os.fspath(tensorboard), wandb=wandb)
+    tracking.require()
     where = Path("out", "train", chosen.name) if folder is None else Path(folder)
     curves = train_seeds(
         chosen,
@@ -465,7 +506,7 @@ def train(
         workers=workers,
         resume=resume,
         progress=progress,
-        tracking=Tracking(tensorboard=os.fspath(tensorboard), wandb=wandb),
+        tracking=tracking,
     )
     return TrainingResult(chosen, where, curves)
 
@@ -487,6 +528,39 @@ def energy(log: RunLog, *, duration: float | None = None, tail: float = TAIL) ->
     if not isinstance(log, RunLog):
         raise ParameterError(f"energy needs a RunLog, got {log!r}")
     return log_energies(log, duration=duration, tail=tail)
+
+
+def calibrate(
+    log: RunLog,
+    arm: Arm | None = None,
+    *,
+    iterations: int | None = 2,
+    matrix: bool = True,
+    zero: bool = True,
+    check: RunLog | None = None,
+    rezero: bool = False,
+) -> CalibrationSummary:
+    """Find gravity parameters and sensor matrix from a log of static poses, thesis 3.4.
+
+    Args:
+        log: with q, y and w, a row per pose.
+        arm: default that of the log.
+        iterations: turns of the matrix's estimate, None for their limit.
+        matrix, zero: whether the sensor's matrix and zero are estimated.
+        check: a second log, to predict.
+        rezero: the sensor was zeroed anew for it.
+
+    Returns:
+        What was found beside what is described; `calibration` is what `--calibration` takes.
+
+    Raises:
+        ParameterError: a log without readings, or poses that do not tell the parameters.
+    """
+    from ves_gym.simulation.calibration_summary import calibrated
+
+    return calibrated(
+        log, arm, iterations=iterations, matrix=matrix, zero=zero, check=check, rezero=rezero
+    )
 
 
 def check_emulation(
@@ -565,6 +639,43 @@ def _system(system: System | None) -> System:
     if not isinstance(system, System):
         raise ParameterError(f"system must be a System, got {system!r}")
     return system
+
+
+def _case(
+    motion: Motion | Plan | Case, system: System | None, servo: JointServo | None
+) -> Case:
+    """What is to be played, with a motion."""
+    from ves_gym.planners.case import Case
+    from ves_gym.planners.query import Plan
+
+    if isinstance(motion, Plan):
+        if motion.motion is None:
+            raise ParameterError(f"{motion.planner} found no motion: {motion.failure}")
+        motion = motion.case
+    if isinstance(motion, Motion):
+        return Case(system=_system(system), motion=motion, servo=servo or OWN_GAINS)
+    if not isinstance(motion, Case):
+        raise ParameterError(f"simulate needs a Motion, a Plan or a Case, got {motion!r}")
+    played = motion.motion
+    if played is None:
+        if motion.query is None:
+            raise ParameterError("simulate needs a motion, got a case of a system alone")
+        played = motion.query.straight
+    return Case(
+        system=motion.system if system is None else _system(system),
+        motion=played,
+        servo=servo or motion.servo,
+        seed=motion.seed,
+        log=motion.log,
+    )
+
+
+def _followed(platform: Motion) -> Follow:
+    def follow(t: Array) -> tuple[Array, Array]:
+        sample = platform.at(t)
+        return sample.q, sample.v
+
+    return follow
 
 
 def _planner(planner: str | Planner) -> Planner:

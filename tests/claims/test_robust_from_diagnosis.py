@@ -9,7 +9,8 @@ import pytest
 from ves_gym.cli.main import main
 from ves_gym.effects import BaseStiffness, PayloadMass
 from ves_gym.mechanics.motion import Motion
-from ves_gym.planners.query import Query, solve, speed_limits
+from ves_gym.planners.case import load_case, speed_limits
+from ves_gym.planners.query import Query, solve
 from ves_gym.planners.refine import Refined
 from ves_gym.planners.uncertainty import read_uncertainty
 from ves_gym.simulation.playback import play_motions
@@ -69,7 +70,7 @@ def test_a_plan_from_a_diagnosis_holds_on_the_machine_that_is_there(diagnosed, c
         solve(Refined(), Query(system=s, start=zero, goal=goal, duration=4.0, v_max=limits))
         for s in (DESCRIBED, TRUE.actual)
     )
-    robust = Motion.load(diagnosed / "plan" / "motion.json")
+    robust = load_case(diagnosed / "plan" / "case.toml").motion
     servo = blind.query.servo
     E = [
         e.E_mean

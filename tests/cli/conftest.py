@@ -28,9 +28,9 @@ def call(tmp_path, capsys, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):  # no test opens a window
         monkeypatch.delenv(name, raising=False)
 
-    def run(*words):
+    def run(*words, out=tmp_path / "out"):
         result = tmp_path / "result.json"
-        status = main([*map(str, words), "--json", str(result), "--out", str(tmp_path / "out")])
+        status = main([*map(str, words), "--json", str(result), "--out", str(out)])
         text = capsys.readouterr()
         return (
             status,

@@ -1,6 +1,7 @@
 """`doctor`: finds what is broken, and stays quiet about what is not."""
 
 import pytest
+from packaging.requirements import Requirement
 
 from ves_gym.cli import doctor
 from ves_gym.cli.doctor import FAIL, NOTE, OK
@@ -25,61 +26,17 @@ def test_a_core_failure_is_a_negative_verdict(call, monkeypatch):
     assert status == 1 and not result["ok"] and "import mujoco" in out
 
 
-@pytest.mark.parametrize(
-    ("version", "ranges", "expected"),
-    [
-        ("4.0.0", ">=4.0,<5", True),
-        ("3.9.9", ">=4.0,<5", False),
-        ("5", ">=4.0,<5", False),
-        ("2.0.1", ">=2.0.1,<3", True),
-        ("2.0", ">=2.0.1,<3", False),
-        ("2.10.0+cpu", ">=2.4", True),
-        ("1.0", "", True),
-    ],
-)
-def test_version_ranges(version, ranges, expected):
-    assert doctor.inside(version, ranges) is expected
-
-
 def test_missing_and_old_packages_are_named():
-    missing = doctor.check_version("no-such-package>=1.0")
+    missing = doctor.check_version(Requirement("no-such-package>=1.0"))
     assert missing.status == FAIL and "pip install 'no-such-package>=1.0'" in missing.detail
-    old = doctor.check_version("numpy>=99")
+    old = doctor.check_version(Requirement("numpy>=99"))
     assert old.status == FAIL and "needs >=99" in old.detail
-    extra = doctor.check_extra("dreams", ["numpy>=1", "no-such-package>=1.0"])
+    needed = [Requirement("numpy>=1"), Requirement("no-such-package>=1.0")]
+    extra = doctor.check_extra("dreams", needed)
     assert extra.status == NOTE and "ves-gym[dreams]" in extra.detail
-
-
-@pytest.mark.parametrize(
-    ("marker", "expected"),
-    [
-        ("", True),
-        ("sys_platform == 'linux'", True),
-        ("sys_platform != 'win32'", True),
-        ("(sys_platform == 'linux' and python_version < '3.14')", False),
-        ('python_version >= "3.9"', True),
-    ],
-)
-def test_environment_markers(marker, expected, monkeypatch):
-    monkeypatch.setattr(doctor.sys, "platform", "linux")
-    monkeypatch.setattr(doctor.platform, "python_version", lambda: "3.14.0")
-    assert doctor.applies(marker) is expected
-
-
-def test_every_declared_marker_is_understood():
-    core, extras, _ = doctor.requirements()
-    texts = [*core, *(text for extra in extras.values() for text in extra)]
-    markers = [text.partition(";")[2] for text in texts if ";" in text]
-    assert len(markers) == 2
-    for marker in markers:
-        doctor.applies(marker)
-    with pytest.raises(ValueError, match="got \"os_name == 'nt'\""):
-        doctor.applies("os_name == 'nt'")
-
-
-def test_a_package_without_wheels_here_is_no_failure():
-    check = doctor.check_version("no-such-package>=1.0; sys_platform == 'plan9'")
-    assert check.status == NOTE and "sys_platform == 'plan9'" in check.detail
+    elsewhere = Requirement("no-such-package>=1.0; sys_platform == 'plan9'")
+    check = doctor.check_version(elsewhere)  # without wheels here it is no failure
+    assert check.status == NOTE and 'sys_platform == "plan9"' in check.detail
 
 
 def test_requirements_of_an_installed_wheel(monkeypatch, tmp_path):
@@ -94,10 +51,10 @@ def test_requirements_of_an_installed_wheel(monkeypatch, tmp_path):
     ]
     monkeypatch.setattr(doctor.importlib.metadata, "requires", lambda name: lines)
     core, extras, python = doctor.requirements()
-    assert core == lines[:2] and python.startswith(">=3")
-    assert extras == {
-        "pinocchio": ["pin<5,>=4.0; sys_platform != 'win32'"],
-        "parquet": ["pyarrow>=17"],
+    assert [r.name for r in core] == ["numpy", "ompl"] and python.startswith(">=3")
+    assert {k: [r.name for r in v] for k, v in extras.items()} == {
+        "pinocchio": ["pin"],
+        "parquet": ["pyarrow"],
     }
 
 

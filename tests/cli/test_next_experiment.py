@@ -10,6 +10,7 @@ from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.effects import JointDriveGain, SensorNoise
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS
+from ves_gym.planners.case import load_case
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.runlog import RunLog
 
@@ -33,7 +34,6 @@ def logged(log, path, seed):
 def test_the_experiment_that_the_command_designs_decides(call, tmp_path):
     noise = SensorNoise(force=(0.3,) * 3, moment=(0.1,) * 3)
     true = SYSTEM.replace(effects=(JointDriveGain(error=(0.0, 0.007, 0.0)), noise))
-    true.save(tmp_path / "true.toml")
     still = Motion.straight([0.3, 0.5, 0.4], [0.5, 0.6, 0.3], 4.0)
     record = play_motions(true, [still], servo=HIGH_GAINS, settle=0.0)
     logged(record.log(0), tmp_path / "run.parquet", 1)
@@ -44,12 +44,15 @@ def test_the_experiment_that_the_command_designs_decides(call, tmp_path):
     assert (status, result["verdict"]) == (0, "one of")
     plan = result["next_motion"]
     assert plan["sentence"] in " ".join(out.split()) and plan["simulate"] in out
-    motion = Motion.load(plan["files"][0])
+    case = load_case(plan["files"][0])
+    motion = case.motion
     assert motion.duration == 4.0 and plan["separates"] and plan["least"] > 5 > plan["at_hand"]
     words = shlex.split(plan["simulate"])[1:]
-    words[words.index("--system") + 1] = str(tmp_path / "true.toml")  # the hidden machine
-    words[words.index("--log") + 1] = str(tmp_path / "raw.parquet")
-    assert call(*words)[0] == 0
+    assert words == ["simulate", "--case", plan["files"][0], "--settle", "0"]
+    hidden = dataclasses.replace(case, system=true)  # the machine that is there
+    hidden.save(tmp_path / "hidden.toml")
+    words[2] = str(tmp_path / "hidden.toml")
+    assert call(*words, "--log", tmp_path / "raw.parquet")[0] == 0
     logged(RunLog.load(tmp_path / "raw.parquet"), tmp_path / "experiment.parquet", 2)
     both = [tmp_path / "experiment.parquet", tmp_path / "run.parquet"]
     after = call("diagnose", *both, *few, "--final", "0")[3]

@@ -13,6 +13,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import get_vehicle
+from ves_gym.planners.case import load_case
 from ves_gym.planners.direct import Direct, MotionProblem
 from ves_gym.planners.mean_energy import MeanEnergy
 from ves_gym.planners.objective import ENERGY, WEIGHTS, Objective, checked_weights
@@ -209,8 +210,8 @@ def test_the_filter_of_a_query_is_that_of_its_measure():
 def test_a_plan_with_a_filter_is_read_as_it_was_saved(tmp_path):
     query = query_of(weight=FrequencyWeight.parse("0.2:0.1,1:1"))
     plan = solve(Direct(free=2), query)
-    plan.save(tmp_path / "plan.json")
-    assert type(plan).load(tmp_path / "plan.json").query == query
+    plan.case.save(tmp_path / "case.toml")
+    assert load_case(tmp_path / "case.toml").query == query
 
 
 @pytest.mark.parametrize(

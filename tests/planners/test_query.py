@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ves_gym._util.params import ParameterError, content_hash
+from ves_gym._util.params import ParameterError, content_hash, from_plain, to_plain
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,
@@ -18,9 +18,10 @@ from ves_gym.mechanics.vehicle import (
     FREE_FLOATING,
     STRAIGHT_VERTICAL_THESIS,
 )
+from ves_gym.planners.case import load_case
 from ves_gym.planners.direct import Direct
 from ves_gym.planners.prediction import FINE, BaseState, predict
-from ves_gym.planners.query import Plan, Query, first_violation, is_feasible, solve
+from ves_gym.planners.query import Query, first_violation, is_feasible, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import SPEED_LIMITS
 from ves_gym.simulation.playback import play_motions
@@ -96,7 +97,7 @@ def test_a_motion_continues_what_the_joints_do():
         np.testing.assert_allclose(end.q[0], moving.goal, atol=1e-12)
         np.testing.assert_allclose([end.v, end.a], 0.0, atol=1e-9)
         assert is_feasible(moving, motion)
-        assert Motion.from_dict(motion.to_dict()) == motion
+        assert from_plain(Motion, to_plain(motion)) == motion
     at_rest = query()
     assert not is_feasible(moving, at_rest.straight)
     assert "do not move at the start" in first_violation(at_rest, moving.straight)
@@ -105,13 +106,11 @@ def test_a_motion_continues_what_the_joints_do():
 def test_a_plan_against_a_moving_base_is_kept_with_it(tmp_path):
     base = BaseState(y=(0.05, 0.0, 0.0, 0.0, 0.0, 0.0))
     plan = solve(Direct(iterations=5), query(base=base, start_rate=(0.1, 0.0, 0.0)))
-    plan.save(tmp_path / "plan.json")
-    kept = Plan.load(tmp_path / "plan.json")
-    assert kept.query == plan.query
-    assert kept.motion == plan.motion
-    servo = kept.query.servo
-    assert kept.predicted == predict(
-        System(vehicle=BENT_THESIS), kept.motion, servo, base=base, parts=FINE
+    plan.case.save(tmp_path / "case.toml")
+    kept = load_case(tmp_path / "case.toml")
+    assert kept == plan.case
+    assert plan.predicted == predict(
+        System(vehicle=BENT_THESIS), kept.motion, kept.servo, base=base, parts=FINE
     )
 
 

@@ -12,7 +12,7 @@ from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.tool_pose import ToolPose, configurations_at, pose_error, tool_pose
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.obstacles import Sphere, Surroundings, collisions
-from ves_gym.planners.query import Plan, Query, solve
+from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import reach100
 from ves_gym.planners.tool_goal import choose_goals, solve_to_tool
@@ -94,13 +94,11 @@ def test_a_pose_out_of_reach_is_refused_with_how_near_it_is():
         solve_to_tool(get_planner("straight"), query, tool_pose(arm, query.goal), tries=0)
 
 
-def test_the_same_from_python(tmp_path):
-    """The thesis's arm has two postures for a place; the plan comes back from its file."""
+def test_the_same_from_python():
+    """The thesis's arm has two postures for a place."""
     place = tool_pose(System(vehicle=BENT_THESIS).arm, (0.8, 0.3, -0.9)).position
     plan = vg.plan((0.0, 0.0, 0.0), ToolPose(position=place), planner="straight")
     assert plan.feasible
     np.testing.assert_allclose(
         tool_pose(System(vehicle=BENT_THESIS).arm, plan.motion.goal).position, place, atol=2e-6
     )
-    plan.save(tmp_path / "plan.json")
-    assert Plan.load(tmp_path / "plan.json").info["tool"] == plan.info["tool"]

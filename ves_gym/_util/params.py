@@ -12,6 +12,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import tempfile
 import tomllib
 import types
@@ -358,16 +359,29 @@ def write_table(path: str | os.PathLike[str], value: Any) -> None:
         path: ends in .toml or .json.
         value: parameter set or plain data.
     """
-    import tomli_w
-
     path = Path(path)
     plain = to_plain(value)
     if path.suffix == ".toml":
-        write_text(path, tomli_w.dumps(plain))
+        write_text(path, toml(plain))
     elif path.suffix == ".json":
         write_text(path, json.dumps(plain, indent=1, allow_nan=False) + "\n")
     else:
         raise ParameterError(f"{path}: expected a .toml or .json name, got {path.suffix!r}")
+
+
+_ROW = re.compile(r"\[\n\s+([^\[\]{}\"\n]+,(?:\n\s+[^\[\]{}\"\n]+,)*)\n\s*\]")
+
+
+def toml(plain: Mapping[str, Any]) -> str:
+    """Return plain data as the text of a TOML file."""
+    import tomli_w
+
+    return _ROW.sub(_on_a_line, tomli_w.dumps(plain))
+
+
+def _on_a_line(row: re.Match[str]) -> str:
+    """Numbers of an innermost list on one line, so that a person can read a matrix."""
+    return f"[{' '.join(row[1].split()).rstrip(',')}]"
 
 
 def write_result(path: str | os.PathLike[str], plain: Mapping[str, Any]) -> None:

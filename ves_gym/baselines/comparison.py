@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -15,9 +16,20 @@ from ves_gym._util.params import (
 )
 from ves_gym._util.statistics import Estimate
 from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.tables import table
 from ves_gym._util.views import Viewable
 from ves_gym.baselines.controllers import Controller
-from ves_gym.baselines.evaluate import SCHEMA, Evaluation, evaluate, pool, ratio, report
+from ves_gym.baselines.evaluate import (
+    ENERGIES,
+    SCHEMA,
+    Evaluation,
+    beats,
+    evaluate,
+    pool,
+    ratio,
+    ratio_or_none,
+    report,
+)
 from ves_gym.baselines.policy import load_policy, released
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
 
@@ -66,30 +78,41 @@ class ControllerComparison(Viewable):
 
     @property
     def table(self) -> str:
-        """Rows as aligned text: return (interquartile mean), success, failures, `E_mean`."""
-        rows = [("controller", "return", "success", "failed", "E_mean")]
+        """Rows as text: return, success, failures, energies and their ratio to the first's."""
+        first, rows = self.evaluations[0], []
         for evaluation in self.evaluations:
             s = evaluation.summary()
+            ratios = {name: ratio_or_none(evaluation, first, name) for name in ENERGIES}
             rows.append(
                 (
                     evaluation.name,
-                    f"{s['return']['iqm'].value:.3f}",
-                    f"{s['success'].value:.0%}",
-                    str(s["failed"]),
-                    f"{s['E_mean']['median'].value:.3g} J",
+                    _interval(s["return"]["iqm"], ".3f"),
+                    _interval(s["success"], ".0%"),
+                    s["failed"],
+                    _value(s["E_mean"]["median"], ".3g"),
+                    _interval(ratios["E_mean"], ".3f"),
+                    _value(ratios["E_peak"], ".3f"),
+                    _value(ratios["E_int"], ".3f"),
                 )
             )
-        widths = [max(len(row[k]) for row in rows) for k in range(5)]
-        return "\n".join(
-            "  ".join(
-                text.rjust(width) if k else text.ljust(width)
-                for k, (text, width) in enumerate(zip(row, widths, strict=True))
-            )
-            for row in rows
+        head = ("controller", "return", "success", "failed", "E_mean [J]", "ratio", "E_peak",
+                "E_int")  # fmt: skip
+        seeds = [row["seed"] for row in first.rows]
+        title = f"{first.id}, {len(set(seeds))} episodes from seed {min(seeds)}"
+        return (
+            table(head, rows, title=title, width=132)
+            + "\nreturn: interquartile mean; E_mean: median; ratio, E_peak, E_int: median of"
+            f" E_mean, E_peak, E_int over\nthat of {first.name} in the same episode. In"
+            " brackets: 95 % intervals."
         )
 
     def __str__(self) -> str:
-        return self.table
+        lines = [self.table]
+        for a in self.evaluations:
+            worse = [b.name for b in self.evaluations if beats(a, b)]
+            if worse:
+                lines.append(f"{a.name} beats {', '.join(worse)} (return, intervals apart)")
+        return "\n".join(lines)
 
     def __repr__(self) -> str:
         first = self.evaluations[0]
@@ -124,6 +147,16 @@ class ControllerComparison(Viewable):
                 Evaluation(entry["name"], plain["id"], entry["settings"], rows, about, seconds)
             )
         return ControllerComparison(tuple(out))
+
+
+def _interval(e: Estimate | None, form: str) -> str:
+    if e is None or not math.isfinite(e.value):
+        return "-"
+    return f"{e.value:{form}} ({e.low:{form}} to {e.high:{form}})"
+
+
+def _value(e: Estimate | None, form: str) -> str:
+    return "-" if e is None or not math.isfinite(e.value) else format(e.value, form)
 
 
 def _score(evaluation: Evaluation) -> float:

@@ -301,7 +301,7 @@ def report(evaluations: Sequence[Evaluation]) -> dict[str, Any]:
     """
     first = evaluations[0]
     ratios = {
-        e.name: {name: _ratio_or_none(e, first, name) for name in ENERGIES} for e in evaluations
+        e.name: {name: ratio_or_none(e, first, name) for name in ENERGIES} for e in evaluations
     }
     out: dict[str, Any] = _plain(
         {
@@ -318,10 +318,11 @@ def report(evaluations: Sequence[Evaluation]) -> dict[str, Any]:
     return out
 
 
-def _ratio_or_none(a: Evaluation, b: Evaluation, measure: str) -> Estimate | None:
+def ratio_or_none(a: Evaluation, b: Evaluation, measure: str) -> Estimate | None:
+    """Return `ratio`, None where nothing moves the base."""
     try:
         return ratio(a, b, measure)
-    except ParameterError:  # a base that nothing moves
+    except ParameterError:
         return None
 
 

@@ -2,145 +2,105 @@
 
 from __future__ import annotations
 
-import argparse
-import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError
-from ves_gym.cli.common import progress, write_json
+from ves_gym.cli.flags import Answer, Flag, say
 
 SCHEMA = "ves-dataset-check/1"
-_NEGATIVE = 1
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    actions = parser.add_subparsers(dest="action_name", metavar="ACTION", required=True)
-    make = actions.add_parser(
-        "make", help="make data sets from their recipes, write and replay them"
-    )
-    make.add_argument(
-        "sets",
-        metavar="SET",
-        nargs="*",
-        help="an id (`ves-gym dataset list`), an environment for all of its sets, or a .toml"
-        " file of recipes",
-    )
-    make.add_argument("--all", action="store_true", help="every recipe of the package")
-    make.add_argument(
-        "--record", action="store_true", help="write fingerprints beside the package's recipes"
-    )
-    make.set_defaults(action=_make)
-    check = actions.add_parser(
-        "check", help="replay data sets in the environment that they name"
-    )
-    check.add_argument("folders", metavar="FOLDER", nargs="+", help="of a data set")
-    check.set_defaults(action=_check)
-    show = actions.add_parser("list", help="recipes of the package")
-    show.set_defaults(action=_list)
-    for action in actions.choices.values():  # what every command takes, after the action too
-        for option, name in (("--json", "FILE"), ("--out", "DIR")):
-            action.add_argument(
-                option, metavar=name, default=argparse.SUPPRESS, help=argparse.SUPPRESS
-            )
-
-
-def run(args: argparse.Namespace) -> int:
-    """Carry out the action; exit status 1 where a data set is not what it should be."""
-    status: int = args.action(args)
-    return status
-
-
-def _make(args: argparse.Namespace) -> int:
-    from ves_gym.baselines.dataset import (
-        RECIPES,
-        choose_recipes,
-        differences,
-        make_dataset,
-        recipes,
-        record,
-        recorded,
-    )
+def make(
+    *,
+    set: Sequence[str] = (),
+    all: bool = False,
+    record: bool = False,
+    out: Path | None = None,
+    progress: Any = None,
+) -> Answer:
+    """Make data sets from their recipes, write and replay them."""
+    from ves_gym.baselines import dataset as d
     from ves_gym.baselines.minari_files import PACKAGES, replay, write_dataset
 
-    if bool(args.sets) == args.all:
+    if bool(set) == all:
         raise ParameterError(
             "dataset make needs the names of data sets, or --all for every one"
         )
-    chosen = choose_recipes(args.sets)
-    shipped = recipes()
-    if args.record and any(shipped.get(r.id) != r for r in chosen):
-        raise ParameterError(f"--record is for the recipes in {RECIPES.name} of the package")
+    chosen = d.choose_recipes(list(set))
+    shipped = d.recipes()
+    if record and any(shipped.get(r.id) != r for r in chosen):
+        raise ParameterError(f"--record is for the recipes in {d.RECIPES.name} of the package")
     require("a data set", *PACKAGES)
-    root = Path(args.out or "out/datasets")
     rows: list[dict[str, Any]] = []
     made = []
-    with progress() as on_progress:
-        for k, recipe in enumerate(chosen):
-            on_progress(recipe.id, k / len(chosen))
-            begin = time.perf_counter()
-            dataset = make_dataset(recipe)
-            path = write_dataset(dataset, root)
-            again = replay(path)
-            known = shipped.get(recipe.id) == recipe and not args.record
-            expected = recorded(recipe) if known else None
-            wrong = [] if expected is None else differences(dataset.fingerprint, expected)
-            if not again.sound:
-                wrong.append(_apart(again))
-            same = expected is not None and expected["bits"] == dataset.fingerprint["bits"]
-            rows.append(
-                {
-                    "id": recipe.id,
-                    "folder": str(path),
-                    **{k: dataset.fingerprint[k] for k in ("episodes", "steps", "solved")},
-                    "recorded": expected is not None,
-                    "bits": same,
-                    "exact": again.exact,
-                    "wrong": wrong,
-                    "seconds": round(time.perf_counter() - begin, 2),
-                }
-            )
-            made.append(dataset)
-    if args.record:
-        record(made)
-    return _report(args, rows)
+    for k, recipe in enumerate(chosen):
+        progress(k / len(chosen), recipe.id)
+        begin = time.perf_counter()
+        dataset = d.make_dataset(recipe)
+        path = write_dataset(dataset, out or Path("out/datasets"))
+        again = replay(path)
+        known = shipped.get(recipe.id) == recipe and not record
+        expected = d.recorded(recipe) if known else None
+        found = dataset.fingerprint
+        row = {k: found[k] for k in ("episodes", "steps", "solved")}
+        row["recorded"] = expected is not None
+        row["bits"] = expected is not None and expected["bits"] == found["bits"]
+        wrong = [] if expected is None else d.differences(found, expected)
+        rows.append(
+            {"id": recipe.id, "folder": str(path), **row, **_replayed(again, wrong, begin)}
+        )
+        made.append(dataset)
+    if record:
+        d.record(made)
+    return _report(rows)
 
 
-def _check(args: argparse.Namespace) -> int:
+def check(folder: Sequence[str]) -> Answer:
+    """Replay data sets in the environment that they name."""
     from ves_gym.baselines.minari_files import replay, stored_differences
 
     rows = []
-    for folder in args.folders:
+    for path in folder:
         begin = time.perf_counter()
-        again, wrong = replay(folder), stored_differences(folder)
-        if not again.sound:
-            wrong.append(_apart(again))
-        rows.append(
-            {
-                "id": str(folder),
-                "episodes": again.episodes,
-                "steps": again.steps,
-                "exact": again.exact,
-                "wrong": wrong,
-                "seconds": round(time.perf_counter() - begin, 2),
-            }
-        )
-    return _report(args, rows)
+        again, wrong = replay(path), stored_differences(path)
+        counted = {"id": path, "episodes": again.episodes, "steps": again.steps}
+        rows.append({**counted, **_replayed(again, wrong, begin)})
+    return _report(rows)
 
 
-def _apart(again: Any) -> str:
+def show() -> Answer:
+    """Recipes of the package."""
+    from ves_gym.baselines.dataset import recipes
+
+    said, rows = [], []
+    for recipe in recipes().values():
+        noise = f", noise {recipe.noise:g}" if recipe.noise else ""
+        behaviours = ", ".join(recipe.behaviours)
+        said.append(f"{recipe.id}: {recipe.episodes} episodes of {behaviours}{noise}")
+        rows.append({"id": recipe.id, "episodes": recipe.episodes, "env": recipe.env})
+    return Answer(text="\n".join(said), plain={"schema": "ves-dataset-list/1", "sets": rows})
+
+
+def _replayed(again: Any, wrong: Sequence[str], begin: float) -> dict[str, Any]:
+    """What playing a data set again has shown, beside what was wrong before."""
+    faults = list(wrong)
     if not again.ends:
-        return "replayed episodes end elsewhere"
-    return (
-        f"replayed rewards differ by up to {again.rewards:.3g}, observations by"
-        f" {again.observations:.3g}"
-    )
+        faults.append("replayed episodes end elsewhere")
+    elif not again.sound:
+        faults.append(
+            f"replayed rewards differ by up to {again.rewards:.3g}, observations by"
+            f" {again.observations:.3g}"
+        )
+    seconds = round(time.perf_counter() - begin, 2)
+    return {"exact": again.exact, "wrong": faults, "seconds": seconds}
 
 
-def _report(args: argparse.Namespace, rows: list[dict[str, Any]]) -> int:
+def _report(rows: list[dict[str, Any]]) -> Answer:
+    said = []
     for row in rows:
         words = [f"{row['episodes']} episodes, {row['steps']} steps"]
         if "solved" in row:
@@ -148,22 +108,32 @@ def _report(args: argparse.Namespace, rows: list[dict[str, Any]]) -> int:
         if row.get("recorded"):
             words.append("bits as recorded" if row["bits"] else "as recorded, to rounding")
         words.append("replayed bit for bit" if row["exact"] else "replayed to rounding")
-        print(f"{row['id']}: {'WRONG' if row['wrong'] else ', '.join(words)}")
-        for text in row["wrong"]:
-            print(f"{row['id']}: {text}", file=sys.stderr)
-    write_json(args.json, {"schema": SCHEMA, "sets": rows})
-    return _NEGATIVE if any(row["wrong"] for row in rows) else 0
+        said.append(f"{row['id']}: {'WRONG' if row['wrong'] else ', '.join(words)}")
+        for fault in row["wrong"]:
+            say(fault, row["id"])
+    return Answer(
+        text="\n".join(said),
+        plain={"schema": SCHEMA, "sets": rows},
+        negative=any(row["wrong"] for row in rows),
+    )
 
 
-def _list(args: argparse.Namespace) -> int:
-    from ves_gym.baselines.dataset import recipes
-
-    rows = []
-    for recipe in recipes().values():
-        noise = f", noise {recipe.noise:g}" if recipe.noise else ""
-        print(
-            f"{recipe.id}: {recipe.episodes} episodes of {', '.join(recipe.behaviours)}{noise}"
-        )
-        rows.append({"id": recipe.id, "episodes": recipe.episodes, "env": recipe.env})
-    write_json(args.json, {"schema": "ves-dataset-list/1", "sets": rows})
-    return 0
+ACTIONS = {
+    "make": (
+        "make data sets from their recipes, write and replay them",
+        (
+            Flag("SET", many=True, optional=True,
+                 help="an id (`ves-gym dataset list`), an environment for all of its sets, or a"
+                 " .toml file of recipes"),
+            Flag("--all", help="every recipe of the package"),
+            Flag("--record", help="write fingerprints beside the package's recipes"),
+        ),
+        make,
+    ),
+    "check": (
+        "replay data sets in the environment that they name",
+        (Flag("FOLDER", help="of a data set", many=True),),
+        check,
+    ),
+    "list": ("recipes of the package", (), show),
+}  # fmt: skip

@@ -5,9 +5,7 @@ Whatever may crash or hang (native libraries, OpenGL) is tried in a child proces
 
 from __future__ import annotations
 
-import argparse
 import importlib.metadata
-import operator
 import os
 import platform
 import re
@@ -15,12 +13,16 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 
 from ves_gym._util.optional import installed
-from ves_gym.cli.common import progress, write_json
+from ves_gym._util.tables import table
+from ves_gym.cli.flags import Answer
 
 SCHEMA = "ves-doctor/1"
 OK, FAIL, NOTE = "ok", "fail", "note"
@@ -36,38 +38,33 @@ class Check(NamedTuple):
     detail: str
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command: none of its own."""
+FLAGS = ()
 
 
-def run(args: argparse.Namespace) -> int:
-    """Print every finding; exit 1 if a core check fails."""
+def run(*, out: Path = Path("out"), progress: Any = None) -> Answer:
+    """Return every finding; negative if a core check fails."""
     checks: list[Check] = []
-    with progress() as on_progress:
-        for done, check in _checks(Path(args.out or "out")):
-            checks.append(check)
-            on_progress(f"after {check.name}", done)
-    ok = all(check.status != FAIL for check in checks)
-    write_json(
-        args.json, {"schema": SCHEMA, "ok": ok, "checks": [check._asdict() for check in checks]}
-    )
-    _print_table(checks)
+    for done, check in _checks(out):
+        checks.append(check)
+        progress(done, f"after {check.name}")
     bad = [check.name for check in checks if check.status == FAIL]
-    print("the core works" if ok else f"the core does NOT work: see {', '.join(bad)}")
-    return 0 if ok else 1
+    said = f"the core does NOT work: see {', '.join(bad)}" if bad else "the core works"
+    rows = table(("check", "", "detail"), checks, title="ves-gym doctor", left=(0, 1, 2))
+    plain = {"schema": SCHEMA, "ok": not bad, "checks": [check._asdict() for check in checks]}
+    return Answer(text=f"{rows}\n{said}", plain=plain, negative=bool(bad))
 
 
 def _checks(out: Path) -> Iterator[tuple[float, Check]]:
     core, extras, python = requirements()
     parts = (
         lambda: [check_python(python), check_processor()],
-        lambda: [check_version(text) for text in core],
+        lambda: [check_version(needed) for needed in core],
         lambda: [check_import("mujoco", "mujoco")],
         lambda: [check_import("ompl", "ompl.geometric")] if installed("ompl") else [],
         lambda: [check_import("pin", "pinocchio", NOTE)] if installed("pinocchio") else [],
         check_stepping,
         lambda: [check_opengl()],
-        lambda: [check_extra(name, texts) for name, texts in extras.items()],
+        lambda: [check_extra(name, needed) for name, needed in extras.items()],
         lambda: [check_folder(out)],
     )
     for k, part in enumerate(parts):
@@ -78,7 +75,7 @@ def _checks(out: Path) -> Iterator[tuple[float, Check]]:
 # ------------------------------------------------------------------------- packages
 
 
-def requirements() -> tuple[list[str], dict[str, list[str]], str]:
+def requirements() -> tuple[list[Requirement], dict[str, list[Requirement]], str]:
     """Core requirements, those of each extra, and the Python versions: what is declared.
 
     From pyproject.toml beside a source tree, else from the installed package.
@@ -86,117 +83,61 @@ def requirements() -> tuple[list[str], dict[str, list[str]], str]:
     project = _ROOT / "pyproject.toml"
     if project.is_file():
         table = tomllib.loads(project.read_text(encoding="utf-8"))["project"]
-        extras = {
-            name: [text for text in texts if not text.startswith("ves-gym")]
-            for name, texts in table["optional-dependencies"].items()
-        }
-        core, python = list(table["dependencies"]), str(table["requires-python"])
+        core, python = _parsed(table["dependencies"]), str(table["requires-python"])
+        extras = {k: _parsed(texts) for k, texts in table["optional-dependencies"].items()}
     else:
         metadata = importlib.metadata.metadata("ves-gym")
-        core, extras, python = [], {}, str(metadata["Requires-Python"])
-        for text in importlib.metadata.requires("ves-gym") or []:
-            requirement, _, condition = text.partition(";")
-            clauses = [part.strip(" ()") for part in condition.split(" and ")]
-            named = [re.fullmatch(r"extra\s*==\s*['\"]([^'\"]+)['\"]", c) for c in clauses]
-            extra = next((match[1] for match in named if match), None)
-            group = core if extra is None else extras.setdefault(extra, [])
-            where = [c for c, match in zip(clauses, named, strict=True) if c and not match]
-            if not requirement.startswith("ves-gym"):
-                group.append(
-                    "; ".join(filter(None, [requirement.strip(), " and ".join(where)]))
-                )
+        python = str(metadata["Requires-Python"])
+        every = _parsed(importlib.metadata.requires("ves-gym") or [])
+        core = [r for r in every if "extra" not in str(r.marker)]
+        names = metadata.get_all("Provides-Extra") or []
+        extras = {
+            k: [r for r in every if r not in core and f'extra == "{k}"' in str(r.marker)]
+            for k in names
+        }
     internal = ("all", "build", "dev")  # of other extras, or for those who change the package
     return core, {k: v for k, v in extras.items() if v and k not in internal}, python
 
 
-def applies(marker: str) -> bool:
-    """Return whether an environment marker is true here.
-
-    Args:
-        marker: clauses on `sys_platform` and `python_version` joined by `and`; "" is true.
-
-    Raises:
-        ValueError: the marker says something else.
-    """
-    for clause in filter(None, (part.strip(" ()") for part in marker.split(" and "))):
-        match = re.fullmatch(r"(\w+)\s*(>=|<=|==|!=|>|<)\s*['\"]([^'\"]+)['\"]", clause)
-        if match is None or match[1] not in ("sys_platform", "python_version"):
-            raise ValueError(f"markers look like python_version < '3.14', got {clause!r}")
-        if match[1] == "python_version":
-            true = inside(platform.python_version(), match[2] + match[3])
-        else:
-            true = _COMPARE[match[2]](sys.platform, match[3])
-        if not true:
-            return False
-    return True
-
-
-_COMPARE = {
-    ">=": operator.ge,
-    "<=": operator.le,
-    "==": operator.eq,
-    "!=": operator.ne,
-    ">": operator.gt,
-    "<": operator.lt,
-}
-
-
-def inside(version: str, ranges: str) -> bool:
-    """Return True if a version lies in ranges like `>=1.0,<2` (release numbers only).
-
-    Args:
-        version: installed.
-        ranges: admitted.
-    """
-    for part in filter(None, (p.strip() for p in ranges.split(","))):
-        match = re.fullmatch(r"(>=|<=|==|!=|>|<)\s*([\d.]+)", part)
-        if match is None:
-            raise ValueError(f"version ranges look like >=1.0,<2, got {ranges!r}")
-        a, b = _release(version), _release(match[2])
-        width = max(len(a), len(b))
-        pad = [k + (0,) * (width - len(k)) for k in (a, b)]
-        if not _COMPARE[match[1]](*pad):
-            return False
-    return True
-
-
-def _release(version: str) -> tuple[int, ...]:
-    match = re.match(r"\d+(\.\d+)*", version)
-    return tuple(int(k) for k in match[0].split(".")) if match else ()
+def _parsed(texts: Iterable[str]) -> list[Requirement]:
+    return [Requirement(text) for text in texts if not text.startswith("ves-gym")]
 
 
 def check_python(ranges: str) -> Check:
     """The interpreter's version."""
     version = platform.python_version()
-    good = inside(version, ranges)
+    good = SpecifierSet(ranges).contains(version, prereleases=True)
     return Check("python", OK if good else FAIL, f"{version} (needs {ranges})")
 
 
-def check_version(requirement: str) -> Check:
-    """A distribution's version against its range."""
-    requirement, _, marker = (part.strip() for part in requirement.partition(";"))
-    match = re.match(r"([\w.-]+)\s*(.*)", requirement)
-    assert match is not None, requirement
-    name, ranges = match[1], match[2]
+def check_version(needed: Requirement, extra: str = "") -> Check:
+    """A distribution's version against its range.
+
+    Args:
+        needed: the requirement.
+        extra: that asks for it.
+    """
+    name, ranges = needed.name, needed.specifier
+    how = f"pip install '{name}{ranges}'"
     try:
         version = importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
-        if not applies(marker):
-            return Check(name, NOTE, f"not installed: has wheels where {marker}")
-        return Check(name, FAIL, f"not installed (needs {ranges}): pip install '{requirement}'")
-    if not inside(version, ranges):
-        return Check(name, FAIL, f"{version}, needs {ranges}: pip install '{requirement}'")
+        if needed.marker is not None and not needed.marker.evaluate({"extra": extra}):
+            return Check(name, NOTE, f"not installed: has wheels where {needed.marker}")
+        return Check(name, FAIL, f"not installed (needs {ranges}): {how}")
+    if not ranges.contains(version, prereleases=True):
+        return Check(name, FAIL, f"{version}, needs {ranges}: {how}")
     return Check(name, OK, f"{version} (needs {ranges})")
 
 
-def check_extra(name: str, texts: list[str]) -> Check:
+def check_extra(name: str, needed: list[Requirement]) -> Check:
     """Check that an optional set of packages is complete; never a failure.
 
     Args:
         name: of the extra.
-        texts: its requirements.
+        needed: its requirements.
     """
-    checks = [check_version(text) for text in texts]
+    checks = [check_version(requirement, name) for requirement in needed]
     lacking = [
         f"{c.name} {c.detail.split(' (')[0].split(':')[0]}" for c in checks if c.status != OK
     ]
@@ -326,17 +267,3 @@ def check_folder(out: Path) -> Check:
     except OSError as error:
         return Check("out folder", FAIL, f"{folder} cannot be written: {error.strerror}")
     return Check("out folder", OK, f"{folder} can be written")
-
-
-def _print_table(checks: list[Check]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    styles = {OK: "green", FAIL: "bold red", NOTE: "yellow"}
-    table = Table(title="ves-gym doctor", title_justify="left")
-    table.add_column("check", no_wrap=True)
-    table.add_column("")
-    table.add_column("detail", overflow="fold")
-    for check in checks:
-        table.add_row(check.name, check.status, check.detail, style=styles[check.status])
-    Console(width=None if sys.stdout.isatty() else 120, markup=False).print(table)

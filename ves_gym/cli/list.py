@@ -2,78 +2,45 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import sys
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from ves_gym._util.params import ParameterError
-from ves_gym._util.suggest import did_you_mean
-from ves_gym.cli.common import add_system_arguments, system_from, write_json
+from ves_gym._util.tables import table
+from ves_gym.cli.flags import Answer, Flag, Place, one_of
+from ves_gym.cli.machine import MACHINE
+from ves_gym.planners.case import Case
 
+MODE = "emulated"  # of the system whose blocks are listed
 SCHEMA = "ves-list/1"
 BLOCKS = "blocks"  # of an emulation loop; `KINDS` has all that exists once
 UNITS = {"hz": "Hz", "s": "s"}  # endings of the keys of quantities
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument(
-        "what",
-        nargs="?",
-        metavar="WHAT",
-        help=f"{', '.join([*KINDS, BLOCKS])} (the options below say of which emulated system);"
-        " default all of them",
-    )
-    add_system_arguments(parser, angles=False)
-
-
-def run(args: argparse.Namespace) -> int:
-    """Print one table per kind."""
-    known = [*KINDS, BLOCKS]
-    if args.what is not None and args.what not in known:
-        raise ParameterError(
-            f"WHAT must be one of {', '.join(known)}, got {args.what!r}"
-            f"{did_you_mean(args.what, known)}"
-        )
-    names = known if args.what is None else [args.what]
-    if BLOCKS not in names:
-        _require_no_system(args)
-    tables = {name: KINDS[name]() for name in names if name in KINDS}
-    if BLOCKS in names:
-        tables |= _blocks(args)
-    write_json(args.json, {"schema": SCHEMA, **tables})
-    for name, rows in tables.items():
-        _print_table(name, rows)
-    return 0
-
-
 Rows = list[dict[str, Any]]
 
 
-def _require_no_system(args: argparse.Namespace) -> None:
-    """Refuse options that only the list of blocks goes by."""
-    parser = argparse.ArgumentParser()
-    add_system_arguments(parser, angles=False)
-    for name, default in vars(parser.parse_args([])).items():
-        if getattr(args, name) != default:
-            raise ParameterError(
-                f"--{name.replace('_', '-')} is for `list {BLOCKS}`, got `list {args.what}`"
-            )
+def run(case: Case, *, machine: dict[str, Any], what: str | None = None) -> Answer:
+    """Return one table per kind."""
+    wanted = [*KINDS, BLOCKS] if what is None else [what]
+    tables = {name: KINDS[name]() for name in wanted if name in KINDS}
+    if BLOCKS in wanted:
+        tables |= _blocks(case)
+    elif machine:
+        option = next(iter(machine)).replace("_", "-")
+        raise ParameterError(f"--{option} is for `list {BLOCKS}`, got `list {what}`")
+    said = "\n".join(_table(name, rows) for name, rows in tables.items())
+    return Answer(text=said, plain={"schema": SCHEMA, **tables})
 
 
-def _blocks(args: argparse.Namespace) -> dict[str, Rows]:
+def _blocks(case: Case) -> dict[str, Rows]:
     """Blocks of an emulation loop, and the wires between them."""
     from ves_gym.simulation.emulation_loop import EmulationLoop
 
-    if args.mode not in (None, "emulated"):
-        raise ParameterError(f"list {BLOCKS} is about --mode emulated, got {args.mode}")
-    if args.system is None:  # a file says its own mode
-        args.mode = "emulated"
-    loop = EmulationLoop(system_from(args), 1, [np.random.default_rng(args.seed)])
+    if case.system.mode != MODE:
+        raise ParameterError(f"list {BLOCKS} is about --mode {MODE}, got {case.system.mode}")
+    loop = EmulationLoop(case.system, 1, [np.random.default_rng(case.seed)])
     return {
         BLOCKS: loop.wiring.describe_blocks(loop.p),
         "wires": loop.wiring.describe(loop.shape),
@@ -247,18 +214,26 @@ KINDS: dict[str, Callable[[], Rows]] = {
 }
 
 
-def _print_table(title: str, rows: Rows) -> None:
-    from rich.console import Console
-    from rich.table import Table
+def _what(value: str, place: Place) -> str:
+    return str(one_of(*KINDS, BLOCKS)(value, place))
 
-    note = "frequencies: arm at q = 0, joints locked" if title == "vehicles" else None
-    table = Table(title=title, title_justify="left", caption=note, caption_justify="left")
+
+FLAGS = (
+    Flag("WHAT", "", _what, optional=True,
+         help=f"{', '.join([*KINDS, BLOCKS])} (the options below say of which emulated system);"
+         " default all of them"),
+    *MACHINE,
+)  # fmt: skip
+
+
+def _table(title: str, rows: Rows) -> str:
+    head = []
     for key in rows[0]:
         name, _, last = key.rpartition("_")
-        table.add_column(f"{name} [{UNITS[last]}]" if last in UNITS else key.replace("_", " "))
-    for row in rows:
-        table.add_row(*(_text(value) for value in row.values()))
-    Console(width=None if sys.stdout.isatty() else 164, markup=False).print(table)
+        head.append(f"{name} [{UNITS[last]}]" if last in UNITS else key.replace("_", " "))
+    note = "\nfrequencies: arm at q = 0, joints locked" if title == "vehicles" else ""
+    cells = [[_text(value) for value in row.values()] for row in rows]
+    return table(head, cells, title=title, left=range(len(head)), width=164) + note
 
 
 def _text(value: Any) -> str:

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import inspect
+import json
 import os
 import re
+import shlex
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from ves_gym._util.one_line import on_one_line
 from ves_gym._util.optional import explain
+from ves_gym._util.params import write_text
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.version import __version__
+from ves_gym.cli.flags import Answer, Flag, path, say, values, whole
+from ves_gym.cli.progress import Bars
 
 COMMANDS = {  # name -> what it does; the module of the same name is loaded when asked for
     "benchmark": "planners x queries x durations: table, figures, HTML report",
@@ -42,6 +48,11 @@ COMMANDS = {  # name -> what it does; the module of the same name is loaded when
     "teleop": "drive the arm from the keyboard while the base reacts",
 }
 DONE, NEGATIVE, BAD_INPUT = 0, 1, 2
+EVERY = (  # options of every command
+    Flag("--json", "FILE", help="write the result as JSON; -: print it in place of the text"),
+    Flag("--out", "DIR", path, "folder for files this command makes"),
+    Flag("--seed", "N", whole(), "default 0"),
+)
 
 
 class UsageError(ValueError):
@@ -92,22 +103,84 @@ def build_parser(command: str | None) -> argparse.ArgumentParser:
         sub = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
         if name == command:
             module = importlib.import_module(f"ves_gym.cli.{name.replace('-', '_')}")
-            module.add_arguments(sub)
-            sub.set_defaults(run=module.run)
-            sub.add_argument("--json", metavar="FILE", help="write the result as JSON")
-            sub.add_argument("--out", metavar="DIR", help="folder for files this command makes")
-            sub.add_argument("--seed", type=_seed, default=0, metavar="N", help="default 0")
+            if hasattr(module, "ACTIONS"):
+                sub.description = str(module.__doc__).partition(": ")[2]
+                actions = sub.add_subparsers(dest="action", metavar="ACTION", required=True)
+                for action, (help, flags, run) in module.ACTIONS.items():
+                    _add(actions.add_parser(action, help=help, description=help), flags, run)
+            else:
+                _add(sub, module.FLAGS, module.run)
     return parser
 
 
-def _seed(text: str) -> int:
-    try:
-        seed = int(text)
-    except ValueError:
-        seed = -1
-    if seed < 0:
-        raise argparse.ArgumentTypeError(f"expected a whole number >= 0, got {text!r}")
-    return seed
+def _add(
+    parser: argparse.ArgumentParser, flags: Sequence[Flag], run: Callable[..., Answer]
+) -> None:
+    """Add the options of a table, and those that every command has."""
+    parser.set_defaults(flags=flags, run=run)
+    places: dict[str, Any] = {"": parser}  # headings, and options that exclude each other
+    for flag in (*flags, *EVERY):
+        if flag.group not in places:
+            places[flag.group] = parser.add_argument_group(flag.group)
+        place = places[flag.group]
+        if flag.against and flag.against not in places:
+            places[flag.against] = place.add_mutually_exclusive_group()
+        place = places[flag.against] if flag.against else place
+        options: dict[str, Any] = {"help": flag.help.replace("%", "%%")}
+        if not flag.name.startswith("-"):
+            count = ("*" if flag.optional else "+") if flag.many else "?"
+            options |= {"nargs": count} if flag.many or flag.optional else {}
+            place.add_argument(flag.parameter, metavar=flag.name, **options)
+            continue
+        options |= {"dest": flag.parameter, "required": flag.required}
+        if not flag.form:
+            options["action"] = "store_true"
+        else:
+            options |= {"metavar": flag.form, "action": "append" if flag.many else "store"}
+            options |= {"nargs": "+"} if flag.row else {}
+        place.add_argument(flag.name, **options)
+
+
+def _carry_out(args: argparse.Namespace) -> int:
+    """Give a command what it takes, tell what it answers."""
+    given, wanted = vars(args), inspect.signature(args.run).parameters
+    every = values(EVERY, given, None)
+    with Bars(args.command) as progress:
+        arm, more = None, {**every, "progress": progress}
+        if "case" in wanted:
+            from ves_gym.cli.machine import MACHINE, case_from
+
+            machine = values([flag for flag in args.flags if flag in MACHINE], given, None)
+            mode = getattr(sys.modules[args.run.__module__], "MODE", "ideal")
+            more["case"] = case_from(machine, mode, every.get("seed"))
+            more["machine"], arm = machine, more["case"].system.arm
+            flags = [flag for flag in args.flags if flag not in MACHINE]
+        else:
+            flags = args.flags
+        taken = values(flags, given, arm)
+        taken |= {key: more[key] for key in more.keys() & wanted.keys()}
+        answer: Answer = args.run(**taken)
+    return _tell(answer, every.get("json"))
+
+
+def _tell(answer: Answer, file: str | None) -> int:
+    """Write an answer as JSON and print it; the exit status."""
+    files = [str(path) for path in answer.files] + ([file] if file not in (None, "-") else [])
+    if file is not None and answer.plain is not None:
+        plain = {**answer.plain, "files": files} if answer.files else answer.plain
+        text = json.dumps(plain, indent=1, allow_nan=False)
+        if file == "-":
+            print(text)
+        else:
+            write_text(file, text + "\n")
+    if file != "-":
+        if said := str(answer.text):
+            print(said)
+        if answer.files:
+            print(f"written: {'  '.join(files)}")
+        for words in answer.next:
+            print(f"next: {shlex.join(['ves-gym', *map(str, words)])}")
+    return NEGATIVE if answer.negative else DONE
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *where: Any) -> None:
@@ -122,8 +195,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     command = next((w for w in words if w in COMMANDS), None)
     warnings.showwarning = _show_warning  # type: ignore[assignment]
     try:
-        args = build_parser(command).parse_args(words)
-        status: int = args.run(args)
+        status = _carry_out(build_parser(command).parse_args(words))
         sys.stdout.flush()
         return status
     except BrokenPipeError:  # the reader went away (`| head`): nothing left to say
@@ -143,7 +215,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _refuse(sentence: str) -> int:
-    print(f"ves-gym: error: {on_one_line(sentence)}", file=sys.stderr)
+    say(on_one_line(sentence), "error")
     return BAD_INPUT
 
 

@@ -2,83 +2,42 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import Any
 
-from ves_gym._util.params import Array, ParameterError
-from ves_gym.cli.common import add_system_arguments, system_from, write_json
-from ves_gym.cli.motions import duration_from, joint_angles
-from ves_gym.mechanics.vehicle import VEHICLES
+from ves_gym.cli.flags import Answer, Flag, joints, text
+from ves_gym.cli.machine import MACHINE
+from ves_gym.cli.simulate import DURATION, GOAL, START
+from ves_gym.planners.case import Case
 from ves_gym.planners.registry import PLANNERS
 from ves_gym.report.notebook import Studio
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument(
-        "machine",
-        nargs="?",
-        metavar="SYSTEM",
-        help=f"a vehicle ({', '.join(VEHICLES)}), or what --system takes (default bent)",
-    )
-    parser.add_argument("--start", metavar="A,B,C", help="joint angles [deg] (default 0,0,0)")
-    parser.add_argument("--goal", metavar="A,B,C", help="joint angles [deg] (60,40,-30)")
-    parser.add_argument(
-        "--via",
-        metavar="A,B,C",
-        action="append",
-        help="way-point of the drawn path [deg], repeatable (default: one calm detour)",
-    )
-    parser.add_argument("--duration", type=float, metavar="S", help="of the motion [s] (2)")
-    parser.add_argument(
-        "--planner",
-        default="direct",
-        metavar="P",
-        help=f"whose path is there to compare with: {', '.join(PLANNERS)}, or none (direct)",
-    )
-    parser.add_argument(
-        "--open",
-        metavar="FILE",
-        action="append",
-        default=[],
-        help="show it in the page, repeatable: a run log or episode (.parquet, .csv), a motion,"
-        " a plan, diagnosis.json",
-    )
-    add_system_arguments(parser)
+FLAGS = (
+    START,
+    GOAL,
+    Flag("--via", "A,B,C", joints,
+         "way-point of the drawn path [deg], repeatable (default: one calm detour)", many=True),
+    DURATION,
+    Flag("--planner", "P", text,
+         f"whose path is there to compare with: {', '.join(PLANNERS)}, or none (direct)"),
+    Flag("--open", "FILE", text,
+         "show it in the page, repeatable: a run log or episode (.parquet, .csv), a case,"
+         " diagnosis.json", to="show", many=True),
+    *MACHINE,
+)  # fmt: skip
 
 
-def run(args: argparse.Namespace) -> int:
+def run(case: Case, *, planner: str = "direct", out: Path | None = None, **how: Any) -> Answer:
     """Write the page; --out is its folder, or its name if that ends in .html."""
-    if args.machine in VEHICLES and args.vehicle is None:
-        args.vehicle = args.machine
-    elif args.machine is not None:
-        if args.system is not None:
-            raise ParameterError(
-                f"SYSTEM {args.machine!r} and --system say the same: leave one"
-            )
-        args.system = args.machine
-    system = system_from(args)
-    arm, unit, via = system.arm, args.angle_unit, args.via
-
-    def angles(name: str, text: str | None) -> Array | None:
-        return None if text is None else joint_angles(text, arm, name, unit)
-
+    if case.query is not None:
+        known = {name: getattr(case.query, name) for name in ("start", "goal", "duration")}
+        how = {**known, **how}
     studio = Studio(
-        system,
-        start=angles("--start", args.start),
-        goal=angles("--goal", args.goal),
-        via=None if via is None else [joint_angles(k, arm, "--via", unit) for k in via],
-        duration=duration_from(args.duration),
-        planner=None if args.planner == "none" else args.planner,
-        show=args.open,
-        seed=args.seed,
+        case.system, planner=None if planner == "none" else planner, seed=case.seed, **how
     )
-    path = Path(args.out or "out/studio")
-    if path.suffix != ".html":
-        path = path / "studio.html"
-    path.parent.mkdir(parents=True, exist_ok=True)
+    path = out or Path("out/studio")
+    path = path if path.suffix == ".html" else path / "studio.html"
     studio.save(path)
-    write_json(args.json, studio.data)
     size = len(studio.page.encode()) / 1e6
-    print(f"written: {path} ({size:.2f} MB; open it in any browser)")
-    return 0
+    said = f"{size:.2f} MB; open it in any browser"
+    return Answer(text=said, plain=studio.data, files=[path])

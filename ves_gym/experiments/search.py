@@ -28,10 +28,13 @@ from ves_gym._util.params import (
     require_choice,
 )
 from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.tables import table as text_table
 from ves_gym.experiments.spec import spec_from_plain, units_of
 from ves_gym.experiments.sweep import Report, finished, opened, run_units
 from ves_gym.experiments.units import Unit, read_result
 
+SCHEMA = "ves-search/1"
+_SHOWN = 10  # trials printed
 SAMPLERS = ("tpe", "random")
 DIRECTIONS = ("minimize", "maximize")
 _WHY, _UNITS = "why", "units"  # what a trial remembers beside its parameters
@@ -99,6 +102,26 @@ class SearchResult:
 
     best: dict[str, Any] | None  # number, value, params of the best trial; None: all failed
     trials: list[dict[str, Any]]  # number, state, value, params, units, why
+    objective: str
+    direction: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {"schema": SCHEMA, **vars(self)}
+
+    def __str__(self) -> str:
+        done = [t for t in self.trials if t["state"] == "complete"]
+        sign = 1.0 if self.direction == "minimize" else -1.0
+        done.sort(key=lambda t: sign * t["value"])
+        rows = []
+        for trial in done[:_SHOWN]:
+            settings = (
+                f"{k.rpartition('.')[2]} {f'{v:.4g}' if isinstance(v, float) else v}"
+                for k, v in trial["params"].items()
+            )
+            rows.append((trial["number"], f"{trial['value']:.5g}", ", ".join(settings)))
+        title = f"{len(done)} of {len(self.trials)} trials complete, best first"
+        return text_table(("trial", self.objective, "settings"), rows, title=title, left=(2,))
 
 
 def read_search(path: str | os.PathLike[str]) -> tuple[Search, dict[str, Any]]:
@@ -169,7 +192,7 @@ def search(
             trials = [study.ask() for _ in range(min(plan.batch, plan.trials - ended))]
             _batch(study, trials, plan, plain, Path(folder), Path(path).parent, pool)
         on_progress("search", 1.0)
-    return _outcome(study)
+    return _outcome(study, plan)
 
 
 def _batch(
@@ -235,7 +258,7 @@ def _sampler(plan: Search, seed: int, ended: int) -> Any:
         return samplers.TPESampler(seed=mixed % 2**32, constant_liar=True)
 
 
-def _outcome(study: Any) -> SearchResult:
+def _outcome(study: Any, plan: Search) -> SearchResult:
     trials = [
         {
             "number": t.number,
@@ -250,7 +273,8 @@ def _outcome(study: Any) -> SearchResult:
     complete = [t for t in trials if t["state"] == "complete"]
     sign = 1.0 if study.direction.name == "MINIMIZE" else -1.0
     best = min(complete, key=lambda t: sign * t["value"], default=None)
-    return SearchResult(best and {k: best[k] for k in ("number", "value", "params")}, trials)
+    first = best and {k: best[k] for k in ("number", "value", "params")}
+    return SearchResult(first, trials, plan.objective, plan.direction)
 
 
 def _optuna() -> Any:

@@ -24,6 +24,7 @@ from ves_gym.mechanics.motion import Motion, Samples
 TOLERANCE = 1e-6  # of a limit: an optimum lies on it, up to rounding
 _SAMPLES = 201  # of a reference motion
 THREE_JOINTS = (60.0, 40.0, -30.0)  # deg, where three joints go that have been told no goal
+_SAID = ("joint", "time", "value", "limit")  # of an extreme, in a file
 _SHARE = 0.5  # of speed, acceleration and torque limits that `default_goal` takes at most
 _UNITS = {  # unit in messages, and its factor
     "position": ("deg", math.degrees(1)),
@@ -120,16 +121,25 @@ class LimitCheck:
         return {
             "inside": self.inside,
             "extremes": {
-                e.kind: {
-                    "joint": e.joint,
-                    "time": e.time,
-                    "value": e.value,
-                    "limit": e.limit,
-                    "ratio": e.ratio,
-                }
+                e.kind: {**{k: getattr(e, k) for k in _SAID}, "ratio": e.ratio}
                 for e in self.extremes
             },
         }
+
+    @staticmethod
+    def from_dict(plain: Mapping[str, Any], sliding: Sequence[int] = ()) -> LimitCheck:
+        """Rebuild from what `to_dict` returned.
+
+        Args:
+            plain: that.
+            sliding: joints (from 0) that slide.
+        """
+        return LimitCheck(
+            tuple(
+                Extreme(kind, **{k: e[k] for k in _SAID}, slides=e["joint"] - 1 in sliding)
+                for kind, e in plain["extremes"].items()
+            )
+        )
 
 
 def limits_of(
@@ -245,6 +255,25 @@ def default_goal(arm: Arm, start: Array, duration: float) -> Array:
             break
         way = way * max(0.5, 0.99 * _SHARE / worst)
     return np.asarray(start + way, np.float64)
+
+
+def usual_goal(arm: Arm, start: Array, duration: float) -> Array:
+    """Return where a motion goes that has been told no goal (n,) [rad].
+
+    The thesis's arm goes to 60, 40, -30 deg, and so does another of three joints that turn and
+    reach it; others as `default_goal` says.
+
+    Args:
+        arm: with its limits.
+        start: (n,) [rad].
+        duration: of the motion [s].
+    """
+    usual = np.deg2rad(THREE_JOINTS)
+    if arm.n == len(usual) and not arm.sliding:
+        low, high = arm.column("q_min"), arm.column("q_max")
+        if (low <= usual).all() and (usual <= high).all():
+            return usual
+    return default_goal(arm, start, duration)
 
 
 def require_limits(

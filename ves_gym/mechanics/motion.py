@@ -6,8 +6,6 @@ way-points and the path an optimiser shapes; its control points are the decision
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -20,12 +18,8 @@ from ves_gym._util.params import (
     Array,
     Matrix,
     ParameterError,
-    from_plain,
-    read_table,
     require_positive,
-    to_plain,
     unit,
-    write_table,
 )
 from ves_gym.mechanics.serial_chain import matrix
 
@@ -213,52 +207,6 @@ class Motion:
             f"<Motion: {self.n} joints, {len(self.control)} control points,"
             f" {self.duration:g} s>"
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data: {"format", "duration" [s], "control" [rad]}."""
-        return {"format": FORMAT, **to_plain(self)}
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write as .json or .toml, completely or not at all."""
-        write_table(path, self.to_dict())
-
-    @staticmethod
-    def load(path: str | os.PathLike[str]) -> Motion:
-        """Read what `save` wrote.
-
-        Raises:
-            ParameterError: another format, unknown keys, or no motion.
-        """
-        return Motion.from_dict(read_table(path), str(path))
-
-    @staticmethod
-    def from_dict(table: Mapping[str, Any], where: str = "motion") -> Motion:
-        """Rebuild from plain data.
-
-        Args:
-            table: what `to_dict` returned.
-            where: what messages call it, such as the name of a file.
-
-        Raises:
-            ParameterError: another format, unknown keys, or no motion.
-        """
-        if table.get("format") != FORMAT:
-            raise ParameterError(
-                f"{where}: format must be {FORMAT!r}, got {table.get('format')!r}"
-            )
-        plain = {k: v for k, v in table.items() if k != "format"}
-        rows = plain.get("control")
-        if isinstance(rows, list):
-            widths = {len(row) if isinstance(row, list) else 0 for row in rows}
-            if len(widths) != 1 or 0 in widths:
-                raise ParameterError(
-                    f"{where}: control must be rows of equal length, one per point"
-                )
-        try:
-            motion: Motion = from_plain(Motion, plain, "motion")
-        except ParameterError as error:
-            raise ParameterError(f"{where}: {error}") from None
-        return motion
 
 
 def _points(value: Any, name: str, least: int) -> Array:

@@ -53,6 +53,26 @@ class CouplingMap(Viewable):
             f" {self.most.max():.4g}{unit} along the worst direction>"
         )
 
+    def __str__(self) -> str:
+        i, j = self.joints
+        return (
+            f"joints {i + 1} and {j + 1}: coupling {self.most.min():.4g} to"
+            f" {self.most.max():.4g} J/rad^2 along the worst direction,"
+            f" {self.least.min():.4g} to {self.least.max():.4g} along the best"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data, with lines along the direction of least coupling."""
+        return {
+            "joints": [k + 1 for k in self.joints],
+            "q": [axis.tolist() for axis in self.axes],
+            "least": self.least.tolist(),
+            "most": self.most.tolist(),
+            "direction": self.direction.tolist(),
+            "lines": [curve.tolist() for curve in self.lines()],
+            **({} if self.angles is None else {"angles": self.angles.tolist()}),
+        }
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the arrays as .npz, completely or not at all."""
         if Path(path).suffix != ".npz":

@@ -3,30 +3,16 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-from ves_gym._util.params import (
-    Array,
-    ParameterError,
-    Vector,
-    finite,
-    from_plain,
-    read_result,
-    require_positive,
-    to_plain,
-    unit,
-    write_result,
-)
+from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.threads import on_one_thread
 from ves_gym._util.views import Viewable
-from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.limits import (
     LimitCheck,
@@ -36,113 +22,19 @@ from ves_gym.mechanics.limits import (
     middle_of_range,
 )
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.servo import OWN_GAINS, JointServo
-from ves_gym.planners.obstacles import RESOLUTION, Surroundings, collisions
+from ves_gym.planners.case import Case as Case
+from ves_gym.planners.case import Query as Query
+from ves_gym.planners.obstacles import RESOLUTION, collisions
 from ves_gym.planners.prediction import (
     FINE,
-    BaseState,
     LinearBase,
     Prediction,
     predict,
     respond,
     steps_of_joints,
 )
-from ves_gym.system.frequency_weight import FAST, FrequencyWeight
-from ves_gym.system.system import System
 
-SCHEMA = "ves-plan-file/1"  # of a saved plan
-
-
-@dataclass(frozen=True, kw_only=True)
-class Query:
-    """From `start` to rest at `goal` in `duration`, so that the base has least energy.
-
-    Arm and base are at rest at the start unless `start_rate`, `start_acceleration` or `base`
-    say how they move.
-    """
-
-    system: System
-    start: Vector = unit("rad")
-    goal: Vector = unit("rad")
-    duration: float = unit("s")
-    v_max: Vector | None = unit("rad/s", default=None)  # speed limits, None = none
-    a_max: Vector | None = unit("rad/s^2", default=None)  # acceleration limits, None = none
-    surroundings: Surroundings | None = None  # what not to touch, None = nothing is checked
-    servo: JointServo = OWN_GAINS  # what will move the joints
-    name: str = ""
-    base: BaseState | None = None  # how the base moves at the start, None = at rest
-    start_rate: Vector | None = unit("rad/s", default=None)  # of the joints, None = at rest
-    start_acceleration: Vector | None = unit("rad/s^2", default=None)
-    weight: FrequencyWeight = FAST  # filter of the measure `E_weighted`
-
-    def __post_init__(self) -> None:
-        require_positive(self, "duration")
-        arm = self.system.arm
-        arm.require_rigid("a planner's query")
-        arm.require_turning("a planner's query")
-        for end in ("start", "goal"):
-            arm.require_within_limits(getattr(self, end), end)
-        for name, symbol in (("v_max", "rad/s"), ("a_max", "rad/s^2")):
-            limit = getattr(self, name)
-            if limit is not None and not (finite(limit, (arm.n,), name) > 0).all():
-                raise ParameterError(f"{name} must be > 0 {symbol}, got {limit}")
-        if not isinstance(self.surroundings, Surroundings | None):
-            raise ParameterError(
-                f"surroundings must be Surroundings, got {self.surroundings!r}"
-            )
-        for name in ("start_rate", "start_acceleration"):
-            if getattr(self, name) is not None:
-                finite(getattr(self, name), (arm.n,), name)
-        if not isinstance(self.base, BaseState | None):
-            raise ParameterError(f"base must be a BaseState, got {self.base!r}")
-        if self.base is not None:
-            self.base.stacked(self.system.base)
-        if self.system.drive == "motor":
-            object.__setattr__(self, "servo", self.servo.for_arm(arm))  # the class is frozen
-
-    @property
-    def straight(self) -> Motion:
-        """The quintic between the ends: a straight line where the joints start at rest."""
-        if not self.is_moving:
-            return Motion.straight(self.start, self.goal, self.duration)
-        return Motion.to_rest(self.start, *self.start_motion, self.goal, self.duration)
-
-    @property
-    def is_moving(self) -> bool:
-        """True where the joints are not at rest at the start."""
-        return any(map(np.any, self.start_motion))
-
-    @property
-    def start_motion(self) -> tuple[Array, Array]:
-        """Rate and acceleration of the joints at the start (n,) [rad/s, rad/s^2]."""
-        still = np.zeros(self.system.arm.n)
-        rate, acceleration = (
-            still if k is None else np.array(k)
-            for k in (self.start_rate, self.start_acceleration)
-        )
-        return rate, acceleration
-
-    @property
-    def speed(self) -> Array:
-        """Speed limits (n,) of the query, or of the arm where it has none [rad/s]."""
-        return self.system.arm.column("v_max") if self.v_max is None else np.array(self.v_max)
-
-    @property
-    def ends_in_words(self) -> str:
-        """Start, goal [deg] and duration as text."""
-        start, goal = (
-            "(" + ", ".join(f"{np.rad2deg(x) + 0.0:.4g}" for x in end) + ")"
-            for end in (self.start, self.goal)
-        )
-        return f"{start} to {goal} deg in {self.duration:g} s"
-
-    def __repr__(self) -> str:
-        return f"<Query: {self.name or self.ends_in_words} on {self.system!r}>"
-
-    @property
-    def ends(self) -> tuple[Array, Array]:
-        """start and goal as arrays (n,)."""
-        return np.array(self.start), np.array(self.goal)
+SCHEMA = "ves-plan/1"
 
 
 @dataclass(frozen=True, repr=False)
@@ -156,6 +48,13 @@ class Plan(Viewable):
     seconds: float  # planning time, prediction included
     failure: str | None = None  # why there is no motion, or what limit it breaks
     info: dict[str, Any] = field(default_factory=dict)
+    seed: int = 0
+
+    @property
+    def case(self) -> Case:
+        """What was asked and what was found, to be saved, played and asked again."""
+        q = self.query
+        return Case(system=q.system, query=q, motion=self.motion, servo=q.servo, seed=self.seed)
 
     @property
     def feasible(self) -> bool:
@@ -181,41 +80,17 @@ class Plan(Viewable):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data, the query with its system included."""
+        """Return plain data, the case included."""
         return {
             "schema": SCHEMA,
             "planner": self.planner,
-            "query": to_plain(self.query),
-            "motion": None if self.motion is None else self.motion.to_dict(),
+            "case": self.case.to_dict(),
             "predicted": None if self.predicted is None else self.predicted.to_dict(),
             "seconds": self.seconds,
+            "feasible": self.feasible,
             "failure": self.failure,
             "info": self.info,
         }
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write as JSON, completely or not at all (`plan.motion.save`: the motion alone)."""
-        write_result(path, self.to_dict())
-
-    @staticmethod
-    def load(path: str | os.PathLike[str]) -> Plan:
-        """Read what `save` wrote.
-
-        Raises:
-            ParameterError: another schema, unknown keys, or no plan.
-        """
-        plain = read_result(path, SCHEMA)
-        query: Query = from_plain(Query, plain["query"], f"{path}: query")
-        motion, predicted = plain["motion"], plain["predicted"]
-        return Plan(
-            planner=plain["planner"],
-            query=query,
-            motion=None if motion is None else Motion.from_dict(motion, str(path)),
-            predicted=None if predicted is None else Prediction(**predicted),
-            seconds=plain["seconds"],
-            failure=plain["failure"],
-            info=plain["info"],
-        )
 
 
 class NoPlan(Exception):
@@ -279,7 +154,7 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
             predicted = predict(query.system, motion, query.servo, base=query.base, parts=FINE)
             failure = first_violation(query, motion)
     seconds = time.perf_counter() - begin
-    return Plan(planner.name, query, motion, predicted, seconds, failure, info)
+    return Plan(planner.name, query, motion, predicted, seconds, failure, info, seed)
 
 
 def is_feasible(query: Query, motion: Motion) -> bool:
@@ -375,23 +250,6 @@ def check_motion(query: Query, motion: Motion, limits: Mapping[str, Array]) -> L
         "torque": inverse_dynamics(arm, s.q, s.v, s.a)[0] + added,
     }
     return check_limits(limits, s.t, values)
-
-
-def speed_limits(arm: Arm, v_max: npt.ArrayLike | None = None) -> Vector | None:
-    """Return the speed limits of a query that `plan` makes, None for none.
-
-    Args:
-        arm: whose own limits hold unless others are given.
-        v_max: (n,) [rad/s], "none" to lift them, None for those of the arm.
-    """
-    if isinstance(v_max, str):
-        if v_max != "none":
-            raise ParameterError(
-                f"v_max must be {arm.n} numbers in rad/s, or none, got {v_max!r}"
-            )
-        return None
-    limits = arm.column("v_max") if v_max is None else finite(v_max, (arm.n,), "v_max")
-    return tuple(limits.tolist())
 
 
 def limits_of_query(query: Query) -> dict[str, Array]:

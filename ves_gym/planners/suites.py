@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -117,6 +118,40 @@ def get_suite(
     raise ParameterError(
         f"suite must be one of {', '.join(SUITES)}, got {name!r}{did_you_mean(name, SUITES)}"
     )
+
+
+def part_of(
+    suite: Suite, durations: Sequence[float] | None = None, *, first: int | None, skip: int = 0
+) -> Suite:
+    """Return a suite with some of its queries.
+
+    Args:
+        suite: the whole.
+        durations: that are asked for [s]; None: all.
+        first: how many of each vehicle and duration; None: all.
+        skip: how many of each to leave out before.
+
+    Raises:
+        ParameterError: a duration that the suite does not have, or nothing is left.
+    """
+    queries = list(suite.queries)
+    if durations is not None:
+        available = sorted({q.duration for _, q in queries})
+        if not set(durations) <= set(available):
+            raise ParameterError(
+                f"--durations must be of {', '.join(f'{k:g}' for k in available)} s, got"
+                f" {', '.join(f'{k:g}' for k in durations)}"
+            )
+        queries = [(v, q) for v, q in queries if q.duration in durations]
+    counted: Counter[tuple[str, float]] = Counter()
+    chosen = []
+    for vehicle, query in queries:
+        counted[vehicle, query.duration] += 1
+        if skip < counted[vehicle, query.duration] <= skip + (first or len(queries)):
+            chosen.append((vehicle, query))
+    if not chosen:
+        raise ParameterError(f"--skip {skip} leaves none of {max(counted.values())} queries")
+    return replace(suite, queries=tuple(chosen))
 
 
 def transfer(system: System, vehicle: str, count: int) -> Suite:

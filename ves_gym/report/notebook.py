@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import ParameterError, write_text
-from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.limits import THREE_JOINTS, default_goal
+from ves_gym.mechanics.limits import usual_goal
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.query import Plan, Planner, Query, solve
 from ves_gym.planners.registry import get_planner
@@ -105,7 +104,7 @@ class Studio:
         rest = np.clip(0.0, arm.column("q_min"), arm.column("q_max"))
         begin = rest if start is None else arm.require_within_limits(start, "start")
         if goal is None:
-            end = _goal(arm, begin, duration)
+            end = usual_goal(arm, begin, duration)
         else:
             end = arm.require_within_limits(goal, "goal")
         query = Query(
@@ -149,12 +148,3 @@ class Studio:
             f" height: {self.height}px; box-sizing: border-box; border: 1px solid #8886;"
             ' border-radius: 6px"></iframe>'
         )
-
-
-def _goal(arm: Arm, start: npt.NDArray[np.float64], duration: float) -> npt.NDArray[np.float64]:
-    """Where the page's motion goes that has been told no goal (n,) [rad]."""
-    usual = np.deg2rad(THREE_JOINTS)
-    low, high = arm.column("q_min"), arm.column("q_max")
-    if arm.n == len(usual) and (low <= usual).all() and (usual <= high).all():
-        return usual
-    return default_goal(arm, start, duration)

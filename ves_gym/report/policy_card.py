@@ -11,8 +11,10 @@ from typing import Any
 
 import gymnasium as gym
 
-from ves_gym._util.params import content_hash, read_table
+from ves_gym._util.params import ParameterError, content_hash, read_table
 from ves_gym.baselines.config import find_configs
+from ves_gym.baselines.controllers import Random, Zero
+from ves_gym.baselines.evaluate import evaluate, report
 from ves_gym.baselines.policy import RELEASED, Policy, load_policy, task_name
 from ves_gym.envs.build import build_task
 from ves_gym.envs.task import Task
@@ -39,6 +41,23 @@ def policy_card(name: str, figures: Mapping[str, Any] | None = None) -> str:
     parts.append("## Limits\n\n" + _limits(policy, label, figures))
     parts.append(f"## Licence\n\n{LICENCE}.")
     return "\n\n".join(parts) + "\n"
+
+
+def evaluation_for_card(name: str, episodes: int, seed: int = 0) -> dict[str, Any]:
+    """Evaluate a policy for its card, beside no action and noise.
+
+    Args:
+        name: as of `policy_card`.
+        episodes, seed: of the evaluation.
+    """
+    policy = load_policy(name)
+    env = policy.about.get("env")
+    if not isinstance(env, str):
+        raise ParameterError(f"{name}: names no environment; give its --figures")
+    policy.name = str(policy.about.get("algorithm", policy.name))
+    given = dict(policy.about.get("settings", {}))
+    rivals = (Zero(), Random(), policy)
+    return report([evaluate(c, env, episodes=episodes, seed=seed, **given) for c in rivals])
 
 
 def _opening(policy: Policy, label: str) -> str:

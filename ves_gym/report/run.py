@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ves_gym._util.optional import require
-from ves_gym.simulation.recording import Recording
-from ves_gym.system.energy import base_energy, log_base_energy
+from ves_gym.system.energy import log_base_energy
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def run_figure(
-    log: RunLog, system: System, duration: float, space: Recording | None = None
+    log: RunLog, system: System, duration: float, space: RunLog | None = None
 ) -> Figure:
     """Draw a run log: what was commanded dashed, or the same run in space.
 
@@ -48,8 +47,8 @@ def run_figure(
         turn.plot(log.t, np.rad2deg(log.y[:, 3 + k]), label=f"$\\phi_{name}$", lw=1)
         if space is not None:
             dashed = {"color": curve.get_color(), "lw": 0.8, "ls": "--"}
-            place.plot(space.t, 1e3 * space.y[0, :, k], **dashed)
-            turn.plot(space.t, np.rad2deg(space.y[0, :, 3 + k]), **dashed)
+            place.plot(space.t, 1e3 * space.y[:, k], **dashed)
+            turn.plot(space.t, np.rad2deg(space.y[:, 3 + k]), **dashed)
     for k, link in enumerate(system.arm.links):
         name, factor = f"$q_{k + 1}$", 100.0 if link.slides else math.degrees(1)
         (curve,) = joint.plot(log.t, factor * log.q[:, k], label=name, lw=1)
@@ -58,8 +57,7 @@ def run_figure(
     energy.plot(log.t, E.total, label="total", lw=1.2)
     energy.plot(log.t, E.strain, label="strain", lw=0.8)
     if space is not None:
-        motion = space.q[0], space.y[0], space.yd[0]
-        total = base_energy(space.system, *motion, space.internal(0)).total
+        total = log_base_energy(space).total
         energy.plot(space.t, total, "--", color="0.4", label="total in space", lw=1)
     shown = "deg, cm" if system.arm.sliding else "deg"
     joints = f"joints [{shown}]", f"joint error [{shown}]"

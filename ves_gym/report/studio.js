@@ -376,6 +376,6 @@ begin();
 /** For the console, and for whoever checks the page's numbers. */
 globalThis.vesStudio = {
   data, path, film, chart, opened, inertiaMatrix, inverseDynamics, jointPositions, baseModes, couplingCell, couplingBlock,
-  principal, motionThrough, straightMotion, sampleMotion, simulateMotion, readItems, setPoint, refresh, seek,
+  principal, motionThrough, straightMotion, sampleMotion, simulateMotion, readItems, caseOfDrawn, setPoint, refresh, seek,
   legLengths, legSpeeds, legPeaks,
 };

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import Array, ParameterError, to_plain, toml
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.limits import limit_ratios
@@ -24,6 +24,7 @@ from ves_gym.mechanics.serial_chain import Inertial
 from ves_gym.mechanics.servo import OWN_GAINS
 from ves_gym.mechanics.spatial import matvec
 from ves_gym.mechanics.vehicle import beam_line, vehicle_name
+from ves_gym.planners.case import Case
 from ves_gym.planners.prediction import predict
 from ves_gym.planners.query import Plan, Query
 from ves_gym.planners.scenes import platform_data
@@ -251,7 +252,7 @@ def references(system: System, motions: Sequence[tuple[str, Motion]]) -> list[di
         for k, ((name, motion), energies) in enumerate(zip(group, run.energies(), strict=True)):
             row = {
                 "name": name,
-                "motion": motion.to_dict(),
+                "motion": to_plain(motion),
                 "E_mean": energies.E_mean,
                 "E_peak": energies.E_peak,
             }
@@ -298,7 +299,7 @@ def studio_data(
     """
     system = query.system
     planned = [
-        {"kind": "motion", "name": plan.planner, "motion": plan.motion.to_dict()}
+        {"kind": "motion", "name": plan.planner, "motion": to_plain(plan.motion)}
         for plan in plans
         if plan.motion is not None
     ]
@@ -307,6 +308,7 @@ def studio_data(
     return {
         "schema": SCHEMA,
         "machine": machine_data(system),
+        "case": toml(Case(system=system.replace(effects=())).to_dict()),
         "start": start.tolist(),
         "goal": goal.tolist(),
         "via": [np.asarray(q, float).tolist() for q in via],

@@ -6,26 +6,39 @@ const opened = []; // { name, track } of logs, { name, motion } of motions
 
 const machineOf = (track) => track.machine ?? data.machine;
 
-/** What a JSON file holds: items of kind motion, log or diagnosis. */
-function readItems(name, table) {
-  const label = name.replace(/\.json$/i, "");
-  switch (table.format ?? table.schema) {
-    case "ves-motion/1":
-      return [{ kind: "motion", name: label, motion: table }];
-    case "ves-plan-file/1":
-      if (table.motion === null) throw new Error(`${name}: ${table.planner} found no motion: ${table.failure}`);
-      return [{ kind: "motion", name: `${label} (${table.planner})`, motion: table.motion }];
-    case "ves-plan/1":
-      if (!table.control) throw new Error(`${name}: ${table.planner} found no motion: ${table.failure}`);
-      return [{ kind: "motion", name: `${label} (${table.planner})`, motion: table }];
+/** The description of the machine in a case's text. */
+const machineText = (text) => /^\[system[^]*?(?=^\[(?!\[?system))/m.exec(`${text}\n[`)?.[0].trim();
+
+/** What a case holds, as `Case.save` writes it in TOML: its motion, on this page's machine. */
+function readCase(name, text) {
+  if (machineText(text) !== machineText(data.case)) {
+    throw new Error(`${name} is of another machine than this page: ves-gym studio --case ${name}`);
+  }
+  const body = text.split(/^\[motion\]$/m)[1]?.split(/^\[/m)[0];
+  if (!body) throw new Error(`${name}: the case has no motion`);
+  const entry = (key) => new RegExp(`^${key} = (\\[[^]*\\]|\\S+)`, "m").exec(body)[1];
+  const [duration, control] = ["duration", "control"].map((key) => JSON.parse(entry(key).replace(/,(\s*\])/g, "$1")));
+  return [{ kind: "motion", name: name.replace(/\.toml$/i, ""), motion: { duration, control } }];
+}
+
+/** What a file holds: items of kind motion, log or diagnosis. */
+function readItems(name, text) {
+  if (/^\[system/m.test(text)) return readCase(name, text);
+  let table;
+  try {
+    table = JSON.parse(text) ?? {};
+  } catch {
+    table = {};
+  }
+  switch (table.schema) {
     case "ves-diagnose/1":
-      return [{ kind: "diagnosis", name: label, diagnosis: table }];
+      return [{ kind: "diagnosis", name: name.replace(/\.json$/i, ""), diagnosis: table }];
     case "ves-studio/1":
       return table.opened;
     default:
-      throw new Error(`${name}: expected a motion, a plan, a diagnosis or what \`ves-gym studio --json\` `
-        + `writes, got ${table.format ?? table.schema ?? "JSON without format or schema"}. Run logs and `
-        + "episodes (.parquet, .csv) are opened by ves-gym studio --open FILE.");
+      throw new Error(`${name}: expected a case (.toml), a diagnosis or what \`ves-gym studio --json\` `
+        + `writes, got ${table.schema ?? "none of these"}. Run logs and episodes (.parquet, .csv) are `
+        + "opened by ves-gym studio --open FILE.");
   }
 }
 
@@ -90,13 +103,7 @@ async function openFiles(files) {
   let first = null;
   for (const file of files) {
     try {
-      let table;
-      try {
-        table = JSON.parse(await file.text());
-      } catch {
-        table = {};
-      }
-      for (const item of readItems(file.name, table ?? {})) {
+      for (const item of readItems(file.name, await file.text())) {
         const entry = takeItem(item);
         first ??= entry;
       }
@@ -111,11 +118,18 @@ async function openFiles(files) {
   if (first) choose(0, first.name);
 }
 
-/** The drawn path as a file that `ves-gym simulate --motion` plays. */
-function saveDrawn() {
+/** The drawn path as a case that `ves-gym simulate --case` plays: the same machine, the same energy. */
+function caseOfDrawn() {
   const { duration, control } = path.motions[DRAWN];
-  const text = JSON.stringify({ format: "ves-motion/1", duration, control });
-  const address = URL.createObjectURL(new Blob([text], { type: "application/json" }));
-  el("a", { href: address, download: "motion.json" }).click();
+  const rows = control.map((row) => `    [${row.map(float).join(", ")}],\n`).join("");
+  return `${data.case}\n[motion]\nduration = ${float(duration)}\ncontrol = [\n${rows}]\n`;
+}
+
+function saveDrawn() {
+  const address = URL.createObjectURL(new Blob([caseOfDrawn()], { type: "application/toml" }));
+  el("a", { href: address, download: "case.toml" }).click();
   setTimeout(() => URL.revokeObjectURL(address), 1000);
 }
+
+/** A number as TOML writes one that need not be whole. */
+const float = (value) => (Number.isInteger(value) ? `${value}.0` : `${value}`);

@@ -1,4 +1,4 @@
-"""Files that the studio opens: run logs and episodes, motions, plans, diagnoses."""
+"""Files that the studio opens: run logs and episodes, cases, diagnoses."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError, read_table
+from ves_gym._util.params import Array, ParameterError, read_table, to_plain
 from ves_gym.mechanics.modes import natural_modes
-from ves_gym.mechanics.motion import FORMAT as MOTION
 from ves_gym.mechanics.motion import Motion
+from ves_gym.planners.case import Case, load_case
 from ves_gym.planners.coupling import blocks
-from ves_gym.planners.query import SCHEMA as PLAN
 from ves_gym.planners.query import Plan
 from ves_gym.planners.uncertainty import DIAGNOSIS, read_uncertainty
 from ves_gym.report.studio import SHOWN, machine_data, playable
@@ -31,18 +30,19 @@ from ves_gym.system.energy import (
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
-PLANNED = "ves-plan/1"  # what `ves-gym plan --json` writes
 _LOGS = (".csv", ".parquet")
 _RECORDS = 600  # samples of a log, at most
 _DIGITS = 5
 
 
-def open_item(item: str | os.PathLike[str] | RunLog | Plan | Motion, system: System) -> Any:
+def open_item(
+    item: str | os.PathLike[str] | RunLog | Case | Plan | Motion, system: System
+) -> Any:
     """Turn a file, or what one would be read into, into what the page shows of it.
 
     Args:
-        item: a run log or episode (.csv, .parquet), a motion or plan (.json, .toml), the
-            diagnosis.json of `ves-gym diagnose`; or a log, a plan or a motion itself.
+        item: a run log or episode (.csv, .parquet), a case (.toml, .json), the diagnosis.json
+            of `ves-gym diagnose`; or a log, a case, a plan or a motion itself.
         system: of the page, for what names none.
 
     Returns:
@@ -54,9 +54,13 @@ def open_item(item: str | os.PathLike[str] | RunLog | Plan | Motion, system: Sys
     if isinstance(item, RunLog):
         return _log(str(item.meta.get("note") or "log"), item, system)
     if isinstance(item, Plan):
-        return _plan(item.planner, item, system)
+        if item.motion is None:
+            raise ParameterError(f"{item.planner} found no motion: {item.failure}")
+        return _motion(item.planner, item.motion, item.query.system, system)
     if isinstance(item, Motion):
         return _motion("motion", item, None, system)
+    if isinstance(item, Case):
+        return _case("case", item, system)
     return _opened(Path(item), system)
 
 
@@ -64,30 +68,20 @@ def _opened(file: Path, system: System) -> dict[str, Any]:
     if file.suffix.lower() in _LOGS:
         return _log(file.stem, RunLog.load(file), system)
     table = read_table(file)
-    kind = table.get("format", table.get("schema"))
-    if kind == DIAGNOSIS:
+    if table.get("schema") == DIAGNOSIS:
         return _opened_diagnosis(file, table)
-    if kind == PLAN:
-        plan = Plan.load(file)
-        return _plan(f"{file.stem} ({plan.planner})", plan, system)
-    if kind == PLANNED:
-        if "control" not in table:
-            raise ParameterError(f"{file}: {table.get('planner')} found no motion")
-        plain = {"format": MOTION, "duration": table["duration"], "control": table["control"]}
-        motion = Motion.from_dict(plain, str(file))
-        return _motion(f"{file.stem} ({table['planner']})", motion, None, system)
-    if kind == MOTION:
-        return _motion(file.stem, Motion.load(file), None, system)
-    raise ParameterError(
-        f"{file}: expected a run log (.csv, .parquet), {MOTION}, {PLAN}, {PLANNED} or"
-        f" {DIAGNOSIS}, got {kind!r}"
-    )
+    if "system" not in table:
+        raise ParameterError(
+            f"{file}: expected a run log (.csv, .parquet), a case or {DIAGNOSIS}, got"
+            f" {table.get('schema')!r}"
+        )
+    return _case(file.stem, load_case(file), system)
 
 
-def _plan(name: str, plan: Plan, displayed: System) -> dict[str, Any]:
-    if plan.motion is None:
-        raise ParameterError(f"{name}: {plan.planner} found no motion: {plan.failure}")
-    return _motion(name, plan.motion, plan.query.system, displayed)
+def _case(name: str, case: Case, displayed: System) -> dict[str, Any]:
+    if case.motion is None:
+        raise ParameterError(f"{name}: the case has no motion")
+    return _motion(name, case.motion, case.system, displayed)
 
 
 def _motion(
@@ -98,7 +92,7 @@ def _motion(
         raise ParameterError(f"{name}: {arm.name} has {arm.n} joints, got {motion.n}")
     if motion.moving:
         raise ParameterError(f"{name}: the studio plays motions that begin at rest")
-    item = {"kind": "motion", "name": name, "motion": motion.to_dict()}
+    item = {"kind": "motion", "name": name, "motion": to_plain(motion)}
     return item | _machine(described, displayed)
 
 

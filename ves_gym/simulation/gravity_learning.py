@@ -57,6 +57,17 @@ class Learning:
                 return i + 1
         return None
 
+    def __str__(self) -> str:
+        lines = []
+        for i, k in enumerate(self.iterations):
+            move, turn = 1e3 * k.change[:3].max(), 1e3 * k.change[3:].max()
+            lines.append(
+                f"repetition {i + 1}: base motion changed by {move:.3f} mm, {turn:.3f} mrad"
+            )
+        if self.aborted is not None:
+            lines.append(f"aborted: {self.aborted}; the last whole run is kept")
+        return "\n".join(lines)
+
 
 def learn_gravity(
     system: System,
@@ -133,6 +144,7 @@ def learn_gravity(
             settle=settle,
             y=pose(np.zeros(1))[0],
             gravity=weight,
+            watch=True,
             seed=seed + 2 * i + 1,
         )
         if run.events:

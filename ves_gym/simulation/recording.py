@@ -283,6 +283,8 @@ class Recording:
         }
         if self.system.mode == "emulated":
             meta["events"] = stops
+        if self.extremes is not None:
+            meta["limits"] = self.limit_check(i).to_dict()
         if self.system.payload is not None:
             captures = [event for event in self.captures if event.simulation == i]
             meta["captures"] = [event.to_dict() for event in captures]

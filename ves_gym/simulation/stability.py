@@ -7,7 +7,7 @@ the simulator itself, so that what is judged is what will run.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -15,16 +15,19 @@ import numpy.typing as npt
 import scipy.linalg
 
 from ves_gym._util.params import Array, ParameterError, to_plain
+from ves_gym._util.tables import table
 from ves_gym._util.views import Viewable
 from ves_gym.hardware.leg_servo import LegServo
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
+from ves_gym.mechanics.vehicle import vehicle_name
 from ves_gym.simulation.loop_linearisation import SLACK, Linearised, joint_angles
 from ves_gym.simulation.loop_linearisation import linearise as linearise_loop
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
+SCHEMA = "ves-emulation-check/1"
 _LOW, _HIGH = 0.2, 200.0  # Hz, searched for the largest stable bandwidth
 _GRID = 25
 _NEAR = 20.0  # Hz: modes reported
@@ -52,6 +55,9 @@ class EmulationCheck(Viewable):
     lag: float  # s from wrench to motion, slow motion
     growth: float  # 1/s of the least stable mode; negative decays
     modes: tuple[Mode, ...]
+    system: System
+    at: Array  # (n,) joint angles [rad]
+    searched: bool  # for the largest bandwidth or gain
 
     def __repr__(self) -> str:
         verdict = "stable" if self.stable else "UNSTABLE"
@@ -62,10 +68,50 @@ class EmulationCheck(Viewable):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data."""
-        plain: dict[str, Any] = to_plain(self)
-        for name in ("max_bandwidth", "max_gain"):
-            plain.setdefault(name, None)
-        return plain
+        measured = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "system"}
+        return {
+            "schema": SCHEMA,
+            **{name: to_plain(value) for name, value in measured.items()},
+            "system": self.system.to_dict(),
+            "system_hash": self.system.hash,
+        }
+
+    def __str__(self) -> str:
+        system, lab = self.system, self.system.emulator_settings
+        compensated = "on" if lab.payload_compensation else "off"
+        off = "of the arm's inertia; off is the thesis's loop"
+        rows = [
+            ("spectral radius", f"{self.spectral_radius:.6f}", "of one control period, <= 1"),
+            ("growth", f"{self.growth:+.3f} 1/s", "of the least stable mode"),
+            ("payload ratio", f"{self.payload_ratio:.3g}", "arm over vehicle, worst direction"),
+            ("compensation", compensated, off),
+            ("lag", f"{1e3 * self.lag:.1f} ms", "from wrench to motion, slow motion"),
+        ]
+        if self.searched and isinstance(lab.platform, PoseServo):
+            limit = self.max_bandwidth
+            text = f"none up to {_HIGH:g} Hz" if limit is None else f"{limit:.2f} Hz"
+            own = f"this one has {lab.platform.bandwidth:g} Hz"
+            rows.append(("largest bandwidth", text, own))
+        elif self.searched:
+            text = "none up to 16" if self.max_gain is None else f"{self.max_gain:.2f}"
+            rows.append(("largest gain factor", text, "on K1 and K2 of the legs"))
+        modes = [
+            (
+                f"{mode.frequency:.3f}",
+                f"{mode.emulated_frequency:.3f}",
+                f"{100 * mode.damping:.2f}",
+                f"{100 * mode.emulated_damping:.2f}",
+                f"{100 * (mode.emulated_damping - mode.damping):+.2f}",
+            )
+            for mode in self.modes
+        ]
+        head = ("f [Hz]", "emulated", "damping [%]", "emulated", "added [%]")
+        title = "modes of arm and base: in space, and as the laboratory shows them"
+        return (
+            f"{'stable' if self.stable else 'UNSTABLE'}: {system.arm.name} on"
+            f" {vehicle_name(system.vehicle)}, emulated at {1 / system.control_dt:.4g} Hz\n"
+            f"{table((), rows)}\n{table(head, modes, title=title, left=())}"
+        )
 
 
 def check_emulation(
@@ -107,6 +153,9 @@ def check_emulation(
             poles_in_space(*in_space(system, angles, servo=servo)),
             np.log(z[np.abs(z) > 1e-9]) / system.control_dt,
         ),
+        system=system,
+        at=angles,
+        searched=search,
     )
 
 

@@ -1,0 +1,43 @@
+"""Tables as text, for results that print themselves."""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections.abc import Iterable, Sequence
+
+WIDTH = 120  # characters, where nothing says how wide the output is
+
+
+def table(
+    head: Sequence[str],
+    rows: Iterable[Sequence[object] | None],
+    *,
+    title: str = "",
+    left: Sequence[int] = (0,),
+    width: int = WIDTH,
+) -> str:
+    """Return rows as text in columns, as wide as the terminal where there is one.
+
+    Args:
+        head: names of the columns; none: the table has no head.
+        rows: cells of each row, None for a line between two.
+        title: above it.
+        left: columns that begin at their left side; the others are of numbers.
+        width: in characters, in a pipe.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    out = Table(title=title or None, show_header=bool(head))
+    for k, name in enumerate(head):
+        out.add_column(name, justify="left" if k in left else "right", overflow="fold")
+    for row in rows:
+        if row is None:
+            out.add_section()
+        else:
+            out.add_row(*map(str, row))
+    page = io.StringIO()
+    wide = Console().width if sys.stdout.isatty() else width
+    Console(file=page, width=wide, markup=False, emoji=False, highlight=False).print(out)
+    return page.getvalue().rstrip("\n")

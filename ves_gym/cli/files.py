@@ -1,0 +1,50 @@
+"""Files that commands write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ves_gym._util.optional import require
+from ves_gym._util.params import ParameterError
+from ves_gym.cli.flags import Flag, Place, one_of
+from ves_gym.planners.case import load_case
+from ves_gym.report.figures import FORMATS
+
+FORMAT = Flag("--format", "F", one_of(*FORMATS), f"of the pictures: {', '.join(FORMATS)} (png)")
+NO_FIGURES = Flag("--no-figures", help="no pictures")
+
+
+def log_path(path: Path, json: str | None) -> Path:
+    """Return the path of a run log that can be written there.
+
+    Args:
+        path: that was asked for.
+        json: where the result goes.
+    """
+    if path.suffix not in (".csv", ".parquet"):
+        raise ParameterError(f"--log must end in .csv or .parquet, got {path.name!r}")
+    if path.is_dir():
+        raise ParameterError(f"--log must be a file to write, got the folder {str(path)!r}")
+    if path.suffix == ".parquet":
+        require("Parquet", "pyarrow")
+    beside = path.with_suffix(".json")
+    if json is not None and path.suffix == ".csv" and beside.resolve() == Path(json).resolve():
+        raise ParameterError(
+            f"--json {json} is where the log's metadata goes; give another name"
+        )
+    return path
+
+
+def log_files(path: Path) -> list[Path]:
+    """Return the files that a run log consists of: a CSV file has its metadata beside it."""
+    return [path, path.with_suffix(".json")] if path.suffix == ".csv" else [path]
+
+
+def log_file(value: str, place: Place) -> Path:
+    """Read the name of a run log, or of a case: that of its log."""
+    if Path(value).suffix not in (".toml", ".json"):
+        return Path(value)
+    case = load_case(value)
+    if case.log is None:
+        raise ParameterError(f"{value}: the case names no log")
+    return Path(case.log)

@@ -1,0 +1,158 @@
+"""Options that say which machine: a case or a system, then single changes of it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from ves_gym._util.params import ParameterError
+from ves_gym._util.suggest import did_you_mean
+from ves_gym.cli.effect_text import parse_effect
+from ves_gym.cli.flags import Flag, Place, Read, grouped, number, say
+from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo, leg_clock
+from ves_gym.hardware.platform import PoseServo
+from ves_gym.mechanics.arm_library import arm_names, get_arm
+from ves_gym.mechanics.servo import OWN_GAINS
+from ves_gym.mechanics.vehicle import VEHICLES, get_vehicle
+from ves_gym.planners.case import Case, load_case
+from ves_gym.simulation.gravity_calibration import read_calibration
+from ves_gym.system.emulator_settings import OPERATIONS, EmulatorSettings
+from ves_gym.system.system import DRIVES, INTEGRATORS, MODES, System
+from ves_gym.system.system_library import SYSTEMS, get_system
+
+
+def read(function: Any) -> Read:
+    """Read by a function of the text alone."""
+    return lambda value, place: function(value)
+
+
+def arm_flag(default: str) -> Flag:
+    """Option --arm, by name or file.
+
+    Args:
+        default: in words.
+    """
+    help = f"{', '.join(arm_names())}, or a URDF, MJCF or TOML file; FILE#LINK names the tool"
+    return Flag("--arm", "A", read(get_arm), f"{help} (default {default})")
+
+
+EFFECT = Flag(
+    "--effect",
+    "E",
+    read(parse_effect),
+    "a deviation from the description, like joint/coulomb:torque=3,0,0 (a number per joint) or"
+    " gravity/scale:error=0.01; several parameters as A=1,B=2,3; repeatable (`ves-gym list"
+    " effects`)",
+    many=True,
+)
+
+
+def _platform(text: str, place: Place) -> PoseServo | LegServo:
+    if text in LEG_SERVOS:
+        return LEG_SERVOS[text]
+    try:
+        return PoseServo(bandwidth=float(text))
+    except ValueError:
+        raise ParameterError(
+            f"--platform must be a bandwidth > 0 in Hz or one of {', '.join(LEG_SERVOS)},"
+            f" got {text!r}{did_you_mean(text, LEG_SERVOS)}"
+        ) from None
+
+
+ANGLES = (
+    Flag("--degrees", help="joint angles are meant in degrees, however small (ask nothing)"),
+    Flag("--radians", help="joint angles are given in radians"),
+)
+MACHINE = (
+    *grouped(
+        "system",
+        Flag("--case", "FILE", read(load_case), "a case, as other commands write it: its system"
+             " and whatever else of it the command takes"),
+        Flag("--system", "S", read(get_system),
+             f"{', '.join(SYSTEMS)}, or a System in TOML or JSON"),
+        arm_flag("puma560"),
+        Flag("--vehicle", "V", read(get_vehicle),
+             f"{', '.join(VEHICLES)}, or a file (default bent)"),
+        Flag("--mode", "M", help=f"{', '.join(MODES)} (default ideal)"),
+        Flag("--drive", "D", help=f"{', '.join(DRIVES)} (default motor)"),
+        Flag("--integrator", "I", help=", ".join(INTEGRATORS)),
+        Flag("--physics-dt", "S", number("s"), "physics step [s]"),
+        Flag("--control-dt", "S", number("s"), "control period [s]"),
+        EFFECT,
+        *ANGLES,
+    ),
+    *grouped(
+        "laboratory (mode emulated)",
+        Flag("--operation", "O", help=", ".join(OPERATIONS)),
+        Flag("--platform", "P", _platform,
+             f"bandwidth of a pose-space servo [Hz], or legs: {', '.join(LEG_SERVOS)}"),
+        Flag("--no-compensation", help="the thesis's plain admittance loop"),
+        Flag("--zero", help="zero the sensor from the estimate at the start"),
+        Flag("--calibration", "FILE", read(read_calibration),
+             "gravity and matrix from `ves-gym calibrate`"),
+    ),
+)  # fmt: skip
+_FIELDS = ("arm", "vehicle", "mode", "drive", "integrator", "physics_dt", "control_dt")
+_LABORATORY = ("operation", "platform", "no_compensation", "zero", "calibration")
+
+
+def case_from(given: Mapping[str, Any], mode: str = "ideal", seed: int | None = None) -> Case:
+    """Return the case that the options describe: a file's or the default, single changes of it.
+
+    A case whose motion is then played on another machine is told so.
+
+    Args:
+        given: what the options of `MACHINE` have been given, by parameter.
+        mode: where nothing says it.
+        seed: None for the case's.
+    """
+    case = given.get("case", Case())
+    if "case" in given and "system" in given:
+        raise ParameterError("--case and --system both say what the machine is: leave one")
+    system = _changed(given.get("system", case.system), given, mode)
+    if case.query is not None or case.motion is not None:
+        if system == case.system:
+            return case if seed is None else replace(case, seed=seed)
+        say(f"the case is of {case.system!r}, this machine is {system!r}", "note")
+    servo = case.servo if "case" in given and system.arm == case.system.arm else OWN_GAINS
+    query = case.query
+    if query is not None:
+        query = replace(query, system=system, servo=servo)
+    seed = case.seed if seed is None else seed
+    return replace(case, system=system, query=query, servo=servo, seed=seed)
+
+
+def _changed(system: System, given: Mapping[str, Any], mode: str) -> System:
+    """The system with single changes."""
+    changes = {key: given[key] for key in _FIELDS if key in given}
+    if "case" not in given and "system" not in given:
+        changes.setdefault("mode", mode)  # a file says its own
+    if changes.get("mode") == "ideal" and system.mode != "ideal":
+        system = system.ideal()
+    system = system.replace(**changes) if changes else system
+    effects = system.effects + given.get("effect", ())
+    named = [key for key in _LABORATORY if key in given]
+    if named and system.mode != "emulated":
+        raise ParameterError(f"--{named[0].replace('_', '-')} needs --mode emulated")
+    if not named:
+        return system.replace(effects=effects) if "effect" in given else system
+    lab, clock = _laboratory(system.emulator_settings, given), {}
+    if "platform" in given and isinstance(lab.platform, LegServo):
+        steps = dict(zip(("control_dt", "physics_dt"), leg_clock(lab.platform), strict=True))
+        clock = {key: given.get(key, step) for key, step in steps.items()}
+    return system.replace(emulator=lab, effects=effects, **clock)
+
+
+def _laboratory(lab: EmulatorSettings, given: Mapping[str, Any]) -> EmulatorSettings:
+    """The emulator with the laboratory's own options applied."""
+    changes: dict[str, Any] = {k: given[k] for k in ("operation", "platform") if k in given}
+    if "no_compensation" in given:
+        changes["payload_compensation"] = False
+    if "zero" in given:
+        changes["zero_at_start"] = True
+    if calibration := given.get("calibration"):
+        changes["gravity"] = calibration.model
+        changes["sensor"] = lab.sensor.calibrated(calibration.C, calibration.offset)
+    return dataclasses.replace(lab, **changes)

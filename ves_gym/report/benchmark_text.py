@@ -1,0 +1,176 @@
+"""A benchmark's result as text: tables of medians, and what is to be said beside them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from ves_gym._util.tables import table
+
+Result = dict[str, Any]
+_STOPS = 10  # stopped runs named
+_ENERGIES = """\
+Medians over queries. ratio: E_mean over the straight line's on the same query, with
+the 95 % interval of the median; E_res, E_peak and the base's largest acceleration:
+likewise; score: 0 the straight line, 1 the best known; off: predicted E_mean
+against the simulated one; success: of all queries; plan: median and longest
+planning time."""
+_EMULATED = """\
+Energies are those of the emulated base. emulation error: its E_mean over that of the same
+motion in space, less 1; base error: largest distance between the two base positions over the
+largest displacement in space; off: against E_mean in space."""
+_MOTION = """\
+Medians. acc., angular: acceleration of the arm's mount (root mean square over the
+motion and 10 s after it, and peak) and of the base's rotation (peak); tip: largest
+error of the tool, and at the end; moved: the mount at most; turned: the base at the
+end; weighted: mean energy after a filter of gain {weight}."""
+_MOVED = {  # measure -> heading
+    "acceleration": "acc.\nm/s^2",
+    "acceleration_peak": "peak\nm/s^2",
+    "angular_peak": "angular\nrad/s^2",
+    "tip_peak": "tip\nm",
+    "tip_end": "at end\nm",
+    "displacement_peak": "moved\nm",
+    "attitude_end": "turned\nrad",
+    "E_weighted": "weighted\nJ",
+}
+
+
+def benchmark_text(result: Result) -> str:
+    """Return the tables of a result, and how failures, limits and stops are spread.
+
+    Args:
+        result: of `run_benchmark`.
+    """
+    emulated = result["mode"] == "emulated"
+    energies, moved = _energy_columns(result, emulated), _moved_columns()
+    what = "Energy in the base"
+    lines = [_table(result, what, vehicle, energies) for vehicle in result["systems"]]
+    lines.append(_ENERGIES)
+    what = "Motion of base and tool"
+    lines += [_table(result, what, vehicle, moved) for vehicle in result["systems"]]
+    lines.append(_MOTION.format(weight=result["frequency_weight"]))
+    lines += _failures(result) + _limits(result)
+    if emulated:
+        lines += [_EMULATED, *_machine(result)]
+    return "\n".join(lines)
+
+
+Columns = dict[str, Callable[[Result], str]]  # heading -> cell of a row of the summary
+
+
+def _energy_columns(result: Result, emulated: bool) -> Columns:
+    def median(name: str, form: str) -> Callable[[Result], str]:
+        return lambda row: _number(row[f"{name}_median"], form)
+
+    out = {
+        "E_mean [J]": median("E_mean", ".4g"),
+        "ratio": lambda row: _number(row["ratio_median"], ".3f") + _interval(row),
+    }
+    if any(row["score_median"] is not None for row in result["summary"]):
+        out["score"] = median("score", ".3f")
+    out["E_res"] = median("E_res_ratio", ".3f")
+    out["E_peak"] = median("E_peak_ratio", ".3f")
+    out["acc.\npeak"] = median("acceleration_peak_ratio", ".2f")
+    if emulated:
+        out["emulation\nerror"] = lambda row: (
+            "stopped" if _stopped(row) else _number(row["emulation_error_median"], "+.2%")
+        )
+        out["base\nerror"] = lambda row: (
+            "-" if _stopped(row) else _number(row["base_error_median"], ".2%")
+        )
+    out["off"] = median("prediction_error", ".2%")
+    out["success"] = lambda row: f"{100 * row['success_rate']:.0f} %"
+    out["plan [s]\nmost"] = lambda row: (
+        f"{row['plan_seconds_median']:.2f} {row['plan_seconds_max']:6.2f}"
+    )
+    return out
+
+
+def _moved_columns() -> Columns:
+    def median(name: str) -> Callable[[Result], str]:
+        return lambda row: _number(row[f"{name}_median"], ".3g")
+
+    return {heading: median(name) for name, heading in _MOVED.items()}
+
+
+def _table(result: Result, what: str, vehicle: str, columns: Columns) -> str:
+    """One vehicle's rows, a line between durations."""
+    rows: list[list[str] | None] = []
+    previous = None
+    for row in (r for r in result["summary"] if r["vehicle"] == vehicle):
+        if previous not in (None, row["duration"]):
+            rows.append(None)
+        previous = row["duration"]
+        cells = [cell(row) for cell in columns.values()]
+        rows.append([f"{row['duration']:g}", row["planner"], *cells])
+    title = f"{what}: suite {result['suite']}, {vehicle}"
+    return table(("T [s]", "planner", *columns), rows, title=title, left=(0, 1), width=164)
+
+
+def _failures(result: Result) -> list[str]:
+    """The reasons why planners had no answer, most frequent first."""
+    failures = Counter((r["planner"], r["failure"]) for r in result["rows"] if r["failure"])
+    lines = [f"failed {n} x: {name}: {why}" for (name, why), n in failures.most_common(_STOPS)]
+    if len(failures) > _STOPS:
+        lines.append(f"... and {len(failures) - _STOPS} more reasons, see benchmark.json")
+    rates: dict[str, list[int]] = {}
+    for s in result["summary"]:
+        if s["solvable"] < s["n"]:
+            rate = rates.setdefault(s["planner"], [0, 0])
+            rate[0] += round((s["solvable_rate"] or 0.0) * s["solvable"])
+            rate[1] += s["solvable"]
+    if rates:
+        text = ", ".join(f"{name} {a}/{b}" for name, (a, b) in rates.items())
+        lines.append(f"of the solvable queries: {text}")
+    return lines
+
+
+def _limits(result: Result) -> list[str]:
+    """Which successes leave the limits: as commanded, and as the arm moved."""
+    lines = []
+    for of, key in (("reference", "reference_breaks"), ("simulated arm", "arm_breaks")):
+        broken = [row for row in result["rows"] if row["success"] and row[key]]
+        if not broken:
+            lines.append(f"{of} inside the limits on every success")
+            continue
+        counts = Counter(row["planner"] for row in broken)
+        text = ", ".join(f"{name} {count}" for name, count in counts.items())
+        lines.append(f"{of} NOT inside the limits, of the successes: {text}")
+        first = broken[0]
+        lines.append(f"  such as {first['planner']}, {first['query']}: {first[key]}")
+    return lines
+
+
+def _machine(result: Result) -> list[str]:
+    """The emulator's settings and the runs that it had to stop."""
+    lines = ["; ".join(f"{k}: {v}" for k, v in result["machine"].items())]
+    for entry in result["rank_correlation"]:
+        lines.append(
+            f"planners rank as in space: {entry['vehicle']}, T = {entry['duration']:g} s:"
+            f" rho = {_number(entry['rho_median'], '.2f')} (median of {entry['n']})"
+        )
+    stopped = [row for row in result["rows"] if row["stopped"]]
+    for row in stopped[:_STOPS]:
+        lines.append(
+            f"stopped: {row['vehicle']}, {row['query']}, {row['planner']}: {row['stopped']}"
+        )
+    if len(stopped) > _STOPS:
+        lines.append(f"... and {len(stopped) - _STOPS} more stopped, see benchmark.json")
+    return lines
+
+
+def _stopped(row: Result) -> bool:
+    """True where every run of a row was stopped."""
+    return bool(row["stopped"] == row["n"])
+
+
+def _interval(row: Result) -> str:
+    if row["n"] == 1 or row["ratio_low"] is None:
+        return ""
+    return f" ({row['ratio_low']:.2f}-{row['ratio_high']:.2f})"
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
