@@ -91,16 +91,17 @@ def run_benchmark(
             require(f"planner {name}", "ompl")  # before the others have planned for minutes
     report = progress or (lambda stage, done: None)
     questions = [(n, v, q) for v, q in suite.queries for n in names]
-    jobs = [
-        (n, v, replace(q, system=suite.described.get(v, q.system).ideal()))
-        for n, v, q in questions
-    ]
     # machines that are described alike are planned for once
-    known = {v: suite.described[v].hash if v in suite.described else v for _, v, _ in jobs}
-    keys = [(name, known[vehicle], query.name) for name, vehicle, query in jobs]
-    alone = dict(zip(keys, jobs, strict=True))
-    answers = _plan_all(list(alone.values()), seed, workers, report)
-    plans = dict(zip(alone, (plan for _, plan in answers), strict=True))
+    known = {v: v for v, _ in suite.queries} | {v: s.hash for v, s in suite.described.items()}
+    keys = [(name, known[vehicle], query.name) for name, vehicle, query in questions]
+    alone = {
+        key: (n, replace(q, system=suite.described.get(v, q.system).ideal()), seed)
+        for key, (n, v, q) in zip(keys, questions, strict=True)
+    }
+    plans: dict[tuple[str, str, str], Plan] = {}
+    for key, plan in zip(alone, _run_workers(list(alone.values()), workers), strict=True):
+        plans[key] = plan
+        report("planning", len(plans) / len(alone))
     runs = [
         _Run(name, vehicle, plans[key], query.system)
         for (name, vehicle, query), key in zip(questions, keys, strict=True)
@@ -157,7 +158,6 @@ def run_query(planner: str, vehicle: str, query: Query, seed: int = 0) -> dict[s
 
 # ------------------------------------------------------------------------- planning
 
-Job = tuple[str, str, Query]  # planner, vehicle, query
 Work = tuple[str, Query, int]  # planner, query, seed
 
 
@@ -171,17 +171,6 @@ def _plan_one(job: Work) -> Plan:
     except Exception as error:  # reported for this query; the run goes on
         why = f"{type(error).__name__}: {error}"
         return Plan(name, query, None, None, time.perf_counter() - begin, why)
-
-
-def _plan_all(
-    jobs: list[Job], seed: int, workers: int | None, report: Progress
-) -> list[tuple[str, Plan]]:
-    work = [(name, query, seed) for name, _, query in jobs]
-    plans: list[tuple[str, Plan]] = []
-    for (_, vehicle, _), plan in zip(jobs, _run_workers(work, workers), strict=True):
-        plans.append((vehicle, plan))
-        report("planning", len(plans) / len(jobs))
-    return plans
 
 
 def _run_workers(

@@ -193,7 +193,7 @@ def _shares(
 
 def _outside(row: dict[str, Any], key: str) -> bool:
     """True for a success that breaks a limit: within the tolerance, or one not asked for."""
-    return bool(row["success"] and row.get(key))  # results of before 0.2.0 have no such key
+    return bool(row["success"] and row.get(key))
 
 
 def _numbers(rows: Iterable[dict[str, Any]], key: str) -> list[float]:

@@ -25,8 +25,7 @@ from ves_gym.system.system import System
 OTHERS = ("given", "least", "most")
 # of a map's file
 _ARRAYS = ("joints", "first", "second", "fixed", "duration", "least", "most", "direction",
-           "disturbance")  # fmt: skip
-_LATER = ("others", "angles")  # older files have none
+           "disturbance", "others")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -106,7 +105,8 @@ class CouplingMap(Viewable):
         try:
             with np.load(io.BytesIO(Path(path).read_bytes())) as file:  # unpickles nothing
                 arrays = {name: file[name] for name in _ARRAYS}
-                arrays |= {name: file[name] for name in _LATER if name in file}
+                if "angles" in file:  # where the others were chosen
+                    arrays["angles"] = file["angles"]
         except (
             OSError,
             EOFError,
@@ -128,7 +128,7 @@ class CouplingMap(Viewable):
             most=arrays["most"],
             direction=arrays["direction"],
             disturbance=bool(arrays["disturbance"]),
-            others=str(arrays.get("others", "given")),
+            others=str(arrays["others"]),
             angles=arrays.get("angles"),
         )
 

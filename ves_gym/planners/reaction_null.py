@@ -174,9 +174,10 @@ class ReactionNull:
             NoPlan: an arm that cannot be reactionless gains nothing by trying.
         """
         start, goal = query.ends
+        stays = np.array_equal(start, goal)
         free = not query.system.base.full()[2].any()
-        spaces = (reaction_null_space(query.system, q, attitude=free) for q in (start, goal))
-        if all(space.shape[1] for space in spaces) and not np.array_equal(start, goal):
+        null = [reaction_null_space(query.system, q, attitude=free) for q in (start, goal)]
+        if all(space.shape[1] for space in null) and not stays:
             return self._least(query, free)
         ahead = self._flow(query.system, start, goal)
         back = self._flow(query.system, goal, ahead[-1])
@@ -185,7 +186,13 @@ class ReactionNull:
             float(np.linalg.norm(np.diff(k, axis=0), axis=1).sum()) for k in (ahead, back)
         ]
         gap = float(np.linalg.norm(ahead[-1] - back[-1]))
-        self._require_less(query, motion, moved=sum(lengths) > 0)
+        if not stays and not any(space.shape[1] for space in null):
+            why = _none_for(query.system.arm.n, free)
+            if sum(lengths) == 0:
+                raise NoPlan(why)
+            ratio = _over_straight(query, motion)
+            if ratio > 1:
+                raise NoPlan(f"{why}; what comes nearest costs {ratio:.3g} x the straight line")
         return motion, {
             "null_share": sum(lengths) / max(sum(lengths) + gap, 1e-300),  # of the length
             "share": share,  # of the way from the straight line that the limits allow
@@ -206,43 +213,20 @@ class ReactionNull:
         best = min(minima, key=lambda m: (m.excess > _MISSED, m.energy))
         motion = problem.motion(best.x)
         remaining = problem.reaction(best.x) / max(problem.reaction(problem.straight), 1e-300)
-        if not free:
-            self._require_less_energy(query, motion, remaining)
-        info = {"null_share": _null_share(query.system, motion, free), "reaction": remaining}
-        return motion, info | best.info()
-
-    def _require_less_energy(self, query: Query, motion: Motion, remaining: float) -> None:
-        """Raise NoPlan where the least reaction costs more than the straight line."""
-        ratio = _over_straight(query, motion)
+        ratio = 0.0 if free else _over_straight(query, motion)
         if ratio > 1:
             raise NoPlan(
                 f"no reactionless motion joins these ends: {100 * remaining:.3g} % of the"
-                f" straight line's reaction is left at least, at {ratio:.3g} x its"
-                " energy"
+                f" straight line's reaction is left at least, at {ratio:.3g} x its energy"
             )
-
-    def _require_less(self, query: Query, motion: Motion, moved: bool) -> None:
-        """Raise NoPlan where an arm that cannot be reactionless gains nothing by trying.
-
-        Args:
-            moved: some of the way is along a (nearly) reactionless direction.
-        """
-        free, (start, goal) = not query.system.base.K.any(), query.ends
-        spaces = (reaction_null_space(query.system, q, attitude=free) for q in (start, goal))
-        if np.array_equal(start, goal) or any(space.shape[1] for space in spaces):
-            return
-        why = _none_for(query.system.arm.n, free)
-        if not moved:
-            raise NoPlan(why)
-        ratio = _over_straight(query, motion)
-        if ratio > 1:
-            raise NoPlan(f"{why}; what comes nearest costs {ratio:.3g} x the straight line")
+        info = {"null_share": _null_share(query.system, motion, free), "reaction": remaining}
+        return motion, info | best.info()
 
     def _flow(self, system: System, start: Array, goal: Array) -> Array:
         """(k, n) configurations from start towards goal along null directions."""
         arm, path = system.arm, [start]
         low, high = arm.column("q_min"), arm.column("q_max")
-        free = not system.base.K.any()
+        free = not system.base.full()[2].any()
         for _ in range(_LONGEST):
             q, distance = path[-1], float(np.linalg.norm(goal - path[-1]))
             way = self._way(system, q, goal, free)
