@@ -1,6 +1,6 @@
 """Controllers of PumaRestToRest on machines that are less and less as described.
 
-    python -m benchmarks.feedback --episodes 100 --controllers ppo,refined,adaptive
+    python -m benchmarks.feedback --episodes 100 --controllers direct,refined,adaptive
 
 A row per machine and controller, the same episodes in every row of a machine:
 
@@ -10,7 +10,7 @@ A row per machine and controller, the same episodes in every row of a machine:
 - solved: arrived with E_mean at most half the straight line's on the same machine, which is
   the environment's success in the laboratory and wherever anything is drawn;
 - described: the same with what the straight line is expected to leave on the machine as
-  described, the environment's success before 0.2.0 and on the known machine;
+  described, the environment's success on the known machine;
 - s: seconds per episode, planning and simulation.
 
 Before them what an arm leaves that stays at the goal.
@@ -33,9 +33,8 @@ from ves_gym._util.params import Array
 from ves_gym.baselines.comparison import line_up
 from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.evaluate import Evaluation, evaluate, make_vector
-from ves_gym.baselines.policy import Policy
 
-SPACE, LABORATORY = "ves/PumaRestToRest-v1", "ves/PumaRestToRestEmulated-v1"
+SPACE, LABORATORY = "ves/PumaRestToRest-v0", "ves/PumaRestToRestEmulated-v0"
 # Success is to arrive; energies are compared with the straight line on the same machine.
 ARRIVAL: dict[str, Any] = {"saving": None}
 UNKNOWN: dict[str, Any] = {
@@ -84,8 +83,6 @@ def on_machine(machine: str, controller: Controller, episodes: int, seed: int) -
     """
     id, settings = MACHINES[machine]
     settings = ARRIVAL | settings
-    if isinstance(controller, Policy):  # those released have learned with version 0's jerk
-        settings = settings | {"control": {"kind": "guided"}}
     return evaluate(controller, id, episodes=episodes, seed=seed, threads=1, **settings)
 
 
@@ -151,7 +148,7 @@ def row(mine: Evaluation, straight: Evaluation, expected: Array) -> Row:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--controllers", default="ppo,direct,refined,adaptive")
+    parser.add_argument("--controllers", default="direct,refined,adaptive")
     parser.add_argument("--machines", default=",".join(MACHINES))
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--seed", type=int, default=20_000)

@@ -25,7 +25,7 @@ THREE = {
 }
 VEHICLE = {"base/stiffness": {"error": (-0.1, 0.1)}}
 ARM = {"payload/mass": {"mass": (0.0, 2.0)}}
-NOMINAL = {"mode": "emulated", "effects": "laboratory"}
+NOMINAL = {"mode": "emulated", "laboratory": "nominal"}
 ROWS: dict[str, tuple[str, dict[str, Any]]] = {
     "no random effect": ("rest_to_rest", NOMINAL),
     "three effects": ("rest_to_rest", NOMINAL | {"randomize": THREE}),

@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.timing import Pair, side_by_side
 
 ID = "ves_gym:ves/PumaRestToRest-v0"
-EMULATED = "ves_gym:ves/PumaRestToRestEmulated-v1"  # randomised, in the laboratory `lab`
+EMULATED = "ves_gym:ves/PumaRestToRestEmulated-v0"  # randomised, in the laboratory `lab`
 ENVS, BATCH = 64, 4096
 ROLLOUTS = 2  # in one measurement
 RUNS = 5

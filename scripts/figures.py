@@ -185,7 +185,7 @@ THESIS = ("--suite", "thesis")
 REACH = ("--vehicle", "bent-thesis", "--planners", "hotspot-q,hotspot-qt,direct")
 BOARD = ROOT / "docs" / "leaderboard" / "index.html"
 ANIMATED = ("BeamLQR", "FreeFlyerReach", "PoseReach", "PumaDamp", "PumaReach", "PumaReachGoal",
-            "PumaRestToRest", "PumaTrack")  # fmt: skip
+            "PumaTrack")  # fmt: skip
 
 FIGURES: dict[str, Figure] = {
     **{

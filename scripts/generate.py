@@ -22,26 +22,14 @@ from ves_gym.envs.build import build_task
 from ves_gym.envs.control import CONTROLS, Control
 from ves_gym.envs.env import VesEnv
 from ves_gym.envs.objectives import WEIGHTS, described
-from ves_gym.envs.registration import ASKED, ASKED_OF_A_MACHINE, IDS, IN_SPACE_ONLY
+from ves_gym.envs.registration import IDS
 from ves_gym.envs.task import Task
 from ves_gym.mechanics.vehicle import VEHICLES
 
 DOCS = Path(__file__).parents[1] / "docs"
 PLACE = DOCS / "environments"
 
-HISTORY = {
-    "v0": "first version, on the thesis's condensed beam",
-    "v1": "the beam by finite elements, with its internal modes",
-    "Emulated-v1": "errors that a calibration leaves (laboratory `lab`) in place of a gravity"
-    " estimate that is wrong by a factor; the beam by finite elements",
-}  # what changed in dynamics, reward or spaces
-SAME_BASE = {
-    "v0": "first version",
-    "Emulated-v1": HISTORY["Emulated-v1"].partition(";")[0],
-}  # of tasks whose base is no such beam
-
 _JETS = 6  # numbers of an action that are the jets' wrench
-KINDS = ("-v0", "-v1", "Emulated-v0", "Emulated-v1")
 
 INFO = {
     "randomized/...": "also of reset: parameters drawn for this episode, by effect and name",
@@ -64,7 +52,6 @@ INFO = {
 COMMON = {
     "base_control": "`{}`, or a table of its settings: actions command wheels and jets too",
     "context": "appends to the observation what was drawn for the episode",
-    "damped": "energy scales by the vehicle's own damping, not by 5 % of every mode",
     "duration": "of an episode",
     "tail": "after it, the joints held: counts into E_mean and E_int",
 }
@@ -86,8 +73,8 @@ def pages() -> dict[str, str]:
 # --------------------------------------------------------------------------- pieces
 
 
-def _env(name: str, emulated: bool = False, version: int = 0, **settings: Any) -> VesEnv:
-    env = gym.make(f"ves/{name}{'Emulated' * emulated}-v{version}", **settings).unwrapped
+def _env(name: str, emulated: bool = False, **settings: Any) -> VesEnv:
+    env = gym.make(f"ves/{name}{'Emulated' * emulated}-v0", **settings).unwrapped
     assert isinstance(env, VesEnv)
     return env
 
@@ -256,53 +243,6 @@ def _system(task: Task) -> str:
     )
 
 
-def _later(name: str, task: Task) -> str:
-    """What version 1 has instead of version 0, nothing where there is none."""
-    if f"ves/{name}-v1" not in gym.registry:
-        return ""
-    later = _env(name, version=1).task
-    changed = [
-        f"`{new.name}` {_number(new.scale)} {new.unit}"
-        for old, new in zip(task.fields(), later.fields(), strict=True)
-        if not np.array_equal(old.scale, new.scale)
-    ]
-    scales = f" Scales that differ: {'; '.join(changed)}." if changed else ""
-    modes = later.system.base.m
-    base = f" with {_system(later)}: the beam has {modes} internal modes" if modes else ""
-    return (
-        f"## ves/{name}-v1\n\nThe same{base}. Controllers and policies answer both.{scales}"
-        f"{_asked(ASKED.get(name, {}))}\n"
-    )
-
-
-def _asked(settings: dict[str, Any]) -> str:
-    """Settings that version 1 has besides."""
-    text = ", ".join(
-        f"`{k}` = " + (f"`{v}`" if isinstance(v, dict) else f"{v:.4g}")
-        for k, v in settings.items()
-    )
-    return f" It sets {text}." if settings else ""
-
-
-def _history(name: str) -> dict[str, str]:
-    """What changed with each version."""
-    if name in IN_SPACE_ONLY:
-        return {"v0": SAME_BASE["v0"]}
-    if f"ves/{name}-v1" not in gym.registry:
-        return SAME_BASE
-    history = HISTORY if _env(name, version=1).task.system.base.m else SAME_BASE
-    return {"v0": history["v0"], "v1": "", **history} | {
-        "v1": "; ".join(
-            part
-            for part in (
-                history.get("v1", ""),
-                "other settings, above" if name in ASKED else "",
-            )
-            if part
-        )
-    }
-
-
 def _laboratory(task: Task) -> str:
     ranges = [
         f"`{label}` {law}" for label, _, law in (str(r).partition(" ") for r in task.randomize)
@@ -357,11 +297,10 @@ def _page(name: str) -> str:
             " `compute_terminated` and `compute_truncated`: with goals and info of a step they"
             " return what it returned.\n"
         )
-    laboratory = name not in IN_SPACE_ONLY
-    kinds = [k for k in KINDS if f"ves/{name}{k}" in gym.registry]
-    history = _history(name)
+    laboratory = IDS[name].emulated is not None
+    ids = [f"ves/{name}-v0", f"ves/{name}Emulated-v0"][: 1 + laboratory]
     text = f"""<!-- written by scripts/generate.py: change the code instead -->
-# {", ".join(f"ves/{name}{k}" for k in kinds)}
+# {", ".join(ids)}
 
 {title}
 {picture}
@@ -400,27 +339,20 @@ Any of `gym.make`'s and `gym.make_vec`'s keyword arguments: those below, and `sy
 
 {_settings(task)}
 
-{_later(name, task)}
-{_machines(name) if laboratory else ""}
-## Versions
-
-{_table(("version", "what changed"), history.items())}
+{_emulated(name) if laboratory else ""}
 """
     return _filled(text)
 
 
-def _machines(name: str) -> str:
-    """Sections of the ids in the laboratory."""
-    asked = {**ASKED.get(name, {}), **ASKED_OF_A_MACHINE.get(name, {})}
+def _emulated(name: str) -> str:
+    """Section of the id in the laboratory."""
+    text = ", ".join(f"`{k}` = {v:.4g}" for k, v in (IDS[name].emulated or {}).items())
     return f"""## ves/{name}Emulated-v0
 
-{_laboratory(_env(name, emulated=True).task)}
-
-## ves/{name}Emulated-v1
-
-{_laboratory(_env(name, emulated=True, version=1).task)} `laboratory="nominal"`, `"hard"`
-and `"held-out"` are [the
-others](../laboratory.md#7-named-laboratories).{_asked(asked)}
+{_laboratory(_env(name, emulated=True).task)} `laboratory="nominal"`, `"hard"` and
+`"held-out"` are [the others](../laboratory.md#7-named-laboratories).{" It sets " * bool(text)}{
+        text
+    }{"." * bool(text)}
 """
 
 

@@ -1,13 +1,15 @@
 """Release what `make policies` trained, and write docs/training.md from it.
 
 `python scripts/training.py RUNS [NAME ...]` takes the runs in RUNS (all configurations, or
-those named): learning curves to docs/training, the best policy of each to the package, their
+those named): learning curves to docs/training, the best policy of each to the package, its
 figures on the test episodes to docs/training/NAME.json, an animation to docs/pictures.
-Without arguments the page and the figure of the curves are written again from what is there.
+`--measure [NAME ...]` in place of RUNS measures released policies again. Without arguments the
+page and the figure of the curves are written again from what is there.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import shutil
@@ -21,7 +23,7 @@ import gymnasium as gym
 from ves_gym._util.params import ParameterError, write_bytes, write_text
 from ves_gym.baselines.config import CONFIGS, TrainConfig, read_config
 from ves_gym.baselines.controllers import Controller
-from ves_gym.baselines.evaluate import evaluate, pool, report
+from ves_gym.baselines.evaluate import evaluate, report
 from ves_gym.baselines.policy import RELEASED, Policy, load_policy, released
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
 from ves_gym.envs.registration import IDS
@@ -34,16 +36,11 @@ LAB_EPISODES = 100  # of the same on the ...Emulated twin
 # What a policy is compared with; energies are told over those of the first.
 RIVALS: dict[str, tuple[str, ...]] = {
     "PumaRestToRest": ("zero", "random", "direct"),
-    "PumaReach": ("zero", "random", "resolved"),
-    "PumaReachGoal": ("zero", "random", "resolved"),
-    "PumaTrack": ("zero", "random", "resolved"),
     "PumaDamp": ("high", "zero", "random", "pped"),
     "FreeFlyerReach": ("zero", "random"),
     "BeamLQR": ("zero", "random", "lqr"),
-}
-# Beside policies that were learned from a controller, in velocities: the built-in controllers
-# through the task's own control, in which the first of them is the reference.
-IMITATED_RIVALS: dict[str, tuple[str, ...]] = {
+    # beside policies that were learned from a controller, in velocities: the built-in
+    # controllers through the task's own control, in which the first is the reference
     "PumaReach": ("resolved", "zero", "random"),
     "PumaReachGoal": ("resolved", "zero", "random"),
     "PumaTrack": ("resolved", "zero", "random"),
@@ -63,11 +60,6 @@ def configs() -> list[TrainConfig]:
 def task(config: TrainConfig) -> str:
     """Such as PumaDamp."""
     return config.env.rpartition("/")[2].rpartition("-v")[0]
-
-
-def title(config: TrainConfig) -> str:
-    """Such as PumaDamp, or PumaReach-v1 of a later version."""
-    return config.env.rpartition("/")[2].removesuffix("-v0")
 
 
 # ------------------------------------------------------------------------- release
@@ -106,37 +98,33 @@ def _short(value: Any) -> Any:
     return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
-def measure(config: TrainConfig, runs: Path) -> None:
-    """Policies and their rivals on the test episodes, in the policy's control."""
+def measure(config: TrainConfig) -> None:
+    """The released policy and its rivals on the test episodes, in the policy's control."""
     best = load_policy(released(config.env)[config.label])
-    seeds = [
-        load_policy(runs / config.name / f"seed-{seed}" / "best.json") for seed in config.seeds
-    ]
     imitated = config.algorithm == "DAgger"
     settings = {} if imitated else best.settings(gym.spec(config.env))
-    rivals = (IMITATED_RIVALS if imitated else RIVALS)[task(config)]
-    columns: list[tuple[str, Sequence[Controller]]] = [
-        (name, [get_controller(name)]) for name in rivals
+    lineup: list[tuple[str, Controller]] = [
+        (name, get_controller(name)) for name in RIVALS[task(config)]
     ]
-    columns += [(config.label, [best]), (f"{config.label}, {len(seeds)} seeds", seeds)]
-    result = _compared(config.env, columns, EPISODES, settings)
+    lineup.append((config.label, best))
+    result = _compared(config.env, lineup, EPISODES, settings)
     lab = config.env.replace("-v", "Emulated-v")
-    result["laboratory"] = _compared(lab, [columns[0], columns[-2]], LAB_EPISODES, settings)
+    result["laboratory"] = _compared(lab, [lineup[0], lineup[-1]], LAB_EPISODES, settings)
     write_text(PLACE / f"{config.name}.json", json.dumps(_short(result), indent=1) + "\n")
 
 
 def _compared(
     id: str,
-    columns: Sequence[tuple[str, Sequence[Controller]]],
+    lineup: Sequence[tuple[str, Controller]],
     episodes: int,
     settings: dict[str, Any],
 ) -> dict[str, Any]:
     """A report without the rows of the episodes; settings are for the built-in controllers."""
     found = []
-    for name, some in columns:
+    for name, controller in lineup:
         given = settings if name in CONTROLLERS else {}
-        each = [evaluate(c, id, episodes=episodes, threads=1, **given) for c in some]
-        found.append(pool(each, name))
+        played = evaluate(controller, id, episodes=episodes, threads=1, **given)
+        found.append(dataclasses.replace(played, name=name))
     result = report(found)
     for one in result["controllers"]:
         one.pop("rows")
@@ -205,7 +193,7 @@ def draw_curves(found: Sequence[TrainConfig]) -> None:
         axes.axhline(zero, color="0.4", linewidth=1, linestyle="--")
         axes.axhline(random, color="0.4", linewidth=1, linestyle=":")
         axes.set_ylim(zero - 0.5 * (best - zero), best + 0.1 * (best - zero))
-        axes.set_title(f"{title(config)}, {config.label}", fontsize=9)
+        axes.set_title(f"{task(config)}, {config.label}", fontsize=9)
         axes.tick_params(labelsize=7)
         axes.grid(alpha=0.3)
     figure.supxlabel("decisions, millions", fontsize=9)
@@ -254,7 +242,7 @@ def _runs(found: Sequence[TrainConfig]) -> str:
         best = [max(row["return"] for row in c) for c in curves(config).values()]
         rows.append(
             (
-                f"[{title(config)}](environments/{task(config)}.md)",
+                f"[{task(config)}](environments/{task(config)}.md)",
                 config.label,
                 f"{steps:,}",
                 f"{config.hold}",
@@ -290,7 +278,7 @@ def _figures(found: Sequence[TrainConfig]) -> str:
             is_policy = name == config.label
             rows.append(
                 (
-                    title(config) if one is result["controllers"][0] else "",
+                    task(config) if one is result["controllers"][0] else "",
                     f"**{name}**" if is_policy else name,
                     _estimate(s["return"]["iqm"], ".3f"),
                     _estimate(s["success"], ".0%"),
@@ -354,9 +342,9 @@ def main(words: Sequence[str]) -> None:
     for config in configs() if words else ():
         if words[1:] and config.name not in words[1:]:
             continue
-        runs = Path(words[0])
-        release(config, runs)
-        measure(config, runs)
+        if words[0] != "--measure":
+            release(config, Path(words[0]))
+        measure(config)
         animate(config)
     draw_curves([c for c in configs() if (PLACE / f"{c.name}.json").exists()])
     write_text(DOCS / "training.md", page())

@@ -14,7 +14,7 @@ from ves_gym.baselines.adaptive import Adaptive
 from ves_gym.baselines.evaluate import make_vector
 from ves_gym.baselines.registry import get_controller
 
-REST = "ves/PumaRestToRest-v1"
+REST = "ves/PumaRestToRest-v0"
 
 
 def _machine(payload: float, friction: float) -> dict[str, Any]:
@@ -50,7 +50,7 @@ def test_a_machine_as_described_is_left_to_the_plan() -> None:
 
 
 def test_it_leads_a_reference_from_rest_to_rest() -> None:
-    env = make_vector("ves/PumaTrack-v1", 1, AutoresetMode.DISABLED, threads=1)
+    env = make_vector("ves/PumaTrack-v0", 1, AutoresetMode.DISABLED, threads=1)
     env.reset(seed=0)
     with pytest.raises(ParameterError, match="leads the reference of task rest_to_rest"):
         Adaptive().reset(env, np.arange(1))

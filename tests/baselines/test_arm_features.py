@@ -28,7 +28,7 @@ def moving(id, n=12):
     return env, flat(observation)
 
 
-@pytest.mark.parametrize("id", ["ves/PumaReach-v1", "ves/PumaReachGoal-v1"])
+@pytest.mark.parametrize("id", ["ves/PumaReach-v0", "ves/PumaReachGoal-v0"])
 def test_they_are_the_joint_motion_that_is_missing(id):
     """Against differences of the tool's place: no Jacobian, no cofactors."""
     env, rows = moving(id)
@@ -124,7 +124,7 @@ def some_policy(features, hidden=16):
 
 
 def test_a_row_does_not_depend_on_its_neighbours():
-    env, rows = moving("ves/PumaReach-v1")
+    env, rows = moving("ves/PumaReach-v0")
     policy = some_policy(arm_features(env.task))
     whole = policy(rows)
     for n in (1, 7):
@@ -133,7 +133,7 @@ def test_a_row_does_not_depend_on_its_neighbours():
 
 def test_a_file_says_them_and_an_onnx_model_computes_them(tmp_path):
     pytest.importorskip("safetensors")
-    env, rows = moving("ves/PumaReachGoal-v1")
+    env, rows = moving("ves/PumaReachGoal-v0")
     policy = some_policy(arm_features(env.task, env.goal))
     again = load_policy(save_policy(policy, tmp_path / "p.json"))
     assert again.network == policy.network and again.network.observations == 28
@@ -157,7 +157,7 @@ def test_an_onnx_model_computes_those_of_a_pose():
 
 
 def test_what_does_not_fit_is_refused():
-    env, _ = moving("ves/PumaReach-v1", 1)
+    env, _ = moving("ves/PumaReach-v0", 1)
     features = arm_features(env.task)
     with pytest.raises(ParameterError, match="features are of one observation of 26"):
         Network(sizes=(45, 3), features=features)
@@ -176,6 +176,6 @@ def test_what_does_not_fit_is_refused():
     ):
         with pytest.raises(ParameterError, match=message):
             type(features)(**{**plain, "joint_angle": 0, "target": 15, **changes})
-    track = gym.make_vec("ves/PumaTrack-v1", num_envs=1, threads=1)
+    track = gym.make_vec("ves/PumaTrack-v0", num_envs=1, threads=1)
     with pytest.raises(ParameterError, match="need target in the observation"):
         arm_features(track.task)

@@ -51,7 +51,7 @@ def test_the_order_in_memory_is_kept(tmp_path):
 
 @pytest.mark.parametrize(
     "settings",
-    [{}, {"mode": "emulated", "effects": "laboratory"}, {"backend": "mujoco"}],
+    [{}, {"mode": "emulated", "laboratory": "nominal"}, {"backend": "mujoco"}],
     ids=["ideal", "emulated", "mujoco"],
 )
 def test_an_environment_continues_from_the_file(tmp_path, settings):

@@ -21,13 +21,13 @@ from ves_gym.baselines.dataset import (
 
 SHORT = Recipe(
     id="ves/test/mixed-v0",
-    env="ves/PumaReachGoal-v1",
-    behaviours=("random", "resolved", "ppo"),
+    env="ves/PumaReachGoal-v0",
+    behaviours=("random", "resolved", "closing-dagger"),
     episodes=5,
     seed=7,
     noise=0.1,
 )
-MADE_AGAIN = ("ves/BeamLQR-v1/reference-v0", "ves/PumaReach-v1/random-v0")
+MADE_AGAIN = ("ves/BeamLQR-v0/reference-v0", "ves/PumaReach-v0/random-v0")
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_behaviours_take_turns_and_episodes_depend_on_their_seed_alone(short):
     assert [e.behaviour for e in short.episodes] == [
         "random",
         "resolved",
-        "ppo",
+        "closing-dagger",
         "random",
         "resolved",
     ]
@@ -112,12 +112,12 @@ EXPECTED_SUMS = [4, 0, 10, 6]
 def test_recipes_are_checked(tmp_path):
     with pytest.raises(ParameterError, match=r"behaviours"):
         dataclasses.replace(SHORT, behaviours=())
-    with pytest.raises(ParameterError, match=r"ves/Env-v1/name-v0"):
+    with pytest.raises(ParameterError, match=r"ves/Env-v0/name-v0"):
         dataclasses.replace(SHORT, id="no version")
     with pytest.raises(ParameterError, match="did you mean"):
-        choose_recipes(["PumaReach-v1/mixd-v0"])
+        choose_recipes(["PumaReach-v0/mixd-v0"])
     file = tmp_path / "r.toml"
-    file.write_text('env = "ves/PumaReach-v1"\nseed = 1\nepisodes = 2\n')
+    file.write_text('env = "ves/PumaReach-v0"\nseed = 1\nepisodes = 2\n')
     with pytest.raises(ParameterError, match="set"):
         choose_recipes([str(file)])
     file.write_text(file.read_text() + '[[set]]\nname = "a"\nbehaviours = ["zero"]\nodd = 1\n')

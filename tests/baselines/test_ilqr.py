@@ -11,7 +11,7 @@ from ves_gym.baselines.evaluate import evaluate, make_vector
 from ves_gym.baselines.ilqr import Ilqr, costs, derivatives, play
 from ves_gym.baselines.registry import get_controller
 
-REST = "ves/PumaRestToRest-v1"
+REST = "ves/PumaRestToRest-v0"
 BEAM = "bent-thesis"  # without internal modes: fewer numbers to compile
 
 

@@ -18,9 +18,9 @@ from ves_gym.baselines.minari_files import (  # noqa: E402
 )
 
 ENVS = {
-    "PumaReachGoal-v1": ("random", "resolved"),
-    "PumaDampEmulated-v1": ("random", "lqi"),
-    "PumaRestToRest-v1": ("refined",),
+    "PumaReachGoal-v0": ("random", "resolved"),
+    "PumaDampEmulated-v0": ("random", "lqi"),
+    "PumaRestToRest-v0": ("refined",),
 }
 
 

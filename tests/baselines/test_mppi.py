@@ -13,7 +13,7 @@ from ves_gym.baselines.evaluate import evaluate, make_vector
 from ves_gym.baselines.mppi import Mppi, nominal_model, returns
 from ves_gym.baselines.registry import get_controller
 
-REST = "ves/PumaRestToRest-v1"
+REST = "ves/PumaRestToRest-v0"
 
 
 def test_returns_of_the_model_are_those_of_the_environment() -> None:
@@ -67,7 +67,7 @@ def test_a_plan_to_start_from_is_kept() -> None:
 
 
 def test_what_it_cannot_do_is_refused() -> None:
-    env = make_vector("ves/PumaDamp-v1", 1, AutoresetMode.DISABLED, threads=1)
+    env = make_vector("ves/PumaDamp-v0", 1, AutoresetMode.DISABLED, threads=1)
     env.reset(seed=0)
     with pytest.raises(ParameterError, match="leads the reference of task rest_to_rest"):
         Mppi().reset(env, np.arange(1))

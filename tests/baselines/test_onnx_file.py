@@ -29,7 +29,7 @@ def drawn(activation="relu", output="tanh", inputs=()):
         (draw.normal(size=(a, b)), draw.normal(size=b)) for a, b in itertools.pairwise(sizes)
     )
     network = Network(sizes=sizes, activation=activation, output=output, inputs=inputs, hold=3)
-    return Policy(network, weights, {"env": "ves/PumaReach-v1"})
+    return Policy(network, weights, {"env": "ves/PumaReach-v0"})
 
 
 def reference(data, observation):

@@ -19,7 +19,7 @@ from ves_gym.baselines.ppo import PPO, Experience, Settings, Sight, flat
 SHORT = {"duration": 0.5, "tail": 0.5}  # 40 periods
 
 
-def decisions(id="ves/PumaReach-v1", n=4, seed=0, settings=SHORT, **choices):
+def decisions(id="ves/PumaReach-v0", n=4, seed=0, settings=SHORT, **choices):
     env = gym.make_vec(id, num_envs=n, autoreset_mode="SameStep", threads=1, **settings)
     env.reset(seed=seed)
     return Decisions(env.unwrapped, **choices)
@@ -66,7 +66,7 @@ def furthest(agent, model):
     return max(gaps)
 
 
-@pytest.mark.parametrize("id", ["ves/PumaReach-v1", "ves/PumaDamp-v0"])
+@pytest.mark.parametrize("id", ["ves/PumaReach-v0", "ves/PumaDamp-v0"])
 def test_an_update_gives_the_weights_that_stable_baselines3_gives(id, monkeypatch):
     """Reference: `PPO.train` of Stable-Baselines3, from the same weights, data and order.
 
@@ -186,7 +186,7 @@ def test_the_scale_of_observations_is_their_mean_and_spread_and_changes_no_actio
 
 
 def test_what_a_time_limit_cut_off_counts_and_a_deadline_does_not():
-    env = decisions("ves/PumaReach-v1", 3)
+    env = decisions("ves/PumaReach-v0", 3)
     for endless in (False, True):
         env.endless = endless
         ours = learner(env, n_steps=40, gamma=0.5)
@@ -268,7 +268,7 @@ def test_a_policy_learns_what_a_controller_does():
 
 SMALL = config_from_plain(
     {
-        "env": "ves/PumaReach-v1",
+        "env": "ves/PumaReach-v0",
         "algorithm": "PPO",
         "learner": "native",
         "imitate": "resolved",
@@ -287,7 +287,7 @@ SMALL = config_from_plain(
     }
 )  # fmt: skip
 PLAIN = replace(
-    SMALL, imitate="", imitation={}, frames=1, env="ves/PumaReachGoal-v1", relative=0.1,
+    SMALL, imitate="", imitation={}, frames=1, env="ves/PumaReachGoal-v0", relative=0.1,
     settings={"duration": 0.5, "hold": 0.1}, smooth=0.05,
 )  # fmt: skip
 

@@ -231,8 +231,7 @@ def test_configurations_of_the_package_are_good():
     configs = [read_config(path) for path in CONFIGS.glob("*.toml")]
     assert {path.stem for path in CONFIGS.glob("*.toml")} == {c.name for c in configs}
     envs = {c.env for c in configs}
-    solved = {f"ves/{name}-v1" for name in ("PumaReach", "PumaReachGoal", "PumaTrack")}
-    assert {f"ves/{name}-v0" for name in (*TASKS, "PoseReach")} | solved == envs
+    assert {f"ves/{name}-v0" for name in (*TASKS, "PoseReach")} == envs
     assert all(len(c.seeds) >= 5 for c in configs)
 
 

@@ -78,7 +78,7 @@ def test_a_planned_motion_damps_better_than_the_best_gains(vehicle, count):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("id", "most"), [("PumaDamp-v0", 0.75), ("PumaDampEmulated-v1", 0.85)])
+@pytest.mark.parametrize(("id", "most"), [("PumaDamp-v0", 0.75), ("PumaDampEmulated-v0", 0.85)])
 def test_replanning_damps_better_than_the_best_gains(id, most):
     found = []
     for controller in (Receding(), TunedGains()):

@@ -146,7 +146,7 @@ def test_decisions_every_50_ms_shake_the_laboratory(errors):
     Not for the laboratory's errors: without any it is the same. A jump of the tool's velocity
     every 50 ms keeps the base of the emulation, which lags, vibrating at 20 Hz.
     """
-    id, some = "ves/PumaTrackEmulated-v1", {"episodes": 20, "seed": 7000, "threads": 1}
+    id, some = "ves/PumaTrackEmulated-v0", {"episodes": 20, "seed": 7000, "threads": 1}
     rates = []
     for periods in (2, 4):
         law = Held(get_controller("closing"), periods)

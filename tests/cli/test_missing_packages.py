@@ -55,7 +55,7 @@ for request in sys.stdin:
 )
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
 EVERYTHING = ",".join({name.partition(".")[0] for name in PACKAGES} - {"mujoco"})
-TRAIN = ["train", "ves/PumaDamp-v0", "--steps", "64"]
+TRAIN = ["train", "ves/BeamLQR-v0", "--steps", "64"]
 SPEC = """
 [[train]]
 configs = ["BeamLQR-ppo"]

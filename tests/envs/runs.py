@@ -8,7 +8,7 @@ from tests.envs.walks import part
 from ves_gym.baselines.resolved import Resolved
 from ves_gym.envs.vector import VesVectorEnv
 
-EMULATED = {"mode": "emulated", "effects": "laboratory"}
+EMULATED = {"mode": "emulated", "laboratory": "nominal"}
 
 
 class Blind(Resolved):

@@ -31,7 +31,7 @@ TASKS = [
     ("free_flyer", "torque", 120),
     ("pose_reach", "acceleration", 60),
 ]
-LABORATORY = {"mode": "emulated", "effects": "laboratory"}
+LABORATORY = {"mode": "emulated", "laboratory": "nominal"}
 
 
 def pair(task, n=N):

@@ -121,7 +121,7 @@ def test_guided_jerk_adds_to_the_way():
     action = np.array([[0.5, 0.0, -1.0]])
     pushed.step(action), calm.step(0 * action)
     more = pushed.scene.ref[0] - calm.scene.ref[0]
-    jerk = 40.0 * action[0]
+    jerk = 400.0 * action[0]
     np.testing.assert_allclose(more, [jerk * DT**3 / 6, jerk * DT**2 / 2, jerk * DT], rtol=1e-9)
 
 
@@ -251,7 +251,7 @@ def test_bad_settings_are_refused(make, said):
 
 
 def test_prescribed_joints_follow_the_reference():
-    batch = begun(4, system=PRESCRIBED)
+    batch = begun(4, system=PRESCRIBED, saving=None)
     for _ in range(batch.task.steps):
         *_, info = batch.step(np.zeros((4, 3)))
     # the acceleration runs linearly through a period, the guiding quintic's nearly so
@@ -260,7 +260,7 @@ def test_prescribed_joints_follow_the_reference():
 
 
 def test_motors_follow_the_reference():
-    batch = begun(4)
+    batch = begun(4, saving=None)
     assert batch.sim.servo == HIGH_GAINS
     for _ in range(batch.task.steps):
         *_, info = batch.step(np.zeros((4, 3)))

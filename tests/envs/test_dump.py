@@ -34,7 +34,8 @@ def end(env, i=0):
 
 @each
 def test_the_log_holds_the_episode_up_to_its_last_finite_sample(name, tmp_path):
-    env = gym.make(name, dump=str(tmp_path / "new" / "folder")).unwrapped
+    folder = str(tmp_path / "new" / "folder")
+    env = gym.make(name, dump=folder, vehicle="bent-thesis").unwrapped  # no motion is inside
     env.reset(seed=3)
     env.step(ZERO)
     env.reset()  # another episode is the one to be kept

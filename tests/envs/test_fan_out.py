@@ -13,8 +13,8 @@ from ves_gym._util.params import ParameterError
 from ves_gym.baselines.evaluate import make_vector
 from ves_gym.envs.vector import VesVectorEnv
 
-REST = "ves/PumaRestToRest-v1"
-LABORATORY = "ves/PumaRestToRestEmulated-v1"
+REST = "ves/PumaRestToRest-v0"
+LABORATORY = "ves/PumaRestToRestEmulated-v0"
 DELAYED = {"joint/measurement_delay": {"delay": [0.002, 0.004]}}
 
 
@@ -37,7 +37,7 @@ def _drive(env: VesVectorEnv, actions: Any) -> list[Any]:
         (LABORATORY, {"laboratory": "hard"}),
         (LABORATORY, {"randomize": DELAYED}),
         ("ves/FreeFlyerReach-v0", {}),
-        ("ves/PumaTrack-v1", {}),
+        ("ves/PumaTrack-v0", {}),
     ],
 )
 def test_a_model_of_the_same_settings_goes_on_as_the_source(
@@ -117,7 +117,7 @@ def test_a_model_of_the_laboratory_in_space_sees_the_base_as_measured() -> None:
 
 def test_a_model_of_another_task_is_refused() -> None:
     """Claim: a model that cannot go on from there says why, and stays as it was."""
-    source, model = _started(REST, 2), _started("ves/PumaTrack-v1", 2)
+    source, model = _started(REST, 2), _started("ves/PumaTrack-v0", 2)
     with pytest.raises(ParameterError, match="same task, 'rest_to_rest', got 'track'"):
         model.fan_out(source)
     with pytest.raises(ParameterError, match="0 to 1, got 2"):

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from tests.envs.walks import ALL, SHORT, actions
+from tests.envs.walks import IDS, SHORT, actions
 from ves_gym.envs.env import VesEnv
 from ves_gym.envs.reach_goal import ReachGoal
 
-GOALS = [name for name in ALL if "Goal" in name]
+GOALS = [name for name in IDS if "Goal" in name]
 FUNCTIONS = ("compute_reward", "compute_terminated", "compute_truncated")
 
 
@@ -92,7 +92,7 @@ def test_hindsight_replay_takes_rewards_from_the_environment():
     """Of stable-baselines3: goals rewritten in hindsight are met, others are not."""
     her = pytest.importorskip("stable_baselines3.her")
     vec = pytest.importorskip("stable_baselines3.common.vec_env")
-    venv = vec.DummyVecEnv([lambda: gym.make("ves/PumaReachGoal-v1", duration=0.25)])
+    venv = vec.DummyVecEnv([lambda: gym.make("ves/PumaReachGoal-v0", duration=0.25)])
     buffer = her.HerReplayBuffer(
         200, venv.observation_space, venv.action_space, venv, device="cpu", copy_info_dict=True
     )

@@ -12,14 +12,14 @@ from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.registry import get_controller
 from ves_gym.effects import EFFECTS, LABORATORY_ERRORS
 from ves_gym.envs.batch import Batch
-from ves_gym.envs.build import V0_RANGES, build_task
+from ves_gym.envs.build import build_task
 from ves_gym.envs.laboratories import LABORATORIES
-from ves_gym.envs.registration import _LABORATORY, ASKED, ASKED_OF_A_MACHINE
+from ves_gym.envs.registration import IDS
 from ves_gym.envs.task import task_from_plain
-from ves_gym.mechanics.vehicle import BENT, BENT_THESIS
+from ves_gym.mechanics.vehicle import BENT
 from ves_gym.simulation.loop_linearisation import EmulationWarning
 
-V0, V1 = "ves/PumaRestToRestEmulated-v0", "ves/PumaRestToRestEmulated-v1"
+ID = "ves/PumaRestToRestEmulated-v0"
 EMULATED = {"mode": "emulated"}
 
 
@@ -28,23 +28,18 @@ def kinds(name, **settings):
     return {r.effect for r in task.randomize}
 
 
-def test_v1_ids_are_the_lab_and_v0_ids_are_as_they_were():
-    v0, v1 = (gym.make(id).unwrapped.task for id in (V0, V1))
-    later = {"vehicle": "bent", "damped": True}
-    later |= ASKED["PumaRestToRest"] | ASKED_OF_A_MACHINE["PumaRestToRest"]
-    assert v1 == build_task("rest_to_rest", mode="emulated", laboratory="lab", **later)
-    assert [r.label for r in v0.randomize] == ["gravity/scale.error"]
-    assert v0.system.effects == v1.system.effects == LABORATORY_ERRORS
-    assert _LABORATORY[0]["randomize"] == V0_RANGES
-    assert v1.system.vehicle == BENT and v0.system.vehicle == BENT_THESIS
-    assert gym.make(V0, laboratory="lab", **later).unwrapped.task == v1
-    assert gym.make(V1, laboratory="hard").unwrapped.task.randomize != v1.randomize
+def test_ids_are_those_of_the_lab():
+    task = gym.make(ID).unwrapped.task
+    asked = IDS["PumaRestToRest"].emulated
+    assert task == build_task("rest_to_rest", mode="emulated", laboratory="lab", **asked)
+    assert task.system.effects == LABORATORY_ERRORS and task.system.vehicle == BENT
+    assert gym.make(ID, laboratory="hard").unwrapped.task.randomize != task.randomize
 
 
 def test_effects_and_randomize_given_take_precedence():
-    assert gym.make(V1, randomize={}).unwrapped.task.randomize == ()
+    assert gym.make(ID, randomize={}).unwrapped.task.randomize == ()
     own = [EFFECTS["sensor/noise"](force=(1.0, 1.0, 1.0))]
-    task = gym.make(V1, effects=own).unwrapped.task
+    task = gym.make(ID, effects=own).unwrapped.task
     assert task.system.effects == tuple(own)
     assert "gravity/mass" in {r.effect for r in task.randomize}
 
@@ -61,9 +56,9 @@ def test_every_laboratory_runs_on_both_beams(name):
     for vehicle in ("bent-thesis", "straight-horizontal-thesis"):
         with warnings.catch_warnings():
             warnings.simplefilter("error", EmulationWarning)
-            env = gym.make_vec(V1, 3, laboratory=name, vehicle=vehicle, **SHORT)
+            env = gym.make_vec(ID, 3, laboratory=name, vehicle=vehicle, **SHORT)
         _, told = env.reset(seed=1)
-        alone = gym.make(V1, laboratory=name, vehicle=vehicle, **SHORT)
+        alone = gym.make(ID, laboratory=name, vehicle=vehicle, **SHORT)
         _, ours = alone.reset(seed=1, options={"index": 2})
         assert same({k: v[2] for k, v in told.items()}, ours)
         for _ in range(20):
@@ -107,7 +102,7 @@ def test_an_unstable_corner_is_warned_of_once_per_task():
     """The straight beam with a platform that hears late: each end alone, and all together."""
     late = {"platform/delay": {"delay": (0.0, 0.0125)}}
     with pytest.warns(EmulationWarning, match="a part of the ranges: with platform/delay"):
-        env = gym.make_vec(V0, 2, vehicle="straight-horizontal-thesis", randomize=late)
+        env = gym.make_vec(ID, 2, vehicle="straight-horizontal-thesis", randomize=late)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         env.reset(seed=0)
@@ -118,16 +113,16 @@ def test_an_unstable_corner_is_warned_of_once_per_task():
     for ranges in ({k: v} for k, v in soft.items()):
         with warnings.catch_warnings():
             warnings.simplefilter("error", EmulationWarning)
-            gym.make_vec(V0, 2, vehicle="straight-vertical-thesis", randomize=ranges)
+            gym.make_vec(ID, 2, vehicle="straight-vertical-thesis", randomize=ranges)
     with pytest.warns(
         EmulationWarning, match=r"platform/bandwidth.*platform/damping.*together"
     ):
-        gym.make_vec(V0, 2, vehicle="straight-vertical-thesis", randomize=soft)
+        gym.make_vec(ID, 2, vehicle="straight-vertical-thesis", randomize=soft)
 
 
 def test_a_laboratory_is_plain_data():
     """The specification names it; the task holds all its numbers, and comes back from them."""
-    env = gym.make(V1)
+    env = gym.make(ID)
     assert env.spec.kwargs["laboratory"] == "lab"
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     task = env.unwrapped.task
@@ -137,8 +132,8 @@ def test_a_laboratory_is_plain_data():
 def test_energies_in_the_laboratory_are_those_in_space():
     """Straight motions, nothing drawn: internal modes are taken where the platform is."""
     straight = get_controller("straight")
-    space = evaluate(straight, "ves/PumaRestToRest-v1", episodes=5)
-    laboratory = evaluate(straight, V1, episodes=5, effects=[], randomize={})
+    space = evaluate(straight, "ves/PumaRestToRest-v0", episodes=5)
+    laboratory = evaluate(straight, ID, episodes=5, effects=[], randomize={})
     ratio = laboratory.values("E_mean")[0] / space.values("E_mean")[0]
     print("E_mean over that in space:", np.round(ratio, 4))
     assert ratio == pytest.approx(np.ones(5), abs=0.01)

@@ -43,8 +43,8 @@ def test_the_weighted_sum_is_the_scalar_reward(name):
 def test_vectors_of_environments_tell_the_same(mode):
     """Row by row as the single environments; rows that begin anew have zeros."""
     settings = {"duration": 0.1, "reward": "vector", "cost": True, "control": "torque"}
-    many = gym.make_vec("ves/PumaReach-v1", num_envs=3, autoreset_mode=mode, **settings)
-    one = gym.make("ves/PumaReach-v1", **settings)
+    many = gym.make_vec("ves/PumaReach-v0", num_envs=3, autoreset_mode=mode, **settings)
+    one = gym.make("ves/PumaReach-v0", **settings)
     many.reset(seed=4)
     rows = []
     for action in np.stack([actions(one, 12, i) for i in range(3)], axis=1):
@@ -72,7 +72,7 @@ def test_time_is_what_has_passed_unsolved():
     totals = {}
     for name in ("zero", "resolved"):
         env = gym.make_vec(
-            "ves/PumaReach-v1", num_envs=4, reward="vector", autoreset_mode="Disabled"
+            "ves/PumaReach-v0", num_envs=4, reward="vector", autoreset_mode="Disabled"
         )
         observation, _ = env.reset(seed=0)
         controller = get_controller(name)
@@ -102,7 +102,7 @@ def test_costs_are_of_the_state_that_was_simulated(compiled):
     """Each against the bound, computed here from states before and after; any of them costs."""
     bounds = {"displacement": 5e-3, "acceleration": 0.3}
     env = gym.make(
-        "ves/PumaTrack-v1", cost=bounds, backend=compiled, control="torque", duration=1.5
+        "ves/PumaTrack-v0", cost=bounds, backend=compiled, control="torque", duration=1.5
     ).unwrapped
     env.reset(seed=0)
     arm, seen = env.task.system.arm, []

@@ -74,7 +74,7 @@ def test_observation_shows_what_is_missing():
 
 
 def test_resting_returns_minus_the_distance():
-    env = VesVectorEnv(20, "reach", duration=0.5, autoreset_mode="Disabled")
+    env = VesVectorEnv(20, "reach", duration=0.5, arrival=0.0, autoreset_mode="Disabled")
     env.reset(seed=0)
     scene = env.batch.scene
     away = np.linalg.norm(scene.goal[:, :3] - scene.tool, axis=1)

@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 
-from tests.envs.walks import ALL as IDS
-from tests.envs.walks import flat, same, walk
+from tests.envs.walks import IDS, flat, same, walk
 from ves_gym.envs.env import VesEnv
 from ves_gym.envs.registration import register
 from ves_gym.envs.vector import VesVectorEnv

@@ -14,7 +14,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from tests.display import require_opengl, virtual_display
-from tests.envs.walks import ALL, actions, same, walk
+from tests.envs.walks import IDS, actions, same, walk
 from ves_gym.envs.rendering import Renderer
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.rendering import opengl as gl
@@ -154,8 +154,8 @@ def test_a_vector_keeps_its_frames_in_a_copy(make):
         many.close()
 
 
-_SOME = ("ves/PumaReachGoal-v1", "ves/MacroMicro-v0", "ves/PayloadTransferEmulated-v1")
-_EACH = [k if k in _SOME else pytest.param(k, marks=pytest.mark.slow) for k in ALL]
+_SOME = ("ves/PumaReachGoal-v0", "ves/MacroMicro-v0", "ves/PayloadTransferEmulated-v0")
+_EACH = [k if k in _SOME else pytest.param(k, marks=pytest.mark.slow) for k in IDS]
 
 
 @pytest.mark.parametrize("name", _EACH)

@@ -29,25 +29,27 @@ def straight(**settings):
     return info["energy/E_mean"] / batch.scene.goal[:, 3], total
 
 
-@pytest.mark.parametrize("duration", [0.5, 1.0, 2.0])
-def test_straight_motions_return_about_minus_one(duration):
+@pytest.mark.parametrize(
+    ("vehicle", "duration", "least"),
+    [*(("bent-thesis", k, 0.95) for k in (0.5, 1.0, 2.0)), ("bent", 2.0, 0.9)],
+)
+def test_straight_motions_return_about_minus_one(vehicle, duration, least):
     """Within a factor of 2.5 for 95 % of the queries, 1.3 in the median.
 
     Longer motions leave less than the modes frozen at mid-way tell (4 s: a factor of three).
     """
-    ratio, total = straight(duration=duration, vehicle="bent-thesis")
+    ratio, total = straight(duration=duration, vehicle=vehicle)
     inside = np.mean(np.abs(np.log(ratio)) < np.log(2.5))
-    print(f"{duration} s: median {np.median(ratio):.2f}, {inside:.1%} within 2.5")
-    assert inside >= 0.95
+    print(f"{vehicle}, {duration} s: median {np.median(ratio):.2f}, {inside:.1%} within 2.5")
+    assert inside >= least
     assert 1 / 1.3 < np.median(ratio) < 1.3
     assert np.median(np.abs(total + ratio)) < 0.05  # what is left of them: the miss
 
 
 @pytest.mark.parametrize(
-    "vehicle", ["bent", "straight-vertical", "straight-horizontal-thesis", "decoupled"]
+    "vehicle", ["straight-vertical", "straight-horizontal-thesis", "decoupled"]
 )
 def test_other_vehicles_are_of_the_same_order(vehicle):
-    """Whatever their damping (the scale assumes 5 %)."""
     ratio, _ = straight(vehicle=vehicle)
     print(f"{vehicle}: median {np.median(ratio):.2f}")
     assert 1 / 5 < np.median(ratio) < 5
@@ -86,17 +88,6 @@ def test_modes_of_a_base_are_those_of_numpy(vehicle):
         np.testing.assert_array_equal(pickle.loads(pickle.dumps(modes))(q)[0], g)
 
 
-def test_with_its_damping_a_flexible_base_returns_about_minus_one():
-    """A base whose modes are damped by 2.4 to 4.5 % with the arm on it, where 5 % halves E."""
-    vehicle = "bent"
-    ratio, _ = straight(vehicle=vehicle, damped=True)
-    before, _ = straight(vehicle=vehicle)
-    print(f"median {np.median(ratio):.2f}, with 5 % {np.median(before):.2f}")
-    assert 1 / 1.3 < np.median(ratio) < 1.3
-    assert np.mean(np.abs(np.log(ratio)) < np.log(2.5)) >= 0.9
-    assert np.median(before) > 1.6
-
-
 @pytest.mark.parametrize("vehicle", ["bent-thesis", "bent"])
 def test_energy_of_a_released_base_is_that_of_its_matrices(vehicle):
     """Integral of z^T K z / 2 of M z'' + D z' + K z = 0, by the matrix exponential.
@@ -121,25 +112,3 @@ def test_energy_of_a_released_base_is_that_of_its_matrices(vehicle):
             energies.append(state[:b] @ K @ state[:b] / 2)
             state = step @ state
         assert integral == pytest.approx(scipy.integrate.simpson(energies, dx=dt), rel=1e-2)
-
-
-@pytest.mark.parametrize(
-    ("task", "column", "settings"),
-    [
-        ("rest_to_rest", 3, {}),
-        ("reach", 3, {}),
-        ("track", 0, {}),
-        ("seam", 0, {"energy": 1e-3}),  # J: else the released boom outweighs the motion
-        ("pose_reach", 12, {}),
-        ("payload_transfer", 10, {}),
-    ],
-)
-def test_every_energy_scale_knows_the_damping(task, column, settings):
-    """The same starts count for more where the base is damped by less than 5 %."""
-    scales = []
-    for damped in (False, True):
-        asked = build_task(task, vehicle="bent", damped=damped, **settings)
-        u = np.random.default_rng(0).random((8, asked.draws))
-        scales.append(asked.start(u).goal[:, column])
-    print(task, scales[1] / scales[0])
-    assert (scales[1] > 1.05 * scales[0]).all()

@@ -10,11 +10,7 @@ import numpy as np
 
 import ves_gym  # noqa: F401  files the ids
 
-ALL = sorted(id for id in gym.registry if id.startswith("ves/"))
-# Version 1 differs from version 0 in what is drawn: of its seven ids two are enough for what
-# takes a walk.
-_WALKED = ("ves/PumaReachGoalEmulated-v1", "ves/FreeFlyerReachEmulated-v1")
-IDS = [id for id in ALL if not id.endswith("-v1") or id in _WALKED]
+IDS = sorted(id for id in gym.registry if id.startswith("ves/"))
 SHORT = {"duration": 0.25}  # 20 periods: to the end of an episode in little time
 
 

@@ -71,7 +71,7 @@ def test_a_cell_is_the_evaluation_that_one_would_make_by_hand(file, done):
     hand = [
         evaluate(
             get_controller("lqr"),
-            "ves/BeamLQREmulated-v1",
+            "ves/BeamLQREmulated-v0",
             episodes=2,
             seed=seed,
             threads=1,
@@ -102,7 +102,7 @@ def test_a_method_has_episodes_and_settings_of_its_own(file, done):
     matrix = read_matrix(file)
     by = {(e.method, e.machine): e for e in entries(matrix, done)}
     hand = evaluate(
-        get_controller("lqr"), "ves/BeamLQR-v1", episodes=1, seed=0, threads=1, shift=1e-3
+        get_controller("lqr"), "ves/BeamLQR-v0", episodes=1, seed=0, threads=1, shift=1e-3
     )
     (cell, _) = [c for c in cells(matrix, done) if (c.method, c.machine) == ("softly", "space")]
     assert read_result(done / "results" / f"{cell.unit.id}.json")["rows"] == hand.rows

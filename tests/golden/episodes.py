@@ -24,18 +24,12 @@ ENERGIES = ("E_mean", "E_res", "E_peak", "E_int")
 FLOAT32 = 3e-7  # observations are given in single precision
 
 
-def today(id: str) -> str:
-    """Return the id by which an environment is known before ids lost their history."""
-    newest = id.replace("-v0", "-v1")
-    return newest if newest in gym.registry else id
-
-
 def in_lockstep(id: str, **settings: Any) -> Callable[[], dict[str, Any]]:
     """Return a measurement: eight short episodes, livelier from lane to lane, and a reset."""
 
     def measure() -> dict[str, Any]:
         period = 0.05 if "Servicer" in id else 0.0125  # s
-        env = gym.make_vec(today(id), num_envs=LANES, duration=SHORT * period, **settings)
+        env = gym.make_vec(id, num_envs=LANES, duration=SHORT * period, **settings)
         observation, info = env.reset(seed=19)
         out: dict[str, Any] = {"drawn": sums(info), "observed": [lanes_of(observation)]}
         total, terms, rewards = np.zeros(LANES), {}, []
@@ -70,7 +64,7 @@ def alone(id: str) -> Callable[[], dict[str, Any]]:
 
     def measure() -> dict[str, Any]:
         period = 0.05 if "Servicer" in id else 0.0125  # s
-        env = gym.make(today(id), duration=SHORT * period)
+        env = gym.make(id, duration=SHORT * period)
         observation, info = env.reset(seed=23)
         out: dict[str, Any] = {"rewards": []}
         for step in range(SHORT):
@@ -168,7 +162,7 @@ class Rehearsed:
 
 def whole(id: str) -> Callable[[], dict[str, Any]]:
     """Return a measurement: three whole episodes under fixed actions."""
-    return lambda: rows(vg.evaluate(today(id), [Rehearsed()], episodes=3, n_envs=3, seed=7))
+    return lambda: rows(vg.evaluate(id, [Rehearsed()], episodes=3, n_envs=3, seed=7))
 
 
 def rows(evaluated: Any) -> dict[str, Any]:
@@ -215,7 +209,7 @@ def by(controller: str, name: str, duration: float | None) -> Callable[[], dict[
 
     def measure() -> dict[str, Any]:
         changed = {} if duration is None else {"duration": duration}
-        id = today(f"ves/{name}-v0")
+        id = f"ves/{name}-v0"
         return rows(vg.evaluate(id, controller, episodes=2, seed=3, **changed))
 
     return measure

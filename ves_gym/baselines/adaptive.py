@@ -19,7 +19,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym._util.threads import on_one_thread
@@ -68,12 +67,6 @@ class Adaptive:
         self._information: Array = np.empty(0)  # (n, 1 + joints, 1 + joints)
         self._evidence: Array = np.empty(0)  # (n, 1 + joints)
         self._planned_for: Array = np.empty(0)  # (n,) kg
-
-    def settings(self, spec: EnvSpec) -> dict[str, Any]:
-        """See `Controller`."""
-        if "control" in spec.kwargs or spec.kwargs.get("task") != "rest_to_rest":
-            return {}
-        return {"control": {"kind": "guided", "jerk": 400.0}}
 
     @property
     def payload(self) -> Array:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -130,11 +129,10 @@ class TrainConfig:
 
     @property
     def label(self) -> str:
-        """The algorithm's name in file names: ppo, sac, sac-her, ppo-native, resolved-ppo."""
+        """The algorithm's name in file names: ppo, sac, sac-her, resolved-ppo."""
         if self.imitate:
             return f"{self.imitate}-{self.algorithm.lower()}"
-        variant = "-her" if self.her is not None else ""
-        return self.algorithm.lower() + variant + ("-native" * (self.learner == "native"))
+        return self.algorithm.lower() + ("-her" if self.her is not None else "")
 
     def decisions(self) -> dict[str, Any]:
         """Return how decisions are made of actions and rewards, see `Decisions`."""
@@ -161,7 +159,7 @@ def config_from_plain(plain: Mapping[str, Any], where: str = "config") -> TrainC
 def find_configs(env: str, algorithm: str | None = None) -> list[TrainConfig]:
     """The configurations that come with the package for an environment.
 
-    An ...Emulated or later id without its own is trained as the first ideal one.
+    An ...Emulated id without its own is trained as its twin in space.
     """
     every = [read_config(path) for path in sorted(CONFIGS.glob("*.toml"))]
     choices = (None, *ALGORITHMS, *(c.label for c in every))
@@ -174,7 +172,7 @@ def find_configs(env: str, algorithm: str | None = None) -> list[TrainConfig]:
     chosen = [c for c in every if algorithm in (None, c.label, c.algorithm)]
     matching = [c for c in chosen if c.env == env]
     if not matching:
-        twin = re.sub("(Emulated)?-v[0-9]+$", "-v0", env)
+        twin = env.replace("Emulated-v", "-v")
         matching = [dataclasses.replace(c, env=env) for c in chosen if c.env == twin]
     return matching
 

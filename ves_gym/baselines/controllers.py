@@ -11,7 +11,6 @@ from types import SimpleNamespace
 from typing import Any, Protocol
 
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.envs.control import Control, Gains, Torque
@@ -21,7 +20,6 @@ from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo, own_gains
 
-_PLANNED_JERK = 4000.0  # rad/s^3: twice what planners begin their motions with
 FOLLOW = 24.0  # 1/s: how fast a follower takes back its distance from the plan, by default
 _TORQUE_FOLLOW = 12.0  # 1/s: slower, for its torque is held over a control period
 
@@ -133,10 +131,7 @@ class Follow:
     """Plans every episode's motion between its ends, then follows it.
 
     Through guided, acceleration and pd_target the reference is led along the plan, within
-    1e-3 rad of it where the control's limits allow its jerk. Planners know no limit of jerk
-    and begin with up to 2000 rad/s^3: `settings` asks for a control guided that has them, so
-    a planner's figures are those of its motion, not of what a policy could do with less; an
-    id that names its control keeps it.
+    1e-3 rad of it where the control's limits allow its jerk, of which planners know none.
     Through torque the arm follows by inverse dynamics on a base at rest, held over each
     control period, within about 0.02 rad. The plan is of the nominal system, whatever the
     episode draws.
@@ -147,13 +142,6 @@ class Follow:
     def __init__(self, name: str, planner: str, seed: int = 0) -> None:
         self.name, self.planner, self.seed = name, planner, seed
         self._plan = np.empty(0)  # (n, steps + 1, 3, joints)
-
-    def settings(self, spec: EnvSpec) -> dict[str, Any]:
-        """See `Controller`."""
-        given = "control" in spec.kwargs
-        if given or self.planner == "straight" or spec.kwargs.get("task") != "rest_to_rest":
-            return {}
-        return {"control": {"kind": "guided", "jerk": _PLANNED_JERK}}
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""

@@ -63,7 +63,7 @@ Float32 = npt.NDArray[np.float32]
 class Recipe:
     """Recipe of a data set; episode k begins with `env.reset(seed=seed + k)`."""
 
-    id: str  # of the data set, such as ves/PumaReach-v1/mixed-v0
+    id: str  # of the data set, such as ves/PumaReach-v0/mixed-v0
     env: str
     behaviours: tuple[str, ...]  # controllers and released policies, which take turns
     episodes: int
@@ -72,7 +72,7 @@ class Recipe:
 
     def __post_init__(self) -> None:
         if not _ID.fullmatch(self.id):
-            raise ParameterError(f"Recipe.id must be like ves/Env-v1/name-v0, got {self.id!r}")
+            raise ParameterError(f"Recipe.id must be like ves/Env-v0/name-v0, got {self.id!r}")
         if not self.behaviours or self.episodes < 1 or self.seed < 0:
             raise ParameterError(
                 "Recipe needs behaviours, episodes >= 1 and seed >= 0, got"

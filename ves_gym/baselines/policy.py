@@ -256,27 +256,17 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
 
 
 def task_name(id: str) -> str:
-    """Return an environment's name, such as PumaReach of ves/PumaReach-v1."""
+    """Return an environment's name, such as PumaReach of ves/PumaReach-v0."""
     return id.rpartition("/")[2].rpartition("-v")[0]
 
 
 def released(id: str) -> dict[str, Path]:
     """Policies that come with the package for an environment, by name.
 
-    Those that were trained for its version or an earlier one. An ...Emulated id without its
-    own has those of its ideal twin.
+    An ...Emulated id has those of its twin in space.
     """
-    name = task_name(id)
-    files = sorted((RELEASED / name).glob("*.json"))
-    files = files or sorted((RELEASED / name.removesuffix("Emulated")).glob("*.json"))
-    made = {path: str(read_table(path)["about"]["env"]) for path in files}
-    return {path.stem: path for path, env in made.items() if _version(env) <= _version(id)}
-
-
-def _version(id: str) -> int:
-    """Return the version in an environment's id; 0 of one that has none."""
-    number = id.rpartition("-v")[2]
-    return int(number) if number.isdecimal() else 0
+    files = (RELEASED / task_name(id).removesuffix("Emulated")).glob("*.json")
+    return {path.stem: path for path in sorted(files)}
 
 
 def _json(path: str | os.PathLike[str]) -> Path:

@@ -72,7 +72,7 @@ CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
 }
 
 
-# Of each task: what solves it, of the latest version 95 % of the episodes and more
+# Of each task: what solves it, 95 % of the episodes and more
 # (tests/envs/test_success.py). It reads the true state and knows the nominal machine.
 REFERENCES = {
     "PumaRestToRest": "direct",

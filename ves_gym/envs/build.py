@@ -15,6 +15,7 @@ from ves_gym._util.suggest import did_you_mean
 from ves_gym.envs.base_control import BaseControl
 from ves_gym.envs.control import Control, for_arm, get_control
 from ves_gym.envs.randomize import ranges_of
+from ves_gym.envs.registration import IDS
 from ves_gym.envs.task import TASKS, Task
 from ves_gym.mechanics.arm_library import arm_from
 from ves_gym.mechanics.vehicle import get_vehicle, vehicle_from_plain
@@ -22,22 +23,7 @@ from ves_gym.system.effect import Effect
 from ves_gym.system.system import System
 from ves_gym.system.system_library import get_system
 
-_FILES = (
-    "rest_to_rest",
-    "reach",
-    "reach_goal",
-    "track",
-    "seam",
-    "damp",
-    "free_flyer",
-    "pose_reach",
-    "lqr",
-    "payload_transfer",
-    "servicer_capture",
-)  # of `ves_gym.envs`
-
-# What the v0 ids draw: a gravity estimate that is wrong by up to half a percent (thesis 3.2.2).
-V0_RANGES = {"gravity/scale": {"error": [-0.005, 0.005]}}
+_FILES = tuple(entry.task for entry in IDS.values())  # of `ves_gym.envs`
 
 
 class UnknownKeywordError(ParameterError, TypeError):
@@ -82,7 +68,7 @@ def build_task(
     mode: str | None = None,
     vehicle: Any = None,
     arm: Any = None,
-    effects: str | Iterable[Any] | None = None,
+    effects: Iterable[Any] | None = None,
     control: str | Mapping[str, Any] | Control | None = None,
     randomize: Mapping[str, Mapping[str, Any]] | None = None,
     laboratory: str | None = None,
@@ -96,14 +82,12 @@ def build_task(
         mode: ideal or emulated; changes the system's.
         vehicle: name, file, plain data or `Vehicle`; changes the system's.
         arm: name, file (URDF, MJCF, TOML), plain data or `Arm`; changes the system's.
-        effects: list of effects or of their plain data, or "laboratory" for the nominal error
-            budget of an emulated system; replaces the system's.
+        effects: effects or their plain data; replace the system's.
         control: name, plain data or `Control`.
         randomize: {effect: {parameter: (low, high)}}, drawn for every episode; other laws than
             the uniform one: {"normal": ...}, {"log_uniform": ...} (`randomize.Range`).
         laboratory: name of the errors that an emulated system has, nominal, lab, hard or
             held-out (docs/laboratory.md): effects and randomize, for what is not given itself.
-            What the v0 ids state counts as not given.
         settings: other fields of the task.
 
     Raises:
@@ -121,10 +105,8 @@ def build_task(
 
         bare = _system(start, system, mode, vehicle, arm, ())
         errors = errors_of(laboratory, bare)
-        if effects is None or isinstance(effects, str):
-            effects = errors.effects
-        if ranges is None or ranges == ranges_of(V0_RANGES):
-            ranges = errors.ranges
+        effects = errors.effects if effects is None else effects
+        ranges = errors.ranges if ranges is None else ranges
     values: dict[str, Any] = {"system": _system(start, system, mode, vehicle, arm, effects)}
     if control is not None:
         values["control"] = _control(control)
@@ -201,11 +183,7 @@ def _system(
 
 def _effects(effects: Any) -> tuple[Effect, ...]:
     if isinstance(effects, str):
-        if effects != "laboratory":
-            raise ParameterError(f"effects must be a list or 'laboratory', got {effects!r}")
-        from ves_gym.effects.sensor import LABORATORY_ERRORS  # the laboratory's modules
-
-        return LABORATORY_ERRORS
+        raise ParameterError(f"effects must be a list, got {effects!r}")
     out = []
     for i, effect in enumerate(effects):
         if not isinstance(effect, Effect):

@@ -182,7 +182,7 @@ class Guided(Control):
     level: ClassVar[str] = "reference"
     drives: ClassVar[tuple[str, ...]] = ("motor", "prescribed")
     compiled: ClassVar[bool] = True
-    jerk: float = unit("rad/s^3", default=40.0)
+    jerk: float = unit("rad/s^3", default=400.0)
 
     def __post_init__(self) -> None:
         require_positive(self, "jerk")

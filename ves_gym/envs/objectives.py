@@ -27,7 +27,7 @@ FORMS = ("scalar", "vector")
 class CostBounds:
     """Bounds that a period costs one to exceed, beside the joints' own limits.
 
-    Sizes of this project. Peaks of PumaRestToRest-v1, medians of 16 episodes of seed 0: 26 mm
+    Sizes of this project. Peaks of PumaRestToRest-v0, medians of 16 episodes of seed 0: 26 mm
     and 0.23 m/s^2 of straight motions, 7.5 mm and 0.82 m/s^2 of controller `direct`, 29 mm and
     1.5 m/s^2 of random actions.
     """

@@ -35,7 +35,6 @@ from ves_gym.mechanics.kinematics import dexterity, joints_for
 
 _TRIES = 16  # candidate targets per episode; the first that is near and dexterous counts
 _MISS = 1e-4  # m by which a chosen target may be out of reach
-_NEAR = 0.02  # m from the target, where being there is worth half
 
 
 def reachable(
@@ -90,7 +89,7 @@ class Reach(Task):
     Reward, summed over an episode: minus the mean distance in `far`, and minus `thrift` times
     E_mean in that expected of a straight motion to the target in half the time
     (`scales.straight_energy`), at least a quarter of what it is in the median. Resting at the
-    start returns -0.6 in the median. `arrival` adds its weight times the mean of
+    start returns -0.6 in the median. `arrival` is the weight of the mean of
     1 / (1 + (distance/near)^2): without it, to close the last 11 cm gains 0.04 and costs 0.05.
 
     An episode is terminated at the deadline (the horizon is part of the task, and the time
@@ -108,9 +107,8 @@ class Reach(Task):
     hold: float = unit("s", default=0.5)
     far: float = unit("m", default=1.0)  # distance that counts as one
     thrift: float = unit("1", default=0.2)
-    arrival: float | None = unit("1", default=None)  # weight of being at the target
-    # None by default: a task without `arrival` is then written as in 0.1.0, hash and all
-    near: float | None = unit("m", default=None)  # where that is worth half; none: 2 cm
+    arrival: float = unit("1", default=1.0)  # weight of being at the target
+    near: float = unit("m", default=0.02)  # where that is worth half
 
     @property
     def draws(self) -> int:  # type: ignore[override]
@@ -120,12 +118,8 @@ class Reach(Task):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_control(self, *REFERENCES, "pd_target", "torque")
-        require_positive(self, "dexterous", "tolerance", "hold", "far")
-        if self.near is not None:
-            require_positive(self, "near")
-        if self.arrival is not None:
-            require_positive(self, "arrival", zero=True)
-        require_positive(self, "thrift", zero=True)
+        require_positive(self, "dexterous", "tolerance", "hold", "far", "near")
+        require_positive(self, "thrift", "arrival", zero=True)
         joint_box(self, (0.0,), self.span)
 
     @cached_property
@@ -222,16 +216,13 @@ class Reach(Task):
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         """See `Task`."""
         scale = s.goal[:, 3] * (self.duration + self.tail) / self.thrift
-        terms = {
+        close = 1 / (1 + (s.memory[:, 0] / self.near) ** 2)
+        return {
             "distance": -s.memory[:, 0] * (dt / self.duration / self.far),
             "energy": -s.energy * dt / scale,
             "tail": -s.tail / scale,
+            "arrival": close * (self.arrival * dt / self.duration),
         }
-        if self.arrival is not None:
-            near = _NEAR if self.near is None else self.near
-            close = 1 / (1 + (s.memory[:, 0] / near) ** 2)
-            terms["arrival"] = close * (self.arrival * dt / self.duration)
-        return terms
 
     def marker(self, s: Scene) -> Array:
         """The target."""

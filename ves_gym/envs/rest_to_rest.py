@@ -31,9 +31,9 @@ class RestToRest(Task):
     described (`scales.straight_energy`), in the laboratory and with effects too: what a machine
     that is not as described does differently is for the policy to find out.
 
-    Solved: at the goal and at rest there; with `saving`, only where E_mean is at most that
-    share of E_straight. Control `guided` arrives whatever the action: without `saving` a
-    policy that does nothing solves every episode.
+    Solved: at the goal and at rest there, with E_mean at most `saving` times E_straight.
+    Control `guided` arrives whatever the action: with `saving` None a policy that does nothing
+    solves every episode.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q", "goal")
@@ -43,9 +43,9 @@ class RestToRest(Task):
     duration: float = unit("s", default=2.0)
     span: Vector = unit("rad", default=tuple(np.deg2rad([120.0, 60.0, 120.0]).tolist()))
     tolerance: float = unit("rad", default=float(np.deg2rad(1.0)))  # of each joint at the end
-    rest: float = unit("rad/s", default=float(np.deg2rad(3.0)))  # of each joint at the end
+    rest: float = unit("rad/s", default=float(np.deg2rad(5.0)))  # of each joint at the end
     miss: float = unit("1/rad", default=2.0)  # penalty of the distance left at the end
-    saving: float | None = unit("1", default=None)  # most of E_straight that counts as solved
+    saving: float | None = unit("1", default=0.5)  # most of E_straight that counts as solved
 
     @property
     def draws(self) -> int:  # type: ignore[override]

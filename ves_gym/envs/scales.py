@@ -23,7 +23,7 @@ _LEAST = 0.25  # of the median scale: goals close by are no reason to count more
 _STARTS = 256  # that the median is taken of
 _RIGID = 1.0  # rad/s: a base without stiffness counts as one of this frequency
 _STIFF = 300.0  # rad/s: as does one that is stiffer
-_DAMPING = 0.05  # ratio of the modes, that of the thesis's beams
+_FADED = 300.0  # exp(-300) and its reciprocal are numbers
 _DAMPINGS = np.array([0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128])  # of the tables
 
 
@@ -32,7 +32,7 @@ class ModeCouplings(NamedTuple):
 
     g: Array  # (k, b, joints) couplings to the joints
     omega: Array  # (k, b) rad/s
-    damping: Array | float  # (k, b) ratios, or one for all
+    damping: Array  # (k, b) ratios
 
 
 class BaseModes:
@@ -40,12 +40,10 @@ class BaseModes:
 
     Args:
         system: arm and vehicle.
-        damped: True takes the damping ratios of the vehicle with the arm on it, False 0.05
-            for every mode, by which the ids of version 0 scale their rewards.
     """
 
-    def __init__(self, system: System, damped: bool = False) -> None:
-        self.system, self.damped, self._room = system, damped, 0
+    def __init__(self, system: System) -> None:
+        self.system, self._room = system, 0
 
     def __call__(self, q: Array) -> ModeCouplings:
         """Return the modes at k configurations.
@@ -59,21 +57,19 @@ class BaseModes:
             self._inertia = InertiaMap(self.system, self._room)
             self._mass, D, K = self.system.base.full()
             # columns r of a root of D: the sum of (shape . r)^2 is shape . D shape
-            self._root = root(D).T if self.damped else np.empty((len(D), 0))
+            self._root = root(D).T
             self._modes = ModeMap(K, n + self._root.shape[1], self._room)
         blocks = blocks_of(self._inertia(q), self._mass)
         roots = np.broadcast_to(self._root, (len(q), *self._root.shape))
         omega, pushes = self._modes(blocks.Mt, np.concatenate([blocks.Hbm, roots], axis=2))
         omega = np.clip(omega, _RIGID, _STIFF)
-        if not self.damped:
-            return ModeCouplings(pushes, omega, _DAMPING)
         ratio = (pushes[..., n:] ** 2).sum(axis=-1) / (2 * omega)
         return ModeCouplings(
             pushes[..., :n], omega, np.clip(ratio, _DAMPINGS[0], _DAMPINGS[-1])
         )
 
-    def __reduce__(self) -> tuple[type[BaseModes], tuple[System, bool]]:
-        return BaseModes, (self.system, self.damped)  # machine code is no part of a copy
+    def __reduce__(self) -> tuple[type[BaseModes], tuple[System]]:
+        return BaseModes, (self.system,)  # machine code is no part of a copy
 
 
 class straight_energy:  # a function with a table
@@ -87,30 +83,23 @@ class straight_energy:  # a function with a table
         system: arm and vehicle.
         duration: of the motion [s].
         tail: free vibration afterwards that counts [s].
-        damped: see `BaseModes`.
     """
 
-    def __init__(
-        self, system: System, duration: float, tail: float, damped: bool = False
-    ) -> None:
-        self._modes = BaseModes(system, damped)
-        ratios = _DAMPINGS.tolist() if damped else [_DAMPING]
-        self._tables = [_response(duration, tail, ratio) for ratio in ratios]
+    def __init__(self, system: System, duration: float, tail: float) -> None:
+        self._modes = BaseModes(system)
+        self._tables = [_response(duration, tail, ratio) for ratio in _DAMPINGS.tolist()]
 
     def __call__(self, start: Array, goal: Array) -> Array:
         """(k, joints) ends -> (k,) [J]."""
         g, omega, damping = self._modes((start + goal) / 2)
         push = (g @ (goal - start)[..., None])[..., 0]
         shares = [np.interp(np.log(omega), np.log(_FREQUENCIES), f) for f in self._tables]
-        share = shares[0]
-        if len(shares) > 1:  # linear in the logarithm of the damping
-            at = np.log(damping / _DAMPINGS[0]) / np.log(_DAMPINGS[1] / _DAMPINGS[0])
-            low = np.minimum(at.astype(int), len(shares) - 2)
-            table = np.stack(shares)
-            below = np.take_along_axis(table, low[None], 0)[0]
-            share = below + (at - low) * (
-                np.take_along_axis(table, low[None] + 1, 0)[0] - below
-            )
+        table = np.stack(shares)
+        # linear in the logarithm of the damping
+        at = np.log(damping / _DAMPINGS[0]) / np.log(_DAMPINGS[1] / _DAMPINGS[0])
+        low = np.minimum(at.astype(int), len(shares) - 2)
+        below, above = (np.take_along_axis(table, k[None], 0)[0] for k in (low, low + 1))
+        share = below + (at - low) * (above - below)
         return np.asarray(_FLOOR + (share * push**2).sum(axis=1), dtype=np.float64)
 
 
@@ -118,11 +107,11 @@ def straight_motion(task: Task, seconds: float) -> straight_energy:
     """Return the scale of a task's straight motions, which leave the base free until its end.
 
     Args:
-        task: whose system in space, end, tail and `damped` it is.
+        task: whose system in space, end and tail it is.
         seconds: that a motion takes [s].
     """
     after = task.duration - seconds + task.tail
-    return straight_energy(task.system.ideal(), seconds, after, bool(task.damped))
+    return straight_energy(task.system.ideal(), seconds, after)
 
 
 def least_scale(expected: Callable[[Array], Array], draws: int) -> float:
@@ -148,11 +137,20 @@ def motion_energy(modes: BaseModes, q: Array, dt: float, tail: float) -> Array:
     g, omega, damping = modes((q.min(axis=1) + q.max(axis=1)) / 2)
     push = np.einsum("kij,kmj->kmi", g, np.diff(q, n=2, axis=1)) / dt**2
     pole = omega * (-damping + 1j * np.sqrt(1 - damping**2))
-    time = dt * np.arange(1, push.shape[1] + 1)[:, None]
-    # x' - conj(pole) x = sum over the past of exp(pole (t - t')) push
+    # x' - conj(pole) x = sum over the past of exp(pole (t - t')) push, in parts whose
+    # exponentials are numbers still
+    part = max(1, int(_FADED / (dt * np.max(-pole.real))))
+    time = dt * np.arange(1, min(part, push.shape[1]) + 1)[:, None]
     fading = np.exp(pole[:, None] * time)
     gain = (np.exp(pole * dt) - 1) / pole
-    state = -gain[:, None] * fading * np.cumsum(push / fading, axis=1)
+    state = np.empty(push.shape, complex)
+    last = np.zeros(pole.shape, complex)
+    for first in range(0, push.shape[1], part):
+        some = push[:, first : first + part]
+        fade = fading[:, : some.shape[1]]
+        done = fade * (last[:, None] - gain[:, None] * np.cumsum(some / fade, axis=1))
+        state[:, first : first + part] = done
+        last = done[:, -1]
     x = state.imag / pole.imag[:, None]
     energy = ((state.real + pole.real[:, None] * x) ** 2 + (omega[:, None] * x) ** 2) / 2
     decay = 2 * damping * omega

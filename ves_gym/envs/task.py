@@ -108,10 +108,8 @@ class Task(ABC):
 
     `tail` seconds after the deadline count into `E_mean`, joints held, as in the planning
     benchmark; their energy is computed from the linearised motion, not simulated. `context`
-    appends what was drawn for the episode (`randomize`) to the observation. `damped` takes
-    scales of energy with the vehicle's own damping; without it (version 0) every mode counts
-    as damped by 5 %, which is up to half of the straight line's energy too little.
-    `base_control` appends wheels and jets of a satellite to the action.
+    appends what was drawn for the episode (`randomize`) to the observation. `base_control`
+    appends wheels and jets of a satellite to the action.
     """
 
     REGISTRY: ClassVar[dict[str, type[Task]]] = TASKS
@@ -136,7 +134,6 @@ class Task(ABC):
     tail: float = unit("s", default=TAIL)
     randomize: tuple[Range, ...] = ()
     context: bool | None = None
-    damped: bool | None = None
     base_control: BaseControl | None = None
 
     def __post_init__(self) -> None:

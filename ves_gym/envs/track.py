@@ -110,7 +110,7 @@ class Track(Task):
 
     @cached_property
     def _modes(self) -> BaseModes:
-        return BaseModes(self.system.ideal(), bool(self.damped))
+        return BaseModes(self.system.ideal())
 
     # ------------------------------------------------------------------ episodes
 

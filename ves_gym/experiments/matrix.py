@@ -65,7 +65,6 @@ class TaskRow:
 
     env: str  # name without Emulated and version, such as PumaReach
     methods: tuple[MatrixMethod, ...]
-    version: int = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,12 +135,11 @@ def shortened(matrix: Matrix, steps: int) -> tuple[TaskRow, ...]:
 
 
 def environment_of(task: TaskRow, machine: MatrixMachine) -> str:
-    """Return the id of a task on a machine; version 0 where the task has no other."""
-    name = f"ves/{task.env}{'Emulated' if machine.emulated else ''}"
-    for version in (task.version, 0):
-        if f"{name}-v{version}" in gym.registry:
-            return f"{name}-v{version}"
-    raise ParameterError(f"{name}-v{task.version} is no environment of ves_gym")
+    """Return the id of a task on a machine."""
+    id = f"ves/{task.env}{'Emulated' if machine.emulated else ''}-v0"
+    if id not in gym.registry:
+        raise ParameterError(f"{id} is no environment of ves_gym")
+    return id
 
 
 # --------------------------------------------------------------------------- units
@@ -217,7 +215,7 @@ def _who(
         get_controller(method.controller)
         return method.controller
     if method.released is not None:
-        policies = released(f"ves/{task.env}-v{task.version}")
+        policies = released(f"ves/{task.env}-v0")
         if method.released not in policies:
             raise ParameterError(
                 f"method {method.name}: policies of {task.env} are"

@@ -171,8 +171,7 @@ def _limits(policy: Policy, label: str, figures: Mapping[str, Any] | None) -> st
         "- Trained and evaluated in simulation only; it has moved no real machine, and must"
         " not without limits of joint angles, rates and torques of the machine's own.",
         f"- Made for `{policy.about.get('env', 'unknown')}`: another arm, base, control or"
-        " deadline gives its observations and actions another meaning. Later versions of the"
-        " task have the same observations, and another base.",
+        " deadline gives its observations and actions another meaning.",
         "- An action depends on the present observation alone: what is constant but unknown"
         " in an episode (payload, friction, stiffness) it cannot identify.",
     ]
