@@ -67,7 +67,7 @@ def slowly(*values):
             factor(6, range(3, 6), 180 / np.pi),
             "are the angles in y in degrees, not rad",
         ),
-        slowly(["y"], swap(6, 0, 2), "is y x exchanged with y z"),
+        slowly(["y"], swap(6, 3, 5), "is y phi_x exchanged with y phi_z"),
         slowly(["w", "wg"], flip(6, 4), "has w and wg M_y the other sign"),
         slowly(["wg"], flip(6, 0), "has wg F_x the other sign"),
         slowly(
