@@ -11,10 +11,10 @@ from ves_gym.baselines.config import config_from_plain
 from ves_gym.baselines.controllers import Zero
 from ves_gym.baselines.decisions import Decisions
 from ves_gym.baselines.evaluate import evaluate
-from ves_gym.baselines.imitation import Imitation, Lessons
+from ves_gym.baselines.imitation import Imitation, ImitationConfig
 from ves_gym.baselines.perceptron import ActorCritic, Adam
 from ves_gym.baselines.policy import load_policy
-from ves_gym.baselines.ppo import PPO, Experience, Settings, Sight, flat
+from ves_gym.baselines.ppo import PPO, Experience, ObservationStack, Settings, flat
 
 SHORT = {"duration": 0.5, "tail": 0.5}  # 40 periods
 
@@ -29,7 +29,7 @@ def learner(env, frames=1, layers=(16, 16), seed=0, activation="tanh", **setting
     rng = np.random.default_rng(seed)
     size = flat(env.observe()).shape[1]
     agent = ActorCritic((size * frames, *layers, env.env.batch.width), activation, -0.5, rng)
-    return PPO(env, agent, Sight(size, frames), Settings(**settings), rng)
+    return PPO(env, agent, ObservationStack(size, frames), Settings(**settings), rng)
 
 
 # ------------------------------------------------------------ Stable-Baselines3
@@ -176,13 +176,13 @@ def test_adam_goes_to_the_minimum_of_a_bowl():
 def test_the_scale_of_observations_is_their_mean_and_spread_and_changes_no_action():
     rng = np.random.default_rng(0)
     rows = (rng.standard_normal((500, 4)) * [1, 0.01, 5, 2] + [0, 3, -2, 0]).astype(np.float32)
-    sight, agent = Sight(4, 1), ActorCritic((4, 8, 2), "tanh", 0.0, rng)
+    stack, agent = ObservationStack(4, 1), ActorCritic((4, 8, 2), "tanh", 0.0, rng)
     wanted = agent.actor(rows).copy()
     for part in np.split(rows, [100, 250]):
-        agent.rescale(*sight.learn(sight.scaled(part)))
-    np.testing.assert_allclose(sight.mean, rows.mean(axis=0), rtol=1e-4, atol=1e-5)
-    np.testing.assert_allclose(sight.spread, np.sqrt(rows.var(axis=0) + 1e-6), rtol=1e-4)
-    np.testing.assert_allclose(agent.actor(sight.scaled(rows)), wanted, atol=2e-5)
+        agent.rescale(*stack.learn(stack.scaled(part)))
+    np.testing.assert_allclose(stack.mean, rows.mean(axis=0), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(stack.spread, np.sqrt(rows.var(axis=0) + 1e-6), rtol=1e-4)
+    np.testing.assert_allclose(agent.actor(stack.scaled(rows)), wanted, atol=2e-5)
 
 
 def test_what_a_time_limit_cut_off_counts_and_a_deadline_does_not():
@@ -254,8 +254,8 @@ def test_a_policy_learns_what_a_controller_does():
         def act(self, env, observation):
             return 0.8 * np.sin(env.batch.observe()[:, :3] * 3)
 
-    lessons = Lessons(rounds=6, shown=1, batch_size=64, recall=3)
-    taught = Imitation(env, ours.agent, ours.sight, Wave(), lessons, np.random.default_rng(0))
+    chosen = ImitationConfig(rounds=6, shown=1, batch_size=64, recall=3)
+    taught = Imitation(env, ours.agent, ours.stack, Wave(), chosen, np.random.default_rng(0))
     errors = []
     while not taught.over:
         assert taught.advance() == 16 * 80
@@ -355,14 +355,14 @@ def test_the_policy_file_acts_as_the_learner_did(tmp_path):
 
     state = load_state(tmp_path / "checkpoint.safetensors", {"task": env.task})
     ours.agent.numbers[:] = state["learner"]["ppo"]["numbers"]
-    sight = ours.sight
-    sight.mean, sight.variance, sight.count = state["learner"]["ppo"]["sight"]
+    stack = ours.stack
+    stack.mean, stack.variance, stack.count = state["learner"]["ppo"]["stack"]
     policy = load_policy(tmp_path / "last.json")
-    assert policy.network.frames == 3 and policy.network.observations == sight.size
+    assert policy.network.frames == 3 and policy.network.observations == stack.size
     ours.ppo.restart()
     for _ in range(35):  # decisions of two periods, into the second episode
         theirs = policy.act(env, env.batch.observe())
-        action = np.clip(ours.agent.actor(sight.scaled(ours.ppo.rows)), -1, 1)
+        action = np.clip(ours.agent.actor(stack.scaled(ours.ppo.rows)), -1, 1)
         np.testing.assert_allclose(theirs, action, atol=2e-5)
         ours.ppo._step(action)
     found = evaluate(policy, config.env, episodes=3, **SHORT)

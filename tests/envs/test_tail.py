@@ -1,11 +1,11 @@
-"""`tail_energy`, the closed form, against ten simulated seconds with the joints held."""
+"""`free_decay_energy`, the closed form, against ten simulated seconds with the joints held."""
 
 import numpy as np
 import pytest
 
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
-from ves_gym.envs.tail import tail_energy
+from ves_gym.envs.tail import free_decay_energy
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES, MatrixVehicle
 from ves_gym.system.energy import base_energy
@@ -75,7 +75,7 @@ def test_tail_is_the_simulated_one(name, duration):
     batch = ended(SYSTEMS[name], duration=duration)
     s = batch.scene
     away = s.q - s.ref[:, 0]
-    predicted = tail_energy(
+    predicted = free_decay_energy(
         batch.system.ideal(), s.q, state(batch, away), s.kp, s.kd, seconds=TAIL
     )
     for ours, truth in zip(predicted, simulated(batch, batch._command()), strict=True):
@@ -99,7 +99,7 @@ def test_tail_of_an_episode_is_part_of_its_mean(vehicle):
         during += (before + batch.scene.energy) * batch.dt / 2
     s = batch.scene
     away = s.q - s.ref[:, 0]
-    tail, _ = tail_energy(batch.system, s.q, state(batch, away), s.kp, s.kd, seconds=TAIL)
+    tail, _ = free_decay_energy(batch.system, s.q, state(batch, away), s.kp, s.kd, seconds=TAIL)
     mean = (during + tail) / (batch.task.duration + TAIL)
     np.testing.assert_allclose(info["energy/E_mean"], mean, rtol=1e-12)
     scale = s.goal[:, 3] * (batch.task.duration + TAIL)
@@ -114,7 +114,7 @@ def test_free_joints_are_caught_where_they_are():
     s, space = batch.scene, batch.system
     np.testing.assert_array_equal(s.kp, np.tile(HIGH_GAINS.kp, (N, 1)))
     none = np.zeros_like(s.q)
-    predicted, _ = tail_energy(space, s.q, state(batch, none), s.kp, s.kd, seconds=TAIL)
+    predicted, _ = free_decay_energy(space, s.q, state(batch, none), s.kp, s.kd, seconds=TAIL)
     batch.sim.set_gains(s.kp, s.kd)
     truth, _ = simulated(batch, batch.sim.servo_command(s.q, none))
     error = np.abs(predicted / truth - 1)

@@ -39,7 +39,7 @@ class TrainConfig:
     `learner` native trains with `ves_gym.baselines.ppo`, which knows PPO's hyper-parameters
     under the same names; `imitate`, `imitation` and `frames` need it. With `imitate`, the
     policy first learns what a built-in controller does (`imitation` are the fields of
-    `ves_gym.baselines.imitation.Lessons`); its decisions count as steps.
+    `ves_gym.baselines.imitation.ImitationConfig`); its decisions count as steps.
     """
 
     env: str

@@ -17,14 +17,14 @@ from ves_gym._util.params import Index, ParameterError
 from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.decisions import Decisions
 from ves_gym.baselines.perceptron import ActorCritic, Adam, Floats, clipped
-from ves_gym.baselines.ppo import Sight, flat
+from ves_gym.baselines.ppo import ObservationStack, flat
 
 _NORM = 1.0  # largest norm of the derivatives
 _LATE = 0.6  # share of an episode
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lessons:
+class ImitationConfig:
     """How long to imitate, and how."""
 
     rounds: int = 20  # each an episode of every environment
@@ -58,9 +58,9 @@ class Imitation:
     Args:
         env: where.
         agent: whose actor learns.
-        sight: how it sees; its scale is that of the first round from then on.
+        stack: how it sees; its scale is that of the first round from then on.
         expert: says what to do.
-        lessons: how many.
+        config: how many.
         rng: of noise and of the batches' order.
     """
 
@@ -68,13 +68,13 @@ class Imitation:
         self,
         env: Decisions,
         agent: ActorCritic,
-        sight: Sight,
+        stack: ObservationStack,
         expert: Controller,
-        lessons: Lessons,
+        config: ImitationConfig,
         rng: np.random.Generator,
     ) -> None:
-        self.env, self.agent, self.sight, self.expert = env, agent, sight, expert
-        self.lessons, self.rng = lessons, rng
+        self.env, self.agent, self.stack, self.expert = env, agent, stack, expert
+        self.config, self.rng = config, rng
         self.optimiser = Adam(len(agent.numbers))
         self.round = 0
         self.memory: list[tuple[Floats, Floats]] = []  # seen, wanted: of the latest rounds
@@ -83,7 +83,7 @@ class Imitation:
     @property
     def over(self) -> bool:
         """All rounds are done."""
-        return self.round >= self.lessons.rounds
+        return self.round >= self.config.rounds
 
     @property
     def decisions(self) -> int:
@@ -97,12 +97,12 @@ class Imitation:
 
     def advance(self) -> int:
         """One round; the decisions that it took."""
-        seen, wanted = self._episode(max(0.0, 1 - self.round / self.lessons.shown))
-        if not self.sight.count:
-            self.sight.learn(seen)
-        self.memory = [*self.memory, (seen, wanted)][-self.lessons.recall :]
-        share = self.round / max(1, self.lessons.rounds - 1)
-        self._learn(self.lessons.learning_rate * (1 - 0.9 * share))
+        seen, wanted = self._episode(max(0.0, 1 - self.round / self.config.shown))
+        if not self.stack.count:
+            self.stack.learn(seen)
+        self.memory = [*self.memory, (seen, wanted)][-self.config.recall :]
+        share = self.round / max(1, self.config.rounds - 1)
+        self._learn(self.config.learning_rate * (1 - 0.9 * share))
         self.round += 1
         if self.over:
             self.memory = []
@@ -118,31 +118,31 @@ class Imitation:
         everyone = np.arange(env.num_envs)
         env.reset()
         self.expert.reset(env, everyone)
-        rows = self.sight.first(flat(self.env.observe()))
+        rows = self.stack.first(flat(self.env.observe()))
         seen, wanted = [], []
         for left in reversed(range(self._periods)):
             target = np.clip(self.expert.act(env, None), -1.0, 1.0).astype(np.float32)
             seen.append(rows)
             wanted.append(target)
-            action = self.agent.actor(self.sight.scaled(rows))
+            action = self.agent.actor(self.stack.scaled(rows))
             shown = self.rng.random(len(action)) < share
             action = np.where(shown[:, None], target, action)
             noise = self.rng.standard_normal(target.shape, np.float32)
-            moved = action + np.float32(self.lessons.noise) * noise
+            moved = action + np.float32(self.config.noise) * noise
             observation, _, over, _ = self.env.step(np.clip(moved, -1.0, 1.0))
             new = flat(observation)
-            rows = self.sight.after(rows, new)
+            rows = self.stack.after(rows, new)
             if over.any():
                 ids = np.flatnonzero(over)
-                rows[ids] = self.sight.first(new[ids])
+                rows[ids] = self.stack.first(new[ids])
                 if left:  # after the last all begin anew
                     self.expert.reset(env, ids)
         return np.concatenate(seen), np.concatenate(wanted)
 
     def _learn(self, rate: float) -> None:
         """Least squares, over what is remembered."""
-        k, agent = self.lessons, self.agent
-        seen = self.sight.scaled(np.concatenate([rows for rows, _ in self.memory]))
+        k, agent = self.config, self.agent
+        seen = self.stack.scaled(np.concatenate([rows for rows, _ in self.memory]))
         wanted = np.concatenate([rows for _, rows in self.memory])
         late = np.arange(len(seen)) % self.decisions >= _LATE * self.decisions
         weight = np.where(late, 1 + k.late, 1).astype(np.float32)
@@ -164,7 +164,7 @@ class Imitation:
 
     def _batches(self, count: int) -> Iterator[Index]:
         """Rows of the batches of a round, of so many rows."""
-        k = self.lessons
+        k = self.config
         for _ in range(k.batches):
             yield self.rng.integers(0, count, k.batch_size)
         for _ in range(0 if k.batches else k.epochs):
@@ -173,7 +173,7 @@ class Imitation:
                 yield order[start : start + k.batch_size]
 
     def state(self) -> dict[str, Any]:
-        """Everything that the next round depends on, but agent, sight and environment."""
+        """Everything that the next round depends on, but agent, stack and environment."""
         return {
             "round": self.round,
             "memory": self.memory,

@@ -12,10 +12,10 @@ from ves_gym._util.params import ParameterError, from_plain
 from ves_gym.baselines.arm_features import arm_features
 from ves_gym.baselines.config import TrainConfig
 from ves_gym.baselines.decisions import Decisions, Endings
-from ves_gym.baselines.imitation import Imitation, Lessons
+from ves_gym.baselines.imitation import Imitation, ImitationConfig
 from ves_gym.baselines.perceptron import ActorCritic
 from ves_gym.baselines.policy import Network, Policy
-from ves_gym.baselines.ppo import PPO, Settings, Sight, flat
+from ves_gym.baselines.ppo import PPO, ObservationStack, Settings, flat
 from ves_gym.baselines.registry import get_controller
 from ves_gym.baselines.relative import init_goal_difference
 from ves_gym.envs.vector import VesVectorEnv
@@ -48,7 +48,7 @@ class NativeLearner:
         size = flat(self.decisions.observe()).shape[1]
         features = arm_features(env.task, env.goal) if config.features else None
         size += features.size if features else 0
-        self.sight = Sight(size, config.frames, features)
+        self.stack = ObservationStack(size, config.frames, features)
         sizes = (size * config.frames, *config.layers, env.batch.width)
         self.agent = ActorCritic(sizes, config.activation, config.log_std, rng)
         if config.relative:
@@ -58,15 +58,15 @@ class NativeLearner:
                 init_goal_difference(
                     newest, env.task, space, config.relative, lambda *k: rng.standard_normal(k)
                 )
-        self.ppo = PPO(self.decisions, self.agent, self.sight, settings, rng, on_endings)
+        self.ppo = PPO(self.decisions, self.agent, self.stack, settings, rng, on_endings)
         self.imitation: Imitation | None = None
         if config.imitate:
             expert = get_controller(config.imitate, seed)
-            lessons: Lessons = from_plain(Lessons, config.imitation, "imitation")
+            chosen: ImitationConfig = from_plain(ImitationConfig, config.imitation, "imitation")
             self.imitation = Imitation(
-                self.decisions, self.agent, self.sight, expert, lessons, rng
+                self.decisions, self.agent, self.stack, expert, chosen, rng
             )
-            whole = lessons.rounds * self.imitation.decisions
+            whole = chosen.rounds * self.imitation.decisions
             if config.algorithm == "DAgger" and whole != config.total_timesteps:
                 raise ParameterError(
                     f"TrainConfig.total_timesteps of DAgger are those of its rounds, {whole},"
@@ -111,8 +111,8 @@ class NativeLearner:
         layers = [(W.astype(float), b.astype(float)) for W, b in self.agent.actor.layers]
         W, b = layers[0]
         layers[0] = (
-            W / self.sight.spread[:, None],
-            b - (self.sight.mean / self.sight.spread) @ W,
+            W / self.stack.spread[:, None],
+            b - (self.stack.mean / self.stack.spread) @ W,
         )
         network = Network(
             sizes=(len(W), *(len(b) for _, b in layers)),
@@ -121,7 +121,7 @@ class NativeLearner:
             inputs=tuple(space.spaces) if isinstance(space, spaces.Dict) else (),
             hold=config.hold,
             frames=config.frames,
-            features=self.sight.features,
+            features=self.stack.features,
         )
         return Policy(network, tuple(layers), dict(about), config.label)
 
@@ -139,6 +139,6 @@ class NativeLearner:
         self.ppo.restore(state["ppo"])
         if self.imitation is not None:
             if state["imitation"] is None:
-                self.imitation.round = self.imitation.lessons.rounds
+                self.imitation.round = self.imitation.config.rounds
             else:
                 self.imitation.restore(state["imitation"])

@@ -84,7 +84,7 @@ class Experience:
         return out
 
 
-class Sight:
+class ObservationStack:
     """Observations as the networks take them: `frames` of them in a row, normalised.
 
     Args:
@@ -162,8 +162,8 @@ class PPO:
 
     Args:
         env: where.
-        agent: what is trained; its observations are `sight.frames` of the environment's.
-        sight: how it sees them.
+        agent: what is trained; its observations are `stack.frames` of the environment's.
+        stack: how it sees them.
         settings: hyper-parameters.
         rng: of noise and of the batches' order.
         on_endings: told of every episode that ends.
@@ -173,21 +173,21 @@ class PPO:
         self,
         env: Decisions,
         agent: ActorCritic,
-        sight: Sight,
+        stack: ObservationStack,
         settings: Settings,
         rng: np.random.Generator,
         on_endings: Callable[[Endings], None] = lambda endings: None,
     ) -> None:
-        self.env, self.agent, self.sight, self.settings = env, agent, sight, settings
+        self.env, self.agent, self.stack, self.settings = env, agent, stack, settings
         self.rng, self.on_endings = rng, on_endings
         self.optimiser = Adam(len(agent.numbers))
         self.updates = 0
-        self.rows = sight.first(flat(env.observe()))  # what is seen now
+        self.rows = stack.first(flat(env.observe()))  # what is seen now
         self.logged: dict[str, float] = {}
 
     def restart(self) -> None:
         """Every environment has begun an episode."""
-        self.rows = self.sight.first(flat(self.env.observe()))
+        self.rows = self.stack.first(flat(self.env.observe()))
 
     # ------------------------------------------------------------------ collect
 
@@ -202,12 +202,12 @@ class PPO:
         noise = self.rng.standard_normal(action.shape, np.float32)
         spread = np.exp(agent.log_std)
         for t in range(k.n_steps):
-            seen[t] = self.sight.scaled(self.rows)
+            seen[t] = self.stack.scaled(self.rows)
             action[t] = agent.actor(seen[t]) + spread * noise[t]
             value[t] = agent.critic(seen[t])[:, 0]
             reward[t], over[t] = self._step(np.clip(action[t], -1.0, 1.0))
         chance = -0.5 * np.square(noise).sum(axis=2) - self._volume()
-        following = agent.critic(self.sight.scaled(self.rows))[:, 0].copy()
+        following = agent.critic(self.stack.scaled(self.rows))[:, 0].copy()
         return Experience(seen, action, chance, value, reward, over, following)
 
     def _volume(self) -> np.float32:
@@ -221,14 +221,14 @@ class PPO:
             self.on_endings(ended)
             cut = ended.cut_off
             if cut.any():  # the episode would go on: what it is worth from there counts
-                last = self.sight.after(self.rows[ended.ids], flat(ended.final))[cut]
-                worth = self.agent.critic(self.sight.scaled(last))[:, 0]
+                last = self.stack.after(self.rows[ended.ids], flat(ended.final))[cut]
+                worth = self.agent.critic(self.stack.scaled(last))[:, 0]
                 reward[ended.ids[cut]] += np.float32(self.settings.gamma) * worth
         new = flat(observation)
-        self.rows = self.sight.after(self.rows, new)
+        self.rows = self.stack.after(self.rows, new)
         if endings:
             ids = np.flatnonzero(over)
-            self.rows[ids] = self.sight.first(new[ids])
+            self.rows[ids] = self.stack.first(new[ids])
         return reward, over
 
     # ------------------------------------------------------------------- update
@@ -280,7 +280,7 @@ class PPO:
         spread = aim.var()
         self.logged["explained_variance"] = float(1 - gain.var() / spread) if spread else 0.0
         if k.normalise:
-            self.agent.rescale(*self.sight.learn(rollout.seen))
+            self.agent.rescale(*self.stack.learn(rollout.seen))
 
     def _learn(self, batch: list[Floats], rate: float) -> tuple[float, float, float, float]:
         """One step of the optimiser; KL divergence, share clipped, losses of both."""
@@ -322,7 +322,7 @@ class PPO:
         return {
             "numbers": self.agent.numbers.copy(),
             "optimiser": (self.optimiser.steps, self.optimiser.mean, self.optimiser.square),
-            "sight": (self.sight.mean, self.sight.variance, self.sight.count),
+            "stack": (self.stack.mean, self.stack.variance, self.stack.count),
             "rows": self.rows,
             "updates": self.updates,
             "logged": self.logged,
@@ -334,6 +334,6 @@ class PPO:
         self.agent.numbers[:] = state["numbers"]
         self.optimiser.steps, mean, square = state["optimiser"]
         self.optimiser.mean[:], self.optimiser.square[:] = mean, square
-        self.sight.mean, self.sight.variance, self.sight.count = state["sight"]
+        self.stack.mean, self.stack.variance, self.stack.count = state["stack"]
         self.rows, self.updates, self.logged = state["rows"], state["updates"], state["logged"]
         self.rng.bit_generator.state = state["random"]

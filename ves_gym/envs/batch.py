@@ -28,7 +28,7 @@ from ves_gym.envs.episode import (
 )
 from ves_gym.envs.period import Period, period_of
 from ves_gym.envs.randomize import Draws
-from ves_gym.envs.tail import tail_energy
+from ves_gym.envs.tail import free_decay_energy
 from ves_gym.envs.task import Scene, Task
 from ves_gym.mechanics.servo import own_gains
 from ves_gym.simulation.simulator import Simulator
@@ -206,9 +206,9 @@ class Batch:
         for k in (e.steps, e.clipped, e.once, e.total, e.sums):
             k[ids] = 0
         if task.interacts:
-            task.set_up(sim, ids, begin.goal)
+            task.on_reset(sim, ids, begin.goal)
         self._update_scene()
-        if task.interacts and task.interact(sim, s, ids):
+        if task.interacts and task.on_period_end(sim, s, ids):
             self._update_scene()
         s.tau[ids] = self._command()[ids]
         e.peaks[ids] = s.energies[ids]
@@ -264,7 +264,7 @@ class Batch:
         joints = actions[:, : self._joint_width]
         task.control.drive(self.sim, s, joints, remaining, self._command)
         self._update_scene()
-        if task.interacts and task.interact(self.sim, s, np.arange(self.n)):
+        if task.interacts and task.on_period_end(self.sim, s, np.arange(self.n)):
             self._update_scene()
         count(task, s, e, before, self.dt)
         diverged = self.sim.diverged
@@ -288,7 +288,7 @@ class Batch:
         info.update((f"reward/{name}", term) for name, term in terms.items())
         info["success"], info["success_once"] = solved, e.once.copy()
         info["clipped"] = e.clipped.copy()
-        info.update(task.tell(self.sim, s, ended))
+        info.update(task.step_info(self.sim, s, ended))
         info.update(self.account(stopped, over))
         return reward, *outcome(task, last, failed), info
 
@@ -370,7 +370,7 @@ class Batch:
         x = np.concatenate([y, away, yd, v], axis=1)
         if (modes := self.sim.base_modes) is not None:
             x = np.concatenate([y, modes[0][ids], away, yd, modes[1][ids], v], axis=1)
-        return tail_energy(self._space, q, x, kp, kd, seconds=self.task.tail)
+        return free_decay_energy(self._space, q, x, kp, kd, seconds=self.task.tail)
 
     def observe(self) -> npt.NDArray[np.float32]:
         """(n, observations) in the fields' scales, clipped; what is not a number becomes 0."""

@@ -215,7 +215,7 @@ class DeviceRows:
         return {"energy/E_mean": mean, "_energy/E_mean": ended}
 
     def _tail(self, ids: Any) -> Any:
-        """(k,) time integral of E over the tail [J s] (`tail.tail_energy`)."""
+        """(k,) time integral of E over the tail [J s] (`tail.free_decay_energy`)."""
         torch, shape, system = self.torch, self.shape, self._space
         n, size = shape.joints, 6 + shape.joints
         x = self._views["x"][:, ids].double()

@@ -178,7 +178,7 @@ class PayloadTransfer(Task):
         berth = reachable(arm, pick, angles[:, 1 + _TRIES :], leg, *limits)
         return q, pick, berth
 
-    def set_up(self, sim: Simulator, ids: Index, goal: Array) -> None:
+    def on_reset(self, sim: Simulator, ids: Index, goal: Array) -> None:
         """See `Task`. The payload floats with its fixture at the goal's first point."""
         cargo, payload = sim.payload, self.system.payload
         assert cargo is not None and payload is not None
@@ -194,7 +194,7 @@ class PayloadTransfer(Task):
             position=goal[:, :3] - grip,
         )
 
-    def interact(self, sim: Simulator, s: Scene, ids: Index) -> bool:
+    def on_period_end(self, sim: Simulator, s: Scene, ids: Index) -> bool:
         """See `Task`. The latch closes, or the berth takes the payload."""
         cargo, memory = sim.payload, s.memory
         assert cargo is not None

@@ -269,7 +269,7 @@ class ServicerCapture(Task):
         pick = np.where(good.any(axis=1), good.argmax(axis=1), able.argmax(axis=1))
         return q, ends[rows, pick]
 
-    def set_up(self, sim: Simulator, ids: Index, goal: Array) -> None:
+    def on_reset(self, sim: Simulator, ids: Index, goal: Array) -> None:
         """See `Task`. The target begins to fly."""
         cargo, payload = sim.payload, self.system.payload
         assert cargo is not None and payload is not None
@@ -286,7 +286,7 @@ class ServicerCapture(Task):
             spin=goal[:, 7:10],
         )
 
-    def interact(self, sim: Simulator, s: Scene, ids: Index) -> bool:
+    def on_period_end(self, sim: Simulator, s: Scene, ids: Index) -> bool:
         """See `Task`. The latch closes."""
         cargo, memory = sim.payload, s.memory
         assert cargo is not None
@@ -364,7 +364,7 @@ class ServicerCapture(Task):
         """The base has turned by more than `tumbled`, or a joint limit is broken."""
         return super().failed(s) | (_angle(s) > self.tumbled)
 
-    def tell(self, sim: Simulator, s: Scene, ended: Mask) -> dict[str, Any]:
+    def step_info(self, sim: Simulator, s: Scene, ended: Mask) -> dict[str, Any]:
         """See `Task`."""
         cargo = sim.payload
         assert cargo is not None

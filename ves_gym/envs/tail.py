@@ -21,7 +21,7 @@ _DOUBLINGS = 10  # 1024 samples: 10 ms apart over 10 s
 _HALVINGS = 4  # of the sample step, for the series of the exponential
 
 
-def tail_energy(
+def free_decay_energy(
     system: System, q: Array, x: Array, kp: Array, kd: Array, *, seconds: float
 ) -> tuple[Array, Array]:
     """Time integrals of E and of the strain energy over the tail [J s].
@@ -48,12 +48,12 @@ def integrals(
     H: Any, K: Any, D: Any, x: Any, kp: Any, kd: Any, eye: Any, *,
     seconds: float, locked: bool,
 ) -> tuple[Any, Any]:  # fmt: skip
-    """`tail_energy` by operators alone: arrays of NumPy, or torch's on the device they are on.
+    """`free_decay_energy` by operators alone: arrays of NumPy, or torch's on their device.
 
     Args:
         H: (k, s, s) inertia of base and joints, s = b + joints.
         K, D: (b, b) of the vehicle.
-        x, kp, kd: see `tail_energy`.
+        x, kp, kd: see `free_decay_energy`.
         eye: (2 s, 2 s) identity.
         seconds: length of the tail [s].
         locked: perfect servos hold the joints.

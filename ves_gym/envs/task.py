@@ -125,7 +125,7 @@ class Task(ABC):
     # of the scene alone, a simulation per row: the kernel then compiles them from their NumPy
     # text. It holds for the class that says so, not for those derived from it.
     compiled: ClassVar[bool] = False
-    # Set where `set_up` and `interact` do something; such tasks step in NumPy.
+    # Set where `on_reset` and `on_period_end` do something; such tasks step in NumPy.
     interacts: ClassVar[bool] = False
 
     system: System = System(physics_dt=2.5e-3)
@@ -207,7 +207,7 @@ class Task(ABC):
         """
         return np.empty((len(goal), 0))
 
-    def set_up(self, sim: Simulator, ids: Index, goal: Array) -> None:  # noqa: B027
+    def on_reset(self, sim: Simulator, ids: Index, goal: Array) -> None:  # noqa: B027
         """Prepare simulations whose episodes begin, beyond the states of their `Start`.
 
         Args:
@@ -216,7 +216,7 @@ class Task(ABC):
             goal: (k, g) theirs.
         """
 
-    def interact(self, sim: Simulator, s: Scene, ids: Index) -> bool:
+    def on_period_end(self, sim: Simulator, s: Scene, ids: Index) -> bool:
         """Do what happens at the end of a period beside the motion of the joints.
 
         Asked once after a reset too, before anything is observed.
@@ -231,7 +231,7 @@ class Task(ABC):
         """
         return False
 
-    def tell(self, sim: Simulator, s: Scene, ended: Mask) -> dict[str, Any]:
+    def step_info(self, sim: Simulator, s: Scene, ended: Mask) -> dict[str, Any]:
         """Return entries (n, ...) of an info beside those that every task has.
 
         Args:
