@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 
 import ves_gym as vg
+from tests.golden.compare import RELATIVE
 from tests.golden.probe import Probe, pattern
 
 ON_A_BEAM = ("PumaRestToRest", "PumaReach", "PumaReachGoal", "PumaTrack", "PumaDamp")
@@ -227,7 +228,9 @@ def probes() -> dict[str, Probe]:
             for name, (id, settings) in SETTINGS.items()
         },
         **{
-            f"controller {k} in {name}": Probe(by(k, name, duration), slow=slow)
+            f"controller {k} in {name}": Probe(
+                by(k, name, duration), slow=slow, relative=1e-5 if k == "ilqr" else RELATIVE
+            )
             for k, (name, duration, slow) in CONTROLLERS.items()
         },
     }
