@@ -182,7 +182,7 @@ def test_refused_in_one_line(command, run_log, tmp_path, words, says):
 @pytest.mark.parametrize(
     ("words", "written"),
     [
-        (["map", "--joints", "2,3", "--points", "5"], "map.npz"),
+        (["map", "--joints", "2,3", "--points", "5"], "map_q2_q3.npz"),
         (["simulate", "--settle", "0.2"], "run.csv"),
     ],
 )

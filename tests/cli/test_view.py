@@ -127,7 +127,7 @@ def test_missing_package_names_the_extra(refused, run_log, monkeypatch):
         (["--gif", "a.mp4"], ".gif"),
         (["--gif", "a.gif", "--fps", "30"], "100 / k"),
         (["--fps", "0"], "View.fps"),
-        (["--speed", "nan"], "View.speed"),
+        (["--speed", "nan"], "--speed must be a number, got nan"),
         (["--magnify", "-1"], "View.magnify"),
         (["--size", "big"], "WIDTHxHEIGHT"),
         (["--size", "641x480"], "even"),
