@@ -23,7 +23,6 @@ from ves_gym._util.params import (
 )
 from ves_gym.mechanics.serial_chain import matrix
 
-FORMAT = "ves-motion/1"  # of a file
 DEGREE = 5
 _GRADING = 0.6  # of the knots: 1 - this is their relative spacing at the ends
 _HELD = 3  # equal control points at each end: zero velocity and acceleration there
