@@ -50,12 +50,13 @@ def fan_out(snapshot: Snapshot, i: int, n: int) -> Snapshot:
         state = tuple(None if k is None else rows(k) for k in state)
     loop = snapshot.emulation_loop
     if loop is not None:
-        memory, (time, events, table) = loop
+        memory, (time, events, table, *noise) = loop
         stops = [
             e._replace(simulation=k) for e in events if e.simulation == i for k in range(n)
         ]
         table = None if table is None else rows(table)
-        loop = {name: rows(k) for name, k in memory.items()}, (rows(time), stops, table)
+        others = rows(time), stops, table, *map(rows, noise)
+        loop = {name: rows(k) for name, k in memory.items()}, others
     delays, charts, actuators = (
         snapshot.joint_delays,
         snapshot.charts,
