@@ -7,15 +7,18 @@ update, `time/` seconds.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError
 from ves_gym.baselines.config import TrainConfig
+
+Row = Mapping[str, Any]  # of a learning curve
+Tracker = Callable[[Row], None]  # shows the newest row
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,38 +45,32 @@ class Tracking:
             require("a curve in W&B", "wandb")
 
     @contextmanager
-    def open(self, config: TrainConfig, seed: int, folder: Path) -> Iterator[list[Tracker]]:
+    def open(
+        self, config: TrainConfig, seed: int, folder: Path, rows: Sequence[Row]
+    ) -> Iterator[list[Tracker]]:
         """Open the trackers of one run, and close them after it.
 
         Args:
             config: of the training.
             seed: of the run.
             folder: of the run, where W&B keeps its copy.
+            rows: of a run that goes on; a new one has none.
         """
         with ExitStack() as stack:
             trackers: list[Tracker] = []
             if self.tensorboard:
                 events = Path(self.tensorboard) / config.name / f"seed-{seed}"
-                trackers.append(stack.enter_context(_tensorboard(events)))
+                trackers.append(stack.enter_context(_tensorboard(events, rows)))
             if self.wandb:
-                trackers.append(stack.enter_context(_wandb(self.wandb, config, seed, folder)))
+                run = _wandb(self.wandb, config, seed, folder, rows)
+                trackers.append(stack.enter_context(run))
             yield trackers
 
 
 NOWHERE = Tracking()
 
 
-class Tracker(Protocol):
-    """A program that shows one run."""
-
-    def start(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Take the rows of a run that goes on; a new one has none."""
-
-    def add(self, row: Mapping[str, Any]) -> None:
-        """Take the newest row of the curve."""
-
-
-def scalars(row: Mapping[str, Any]) -> dict[str, float]:
+def scalars(row: Row) -> dict[str, float]:
     """Return the numbers of a row of a learning curve by tag, empty ones left out."""
     tagged = {f"learner/{name}": value for name, value in row["train"].items()}
     for name, value in row.items():
@@ -86,47 +83,30 @@ def scalars(row: Mapping[str, Any]) -> dict[str, float]:
     return {tag: float(value) for tag, value in tagged.items() if value is not None}
 
 
-class _TensorBoard:
-    def __init__(self, writer: Any, shown: bool) -> None:
-        self.writer, self.shown = writer, shown
-
-    def start(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        if not self.shown:  # else the rows before the checkpoint are in the folder
-            for row in rows:
-                self.add(row)
-
-    def add(self, row: Mapping[str, Any]) -> None:
-        for tag, value in scalars(row).items():
-            self.writer.add_scalar(tag, value, row["steps"])
-        self.writer.flush()
-
-
 @contextmanager
-def _tensorboard(folder: Path) -> Iterator[_TensorBoard]:
+def _tensorboard(folder: Path, rows: Sequence[Row]) -> Iterator[Tracker]:
     from tensorboard.summary import Writer
 
-    shown = any(folder.glob("events.*"))
+    shown = any(folder.glob("events.*"))  # then the rows before the checkpoint are there
     writer = Writer(str(folder))
+
+    def add(row: Row) -> None:
+        for tag, value in scalars(row).items():
+            writer.add_scalar(tag, value, row["steps"])
+        writer.flush()
+
     try:
-        yield _TensorBoard(writer, shown)
+        for row in () if shown else rows:
+            add(row)
+        yield add
     finally:
         writer.close()
 
 
-class _Wandb:
-    def __init__(self, run: Any) -> None:
-        self.run = run
-
-    def start(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        for row in rows:  # each start is a run of its own there, with the whole curve
-            self.add(row)
-
-    def add(self, row: Mapping[str, Any]) -> None:
-        self.run.log(scalars(row), step=row["steps"])
-
-
 @contextmanager
-def _wandb(project: str, config: TrainConfig, seed: int, folder: Path) -> Iterator[_Wandb]:
+def _wandb(
+    project: str, config: TrainConfig, seed: int, folder: Path, rows: Sequence[Row]
+) -> Iterator[Tracker]:
     import wandb
 
     try:
@@ -143,9 +123,15 @@ def _wandb(project: str, config: TrainConfig, seed: int, folder: Path) -> Iterat
             f"wandb does not start: {str(error).splitlines()[0]}; run `wandb login`, or set"
             " WANDB_MODE=offline"
         ) from error
+
+    def add(row: Row) -> None:
+        run.log(scalars(row), step=row["steps"])
+
     failed = True
     try:
-        yield _Wandb(run)
+        for row in rows:  # each start is a run of its own there, with the whole curve
+            add(row)
+        yield add
         failed = False
     finally:
         run.finish(exit_code=int(failed))

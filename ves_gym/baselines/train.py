@@ -80,9 +80,11 @@ def train(
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob(".*"):  # left by a write that was killed
         stale.unlink()
-    with one_thread(config.learner), tracking.open(config, seed, folder) as trackers:
+    with one_thread(config.learner):
         silent: Progress = lambda done, note: None  # noqa: E731
-        return _Run(config, seed, folder, progress or silent, trackers).learn()
+        run = _Run(config, seed, folder, progress or silent)
+        with tracking.open(config, seed, folder, run.rows) as trackers:
+            return run.learn(trackers)
 
 
 @contextmanager
@@ -166,15 +168,10 @@ class _Run:
     """A model, its environment, and what is remembered of the run so far."""
 
     def __init__(
-        self,
-        config: TrainConfig,
-        seed: int,
-        folder: Path,
-        progress: Progress,
-        trackers: Sequence[Tracker] = (),
+        self, config: TrainConfig, seed: int, folder: Path, progress: Progress
     ) -> None:
         self.config, self.seed, self.folder, self.progress = config, seed, folder, progress
-        self.trackers = trackers
+        self.trackers: Sequence[Tracker] = ()
         self.settings = {
             **({"goal": True} if config.her is not None else {}),
             **config.settings,
@@ -201,14 +198,13 @@ class _Run:
         self.versions = versions(*packages)
         if (folder / CHECKPOINT).exists():
             self._restore(self._read(folder / CHECKPOINT))
-        for tracker in trackers:
-            tracker.start(self.rows)
         self.begin = time.perf_counter()
 
     # ------------------------------------------------------------------ training
 
-    def learn(self) -> list[dict[str, Any]]:
-        """Train to the end."""
+    def learn(self, trackers: Sequence[Tracker]) -> list[dict[str, Any]]:
+        """Train to the end, every new row of the curve shown by trackers."""
+        self.trackers = trackers
         self.learner.learn(self.config.total_timesteps, self.between_rollouts)
         self.between_rollouts(last=True)
         return self.rows
@@ -284,7 +280,7 @@ class _Run:
         self.rows.append(row)
         self._write(policy)
         for tracker in self.trackers:
-            tracker.add(row)
+            tracker(row)
 
     def _ratio(self, evaluation: Evaluation, measure: str) -> float | None:
         try:
