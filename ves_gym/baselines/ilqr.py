@@ -20,7 +20,6 @@ import numpy as np
 
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym._util.threads import on_one_thread
-from ves_gym.baselines.decision_clock import DecisionClock
 from ves_gym.baselines.mppi import AT_REST, nominal_model, residual_motion_cost
 from ves_gym.engine.kernel.sensitivity import rollout_gradients
 from ves_gym.envs.control import Guided
@@ -73,12 +72,6 @@ class Ilqr:
         self._of: Task | None = None
         self._model: VesVectorEnv | None = None
         self._motion: list[ControlledMotion] = []
-        self._clock = DecisionClock()
-
-    @property
-    def about(self) -> dict[str, Any]:
-        """Decisions so far and their mean duration [s]."""
-        return self._clock.about
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
@@ -107,7 +100,7 @@ class Ilqr:
         steps = env.batch.episodes.steps
         for i, k in enumerate(steps.tolist()):
             if k % every == 0 and k < env.task.steps - 1:
-                with self._clock.running(), on_one_thread():
+                with on_one_thread():
                     self._decide(env, i, k, self.later if k else self.first)
         x = state_of(env, measured=True)
         hidden = hidden_of(env)

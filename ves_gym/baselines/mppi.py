@@ -20,7 +20,6 @@ import numpy as np
 
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.baselines.controllers import Follow
-from ves_gym.baselines.decision_clock import DecisionClock
 from ves_gym.envs.rest_to_rest import RestToRest
 from ves_gym.envs.task import Task
 from ves_gym.envs.vector import VesVectorEnv
@@ -82,12 +81,6 @@ class Mppi:
         self._splines: Array = np.empty((0, 0))  # (steps, knots)
         self._actions: Array = np.empty((0, 0, 0))  # (n, steps, width)
         self._rng: list[np.random.Generator] = []
-        self._clock = DecisionClock()
-
-    @property
-    def about(self) -> dict[str, Any]:
-        """Decisions so far and their mean duration [s]."""
-        return self._clock.about
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
@@ -116,8 +109,7 @@ class Mppi:
         steps = env.batch.episodes.steps
         for i, k in enumerate(steps.tolist()):
             if k % every == 0 and k < env.task.steps:
-                with self._clock.running():
-                    self._improve(env, i, k)
+                self._improve(env, i, k)
         at = np.minimum(steps, env.task.steps - 1)
         return np.clip(self._actions[np.arange(env.num_envs), at], -1.0, 1.0)
 
