@@ -11,7 +11,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym.baselines.arm_features import arm_features
 from ves_gym.baselines.policy import Network, Policy, load_policy, save_policy
 from ves_gym.baselines.ppo import flat
-from ves_gym.baselines.resolved_pose import carried
+from ves_gym.baselines.resolved import carried
 from ves_gym.envs.pose_reach import goal_pose
 from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.spatial import matvec, rotation, twist

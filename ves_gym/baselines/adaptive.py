@@ -22,7 +22,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym._util.threads import on_one_thread
-from ves_gym.baselines.braced import base_torque
+from ves_gym.baselines.braced import base_torque, servo_shift
 from ves_gym.baselines.controllers import reference_action
 from ves_gym.damping.observer import BaseObserver
 from ves_gym.effects.payload import PayloadMass
@@ -154,22 +154,17 @@ class Adaptive:
     def _lacking(self, env: VesVectorEnv, target: Array) -> Array:
         """Shift (n, 3, joints) of the reference that gives what the feed-forward lacks.
 
-        M s'' + kd s' + kp s = the torque of payload and friction along the plan.
+        That is the torque of payload and friction along the plan.
         """
-        s, dt, arm = env.batch.scene, env.batch.dt, env.task.system.arm
+        arm = env.task.system.arm
         q, v, a = target.swapaxes(0, 1)
         friction = np.clip(self._estimate[:, 1:], 0.0, None)
         plain, heavy = (inverse_dynamics(k, q, v, a)[0] for k in (arm, loaded(arm, _HEAVY)))
         missing = self.payload[:, None] * (heavy - plain) / _HEAVY
         missing = missing + friction * np.tanh(v / _SIGN)
-        M = inertia(arm, q)[:, 6:, 6:]
-        place, rate = self._shift[0], self._shift[1]
-        resists = M + (dt * s.kd + dt**2 * s.kp)[:, None] * np.eye(arm.n)
-        push = (M @ rate[..., None])[..., 0] + dt * (missing - s.kp * place)
-        after = np.linalg.solve(resists, push[..., None])[..., 0]
-        bent = (after - rate) / dt
-        self._shift = np.stack([place + dt * after, after])
-        return np.stack([self._shift[0], after, bent], axis=1)
+        shift = servo_shift(env, q, self._shift, missing)
+        self._shift = shift[:2]
+        return np.swapaxes(shift, 0, 1)
 
     # -------------------------------------------------------------------- planning
 

@@ -42,15 +42,32 @@ class Braced(Resolved):
         slope = (s.yd_seen - self._rate) / dt  # of half a period ago: foreseen it was worse
         self._rate = s.yd_seen.copy()
         torque = base_torque(arm, target[:, 0], target[:, 1], s.y_seen, s.yd_seen, slope)
-        M = inertia(arm, target[:, 0])[:, 6:, 6:]
-        place, rate = self._shift[0], self._shift[1]
-        eye = np.eye(arm.n)
-        resists = M + (dt * s.kd + dt**2 * s.kp)[:, None] * eye
-        push = matvec(M, rate) + dt * (torque - s.kp * place)
-        after = np.linalg.solve(resists, push[..., None])[..., 0]
-        bent = (after - rate) / dt
-        self._shift = np.stack([place + dt * after, after])
-        return target + np.stack([self._shift[0], after, bent], axis=1)
+        shift = servo_shift(env, target[:, 0], self._shift, torque)
+        self._shift = shift[:2]
+        return target + np.swapaxes(shift, 0, 1)
+
+
+def servo_shift(env: VesVectorEnv, q: Array, before: Array, torque: Array) -> Array:
+    """Return the shift s of a reference that servos and feed-forward turn into a torque.
+
+    M s'' + kd s' + kp s = torque, a period on by the implicit rule of Euler.
+
+    Args:
+        env: whose gains and inertia M they are.
+        q: (n, joints) where the inertia is taken [rad].
+        before: (2, n, joints) s and s' a period ago.
+        torque: (n, joints) [N m].
+
+    Returns:
+        (3, n, joints) s, s' and s''.
+    """
+    s, dt, arm = env.batch.scene, env.batch.dt, env.task.system.arm
+    M = inertia(arm, q)[:, 6:, 6:]
+    place, rate = before
+    resists = M + (dt * s.kd + dt**2 * s.kp)[:, None] * np.eye(arm.n)
+    push = matvec(M, rate) + dt * (torque - s.kp * place)
+    after = np.linalg.solve(resists, push[..., None])[..., 0]
+    return np.stack([place + dt * after, after, (after - rate) / dt])
 
 
 def base_torque(arm: Arm, q: Array, v: Array, y: Array, yd: Array, ydd: Array) -> Array:

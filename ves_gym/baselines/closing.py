@@ -6,18 +6,23 @@ from typing import Any
 
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
+from scipy.spatial.transform import Rotation
 
 from ves_gym._util.params import Array, Index, ParameterError
-from ves_gym.baselines.resolved import damped_inverse
+from ves_gym.baselines.resolved import carried, damped_inverse, seen_from_base
+from ves_gym.baselines.resolved_pose import STARTS, configurations_for, inverse_sparing
+from ves_gym.envs.pose_reach import PoseReach, goal_pose
 from ves_gym.envs.reach import Reach
 from ves_gym.envs.track import Track
 from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.kinematics import MOST, every_joints_for, tool_jacobian
+from ves_gym.mechanics.kinematics import every_joints_for, tool_jacobian
 from ves_gym.mechanics.spatial import matvec, rotation, twist
+from ves_gym.mechanics.spherical_wrist import has_spherical_wrist, shortest_way
+from ves_gym.mechanics.tool_pose import tool_frame
 
-_MOVE = 0.82  # share of an episode that the way to a target takes
-MOST_SHARE = 8.0  # 1/s: largest share of the way left that is gone per second
+_MOST_SHARE = 8.0  # 1/s: largest share of the way left that is gone per second
 _ROUNDS = 2  # of Newton's method for the joint angles on the base as measured
 _FOLLOW = 12.0  # 1/s: how fast the distance from a path is taken back
 _LEAD = 0.05  # s ahead that the path's velocity is taken: half a decision, and the servos' lag
@@ -33,10 +38,10 @@ class Closing:
     To a target, through control joint_velocity: of the joint angles that bring the tool there
     on the base as measured, the nearest; of the way left the share per second that the
     straight motion of least jerk takes at this time (Flash & Hogan, J. Neuroscience 5(7),
-    1985), at most `MOST_SHARE`; and, as that share grows, the rates that take back how the base
-    carries the tool along. Along a path, through control tool_velocity: the path's velocity,
-    a share `_FOLLOW` of the distance from it per second, less the velocity that the base gives
-    the tool.
+    1985), at most `_MOST_SHARE`; and, as that share grows, the rates that take back how the
+    base carries the tool along. Along a path, through control tool_velocity: the path's
+    velocity, a share `_FOLLOW` of the distance from it per second, less the velocity that the
+    base gives the tool.
 
     Rates that an error of the network adds do not add up, as accelerations do: they leave the
     tool off by the error over the share. So what is learned of this law ends closer to the
@@ -45,9 +50,10 @@ class Closing:
 
     name = "closing"
     privileged = True
+    move = 0.82  # share of an episode that the way to a target takes
 
     def __init__(self) -> None:
-        self._ends = np.empty(0)  # (n, MOST, joints) that reach the target, base at rest
+        self._ends = np.empty(0)  # (n, STARTS + 1, joints) at the target, base at rest, and NaN
 
     def settings(self, spec: EnvSpec) -> dict[str, Any]:
         """See `Controller`."""
@@ -59,6 +65,19 @@ class Closing:
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
         task, s = env.task, env.batch.scene
+        self._require(env)
+        if isinstance(task, Track):
+            return
+        shape = env.num_envs, STARTS + 1, s.q.shape[1]
+        if self._ends.shape != shape:
+            self._ends = np.full(shape, np.nan)
+        self._ends[ids] = np.nan
+        for i, ends in zip(ids.tolist(), self._every(env, ids), strict=True):
+            self._ends[i, : len(ends)] = ends
+
+    def _require(self, env: VesVectorEnv) -> None:
+        """Refuse another task or control."""
+        task = env.task
         desired = {Reach: "joint_velocity", Track: "tool_velocity"}
         kinds = [kind for cls, kind in desired.items() if isinstance(task, cls)]
         if kinds != [task.control.kind]:
@@ -67,34 +86,45 @@ class Closing:
                 " joint_velocity and on track through tool_velocity, got task"
                 f" {task.kind} through control {task.control.kind}"
             )
-        if not isinstance(task, Reach):
-            return
-        if self._ends.shape != (env.num_envs, MOST, s.q.shape[1]):
-            self._ends = np.full((env.num_envs, MOST, s.q.shape[1]), np.nan)
-        self._ends[ids] = every_joints_for(task.system.arm, s.goal[ids, :3], s.q[ids])
+
+    def _every(self, env: VesVectorEnv, ids: Index) -> list[Array]:
+        """Joint angles (m, joints) that reach the targets of episodes, base at rest [rad]."""
+        s = env.batch.scene
+        return list(every_joints_for(env.task.system.arm, s.goal[ids, :3], s.q[ids]))
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """See `Controller`."""
-        if isinstance(env.task, Track):
-            return np.clip(self._along(env), -1.0, 1.0)
-        return np.clip(self._towards(env), -1.0, 1.0)
+        rates = self._along(env) if isinstance(env.task, Track) else self._towards(env)
+        return np.clip(rates, -1.0, 1.0)
 
     def _towards(self, env: VesVectorEnv) -> Array:
         """(n, joints) joint rates to the target, in those of a full action."""
         task, s = env.task, env.batch.scene
-        arm = task.system.arm
-        fast = arm.column("v_max")
-        share = share_per_second(s.time, _MOVE * task.duration)[:, None]
-        far = np.linalg.norm((self._ends - s.q[:, None]) / fast, axis=-1)
-        end = self._ends[np.arange(len(far)), np.nan_to_num(far, nan=np.inf).argmin(axis=1)]
-        turn = np.swapaxes(rotation(s.y_seen), -1, -2)
-        desired = matvec(turn, s.goal[:, :3] - s.y_seen[:, :3])
+        share = share_per_second(s.time, self.move * task.duration)[:, None]
+        end, drift = self._target(env)
+        rates = share * (end - s.q) - share / _MOST_SHARE * drift
+        full = task.control.speed * task.system.arm.column("v_max")  # type: ignore[attr-defined]
+        return np.asarray(rates / full)
+
+    def _nearest(self, arm: Arm, q: Array) -> Array:
+        """(n, joints) of the joint angles that reach the target those soonest reached [rad]."""
+        far = np.linalg.norm((self._ends - q[:, None]) / arm.column("v_max"), axis=-1)
+        soonest = np.nan_to_num(far, nan=np.inf).argmin(axis=1)
+        return np.asarray(self._ends[np.arange(len(q)), soonest])
+
+    def _target(self, env: VesVectorEnv) -> tuple[Array, Array]:
+        """Joint angles for the target on the base as measured, and how the base moves them.
+
+        Returns:
+            (n, joints) [rad] and (n, joints) [rad/s].
+        """
+        s, arm = env.batch.scene, env.task.system.arm
+        end = self._nearest(arm, s.q)
+        desired = seen_from_base(s.y_seen, s.goal[:, :3])
         inverse = damped_inverse(tool_jacobian(arm, end))
         for _ in range(_ROUNDS):
             end = end + matvec(inverse, desired - joint_positions(arm, end)[:, -1])
-        drift = matvec(inverse, _carried(s.y_seen, s.yd_seen, desired))
-        rates = share * (end - s.q) - share / MOST_SHARE * drift
-        return np.asarray(rates / (task.control.speed * fast))  # type: ignore[attr-defined]
+        return end, matvec(inverse, carried(twist(s.y_seen, s.yd_seen), desired)[:, :3])
 
     def _along(self, env: VesVectorEnv) -> Array:
         """(n, 3) velocities along the path, in those of a full action."""
@@ -109,9 +139,66 @@ class Closing:
         velocity = rates[0] + bend * (_LEAD - first / 2)
         turn = np.swapaxes(rotation(s.y_seen), -1, -2)
         command = matvec(turn, velocity + _FOLLOW * (current - s.tool_seen))
-        place = matvec(turn, s.tool_seen - s.y_seen[:, :3])
-        command -= _carried(s.y_seen, s.yd_seen, place)
+        place = seen_from_base(s.y_seen, s.tool_seen)
+        command -= carried(twist(s.y_seen, s.yd_seen), place)[:, :3]
         return np.asarray(command / task.control.speed)  # type: ignore[attr-defined]
+
+
+class ClosingPose(Closing):
+    """What `Closing` is for places, for poses: to the nearest configuration that has it there.
+
+    In closed form, of arms with a spherical wrist; else of a sample for the base at rest,
+    corrected. Through control joint_velocity.
+    """
+
+    name = "closing-pose"
+    move = 0.86
+
+    def _require(self, env: VesVectorEnv) -> None:
+        task = env.task
+        if not isinstance(task, PoseReach) or task.control.kind != "joint_velocity":
+            raise ParameterError(
+                "controller closing-pose acts on task pose_reach through control"
+                f" joint_velocity, got task {task.kind} through control {task.control.kind}"
+            )
+
+    def _every(self, env: VesVectorEnv, ids: Index) -> list[Array]:
+        s, arm = env.batch.scene, env.task.system.arm
+        if has_spherical_wrist(arm):
+            return list(s.q[ids, None])
+        places, turns = goal_pose(s)
+        return configurations_for(arm, s.q[ids], places[ids], turns[ids])
+
+    def _target(self, env: VesVectorEnv) -> tuple[Array, Array]:
+        s, arm = env.batch.scene, env.task.system.arm
+        place, turn = goal_pose(s)
+        place = seen_from_base(s.y_seen, place)
+        turn = np.swapaxes(rotation(s.y_seen), -1, -2) @ turn
+        end = self._end(arm, s.q, place, turn)
+        drift = carried(twist(s.y_seen, s.yd_seen), tool_frame(arm, end)[0])
+        return end, matvec(inverse_sparing(arm, end), drift)
+
+    def _end(self, arm: Arm, q: Array, place: Array, turn: Array) -> Array:
+        """(n, joints) joint angles for poses on the base as measured, the nearest to q.
+
+        Args:
+            arm: whose joints.
+            q: (n, joints) [rad].
+            place: (n, 3) of the tool in the base's axes [m].
+            turn: (n, 3, 3) of the tool there.
+        """
+        if has_spherical_wrist(arm):
+            axes = [tuple(axis.T) for axis in np.moveaxis(turn, -1, 0)]
+            way = shortest_way(arm, list(q.T), tuple(place.T), axes, np, np.clip)
+            return np.asarray(q + np.stack(way, axis=1))
+        end = self._nearest(arm, q)
+        for _ in range(_ROUNDS):
+            at, turned = tool_frame(arm, end)
+            missing = Rotation.from_matrix(turn @ np.swapaxes(turned, -1, -2)).as_rotvec()
+            end = end + matvec(
+                inverse_sparing(arm, end), np.concatenate([place - at, missing], axis=1)
+            )
+        return end
 
 
 def share_per_second(time: Array, seconds: float) -> Array:
@@ -124,16 +211,4 @@ def share_per_second(time: Array, seconds: float) -> Array:
     part = np.minimum(time / seconds, 1 - 1e-6)
     # rate of the quintic over the way that it leaves, in closed form
     pace = 30 * part**2 / ((1 - part) * (1 + 3 * part + 6 * part**2))
-    return np.asarray(np.minimum(pace / seconds, MOST_SHARE))
-
-
-def _carried(y: Array, yd: Array, place: Array) -> Array:
-    """Return the velocity that a base gives a place, in its own axes (n, 3) [m/s].
-
-    Args:
-        y, yd: (n, 6) its pose and rate.
-        place: (n, 3) in its axes [m].
-    """
-    base = twist(y, yd)
-    out: Array = base[:, :3] + np.cross(base[:, 3:], place)
-    return out
+    return np.asarray(np.minimum(pace / seconds, _MOST_SHARE))

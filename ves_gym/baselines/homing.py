@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, Index, ParameterError
-from ves_gym.baselines.resolved import damped_inverse
+from ves_gym.baselines.resolved import carried, damped_inverse, seen_from_base
 from ves_gym.envs.reach import Reach
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.kinematics import joints_for, tool_jacobian
-from ves_gym.mechanics.spatial import matvec, rotation, twist
+from ves_gym.mechanics.spatial import matvec, twist
 
 _MOVE = 0.75  # share of an episode that the way takes
 _LEAST = 0.35  # s that there are left to go at any time
@@ -56,10 +56,8 @@ class Homing:
         # joint angles for the target, and their rate, on the base as it is
         inverse = damped_inverse(tool_jacobian(arm, self._end))
         reach = joint_positions(arm, self._end)[:, -1]
-        turn = np.swapaxes(rotation(s.y_seen), -1, -2)
-        wanted = matvec(turn, s.goal[:, :3] - s.y_seen[:, :3])
-        base = twist(s.y_seen, s.yd_seen)
-        drift = base[:, :3] + np.cross(base[:, 3:], reach)
+        wanted = seen_from_base(s.y_seen, s.goal[:, :3])
+        drift = carried(twist(s.y_seen, s.yd_seen), reach)[:, :3]
         end, rate = self._end + matvec(inverse, wanted - reach), -matvec(inverse, drift)
         near = np.minimum(left, _LEAST)  # the base sways: its rate says little of later
         _, v, a = s.ref.swapaxes(0, 1)

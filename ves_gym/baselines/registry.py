@@ -7,8 +7,7 @@ from collections.abc import Callable
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.braced import Braced
-from ves_gym.baselines.closing import Closing
-from ves_gym.baselines.closing_pose import ClosingPose
+from ves_gym.baselines.closing import Closing, ClosingPose
 from ves_gym.baselines.controllers import Controller, Follow, Hold, Optimal, Random, Zero
 from ves_gym.baselines.homing import Homing
 from ves_gym.baselines.mppi import Mppi

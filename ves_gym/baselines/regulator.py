@@ -12,6 +12,7 @@ from ves_gym.envs.control import Torque
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.servo import JointServo
+from ves_gym.mechanics.spatial import matvec
 from ves_gym.system.system import System
 
 # Standard deviations, this project: what the plant leaves out against what sensors do.
@@ -113,11 +114,11 @@ class Regulator:
         away = s.q - self._home
         started = env.batch.episodes.steps > 0
         # one period on by the plant, then what was seen of it
-        ahead = _times(self._A, self._state) + _times(self._B, self._tau)
+        ahead = matvec(self._A, self._state) + matvec(self._B, self._tau)
         measured = np.concatenate([s.y_seen, away], axis=1)
-        ahead += _times(self._L, measured - ahead[:, : measured.shape[1]])
+        ahead += matvec(self._L, measured - ahead[:, : measured.shape[1]])
         self._state = np.where(started[:, None], ahead, self._state)
-        tau = -_times(self._F, np.concatenate([self._state, self._summed], axis=1))
+        tau = -matvec(self._F, np.concatenate([self._state, self._summed], axis=1))
         action = torque_action(env, control, tau)
         self._tau = control.torque(action, env.task.system.arm)
         limited = np.abs(action) >= 1.0  # an integral that goes on there would wind up
@@ -157,10 +158,4 @@ def observer_gain(A: Array, joints: int, dt: float) -> Array:
     floor = 1e-18 * np.eye(2 * n)  # keeps the Riccati equation regular
     S = scipy.linalg.solve_discrete_are(A.T, C.T, unknown @ unknown.T + floor, noise)
     out: Array = S @ C.T @ np.linalg.inv(C @ S @ C.T + noise)
-    return out
-
-
-def _times(matrix: Array, vector: Array) -> Array:
-    """Matrix times vector, simulation by simulation."""
-    out: Array = (matrix @ vector[..., None])[..., 0]
     return out

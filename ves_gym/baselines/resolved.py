@@ -23,6 +23,7 @@ _LEGS = ((0.0, 0.37), (0.45, 0.8))  # the same of the two legs of payload_transf
 _CALM = 0.1  # s before the joints have to be at rest by which they slow down
 _REST = 0.8  # of the rate that counts as rest, the most that they then have
 _DAMPING = 0.05  # m/rad, of the least squares near singular configurations
+LEVER = 0.3  # m per radian, of turn beside place
 
 
 class Resolved:
@@ -103,10 +104,8 @@ class Resolved:
         )
         y: Array = s.y_seen + dt * s.yd_seen  # of the base at the period's end
         reach = joint_positions(arm, present)[:, -1]
-        offset = self._path[rows, np.minimum(step + 1, env.task.steps)] - y[:, :3]
-        wanted = matvec(np.swapaxes(rotation(y), -1, -2), offset)  # in the base's axes
-        base = twist(y, s.yd_seen)
-        drift = base[:, :3] + np.cross(base[:, 3:], reach)  # of the tool with the base
+        wanted = seen_from_base(y, self._path[rows, np.minimum(step + 1, env.task.steps)])
+        drift = carried(twist(y, s.yd_seen), reach)[:, :3]  # of the tool with the base
         inverse = damped_inverse(tool_jacobian(arm, present))
         angles = present + matvec(inverse, wanted - reach)
         # once more: damping leaves up to a fifth of the gap where the arm is least dexterous
@@ -138,8 +137,44 @@ def _slowly(ref: Array, then: Array, rate: float, dt: float) -> Array:
     return np.stack([angle, slow, np.zeros_like(slow)], axis=1)
 
 
-def damped_inverse(J: Array) -> Array:
-    """Return damped pseudo-inverses (..., n, 3) of Jacobians of places (..., 3, n)."""
-    across = np.swapaxes(J, -1, -2)
-    out: Array = across @ np.linalg.inv(J @ across + _DAMPING**2 * np.eye(3))
+def seen_from_base(y: Array, place: Array) -> Array:
+    """Return places in the base's axes (n, 3) [m].
+
+    Args:
+        y: (n, 6) pose of the base.
+        place: (n, 3) in space [m].
+    """
+    return matvec(np.swapaxes(rotation(y), -1, -2), place - y[:, :3])
+
+
+def carried(base: Array, place: Array) -> Array:
+    """Return the velocity that a base gives a place, or the rate of it, turn included.
+
+    Args:
+        base: (n, 6) in its own axes [m/s, rad/s].
+        place: (n, 3) [m].
+
+    Returns:
+        (n, 6).
+    """
+    out = base.copy()
+    out[:, :3] += np.cross(base[:, 3:], place)
+    return out
+
+
+def damped_inverse(J: Array, damping: float = _DAMPING, dear: Array | None = None) -> Array:
+    """Return damped pseudo-inverses (..., n, m) of the tool's Jacobians.
+
+    Args:
+        J: (..., m, n) of places, m = 3, or of places and turns, m = 6.
+        damping: of the least squares near singular configurations [m/rad].
+        dear: (..., n, n) what joint rates cost beside each other; None: they are alike.
+    """
+    weighted = J.copy()
+    weighted[..., 3:, :] *= LEVER
+    across = np.swapaxes(weighted, -1, -2)
+    if dear is not None:
+        across = np.linalg.solve(dear, across).astype(float)
+    out: Array = across @ np.linalg.inv(weighted @ across + damping**2 * np.eye(J.shape[-2]))
+    out[..., 3:] *= LEVER
     return out

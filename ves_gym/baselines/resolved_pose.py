@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.baselines.controllers import reference_action
+from ves_gym.baselines.resolved import LEVER, carried, damped_inverse, seen_from_base
 from ves_gym.envs.pose_reach import PoseReach, goal_pose
 from ves_gym.envs.scales import straight_energy, straight_motion
 from ves_gym.envs.vector import VesVectorEnv
@@ -24,9 +25,8 @@ from ves_gym.mechanics.tool_pose import (
 )
 
 _MOVE = 0.8  # share of an episode that the way to the pose takes
-_STARTS = 32  # of the inverse kinematics
+STARTS = 32  # of the inverse kinematics
 _DAMPING = 0.03  # m/rad, of the least squares near singular configurations
-_LEVER = 0.3  # m per radian, of turn beside place
 _ROUNDS = 2  # of Newton's method per period
 _FIRM = 2.0  # what is asked of the servos beyond their gains, as a multiple of them
 _DEXTEROUS = 0.03  # m/rad, `pose_dexterity` below which a configuration counts as dearer
@@ -87,9 +87,8 @@ class ResolvedPose:
             self._plan[rows, np.minimum(step + k, env.task.steps + 1)] for k in (0, 1, 2)
         )
         y = s.y_seen + dt * s.yd_seen  # of the base at the period's end
-        back = np.swapaxes(rotation(y), -1, -2)
         place, turn = tool_frame(arm, present)
-        place, turn = matvec(back, place - y[:, :3]), back @ turn  # as the base sees it
+        place, turn = seen_from_base(y, place), np.swapaxes(rotation(y), -1, -2) @ turn
         q = present
         for _ in range(_ROUNDS):
             at, turned = tool_frame(arm, q)
@@ -125,7 +124,7 @@ def _kindest(arm: Arm, q: Array, ends: Array, seconds: float, energy: straight_e
     speed = np.abs(ends - q) * (QUINTIC_PEAK_SPEED / seconds) / arm.column("v_max")
     excess = np.maximum(speed.max(axis=1) - 1, 0.0)
     near = np.flatnonzero(excess <= excess.min())
-    stiff = np.maximum(_DEXTEROUS / pose_dexterity(arm, ends[near], _LEVER), 1.0)
+    stiff = np.maximum(_DEXTEROUS / pose_dexterity(arm, ends[near], LEVER), 1.0)
     costs = energy(np.tile(q, (len(near), 1)), ends[near]) * stiff**2
     chosen: Array = ends[near[costs.argmin()]]
     return chosen
@@ -140,37 +139,18 @@ def configurations_for(arm: Arm, q: Array, places: Array, turns: Array) -> list[
         places: (k, 3) of the tool [m].
         turns: (k, 3, 3) of the tool.
     """
-    every = configurations_at_each(arm, places, turns, q, _STARTS)
+    every = configurations_at_each(arm, places, turns, q, STARTS)
     # nothing better is known than to stay
     return [ends if len(ends) else here[None] for ends, here in zip(every, q, strict=True)]
 
 
-def carried(base: Array, place: Array) -> Array:
-    """Return the velocity that a base gives a place, or the rate of it, turn included.
-
-    Args:
-        base: (n, 6) in its own axes [m/s, rad/s].
-        place: (n, 3) [m].
-
-    Returns:
-        (n, 6).
-    """
-    out = base.copy()
-    out[:, :3] += np.cross(base[:, 3:], place)
-    return out
-
-
 def inverse_sparing(arm: Arm, q: Array) -> Array:
     """(n, joints, 6) damped inverse of the tool's Jacobian that spares the base."""
-    J = tool_twists(arm, q)
-    J[:, 3:] *= _LEVER
-    across = np.swapaxes(J, -1, -2)
-    if arm.n > J.shape[1]:
+    dear = None
+    if arm.n > 6:
         H = inertia(arm, q)
         whole, pushed = H[:, :6, :6], H[:, :6, 6:]
         pushing = np.swapaxes(pushed, -1, -2) @ np.linalg.solve(whole, pushed)
         own = np.trace(H[:, 6:, 6:], axis1=-2, axis2=-1)[:, None, None] / arm.n
-        across = np.linalg.solve(np.eye(arm.n) + _REACTION * pushing / own, across)
-    out: Array = across @ np.linalg.inv(J @ across + _DAMPING**2 * np.eye(6))
-    out[..., 3:] *= _LEVER
-    return out
+        dear = np.eye(arm.n) + _REACTION * pushing / own
+    return damped_inverse(tool_twists(arm, q), _DAMPING, dear)

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.baselines.controllers import torque_action
+from ves_gym.baselines.resolved import damped_inverse
 from ves_gym.envs.control import Acceleration, Torque
 from ves_gym.envs.servicer_capture import ServicerCapture, meeting
 from ves_gym.envs.vector import VesVectorEnv
@@ -29,7 +30,6 @@ _HORIZON = 0.6  # s: how far ahead a fixture is aimed at when its meeting is due
 _FLIGHT = 2.0  # s, step of the target's flight that is foreseen
 _ROUNDS = 2  # of Newton's method per period
 _DAMPING = 0.02  # m/rad, of the least squares near singular configurations
-_LEVER = 0.3  # m per radian, of turn beside place
 _STIFF = 5.0, 2.0  # rad/s of the joints' error, before the capture and after it
 _FADE = 5.0  # s in which the joints stop after the capture
 _LAW = AttitudeControl(bandwidth=0.03, damping_ratio=0.9, spin_max=0.03, moment_max=12.0)
@@ -123,10 +123,10 @@ class Servicer:
             missing = back @ turn @ np.swapaxes(turned, -1, -2)
             error = [matvec(back, place - base) - at, Rotation.from_matrix(missing).as_rotvec()]
             J = tool_twists(arm, q) + _lifted(at) @ moved  # with the base that gives way
-            q = q + matvec(_inverse(J), np.concatenate(error, axis=1))
+            q = q + matvec(damped_inverse(J, _DAMPING), np.concatenate(error, axis=1))
         desired = np.concatenate([matvec(back, motion[:, :3]), matvec(back, motion[:, 3:])], 1)
         residual = Y - matvec(moved, s.v[ids])  # what the base does besides the arm's momentum
-        v = matvec(_inverse(J), desired - matvec(_lifted(at), residual))
+        v = matvec(damped_inverse(J, _DAMPING), desired - matvec(_lifted(at), residual))
         self._led[ids] = _quintic(led, q, v, horizon, dt)
 
     def _joint_action(self, env: VesVectorEnv, masses: Masses) -> Array:
@@ -250,16 +250,6 @@ def _fixture_after(env: VesVectorEnv, ids: Index, time: Array) -> tuple[Array, A
 def _lifted(place: Array) -> Array:
     """(k, 6, 6) from the twist of the base to that of its point at a place (k, 3)."""
     return to_point(np.zeros_like(place), place)
-
-
-def _inverse(J: Array) -> Array:
-    """(k, joints, 6) damped inverse."""
-    weighted = J.copy()
-    weighted[:, 3:] *= _LEVER
-    across = np.swapaxes(weighted, -1, -2)
-    out: Array = across @ np.linalg.inv(weighted @ across + _DAMPING**2 * np.eye(6))
-    out[..., 3:] *= _LEVER
-    return out
 
 
 def _quintic(led: Array, q: Array, v: Array, time: Array, dt: float) -> Array:
