@@ -287,8 +287,8 @@ SMALL = config_from_plain(
     }
 )  # fmt: skip
 PLAIN = replace(
-    SMALL, imitate="", imitation={}, frames=1, env="ves/PumaReachGoal-v0", relative=0.1,
-    settings={"duration": 0.5, "hold": 0.1}, smooth=0.05,
+    SMALL, imitate="", imitation={}, frames=1, env="ves/PumaReachGoal-v0",
+    settings={"duration": 0.5, "hold": 0.1},
 )  # fmt: skip
 
 

@@ -175,21 +175,6 @@ def test_continues_from_a_snapshot():
             assert again[3][i]["episode"]["r"] == infos[i]["episode"]["r"]
 
 
-def test_smooth_rewards_tell_how_far_a_goal_is():
-    venv = Sb3VecEnv(vector("ves/PumaReachGoal-v0"), hold=2, reward_scale=0.5, smooth=0.1)
-    plain = Sb3VecEnv(vector("ves/PumaReachGoal-v0"), hold=2)
-    for one in (venv, plain):
-        one.seed(0)
-        one.reset()
-    action = actions(np.random.default_rng(0), venv)
-    seen, reward, *_ = venv.step(action)
-    d = np.linalg.norm(seen["achieved_goal"] - seen["desired_goal"].astype(float), axis=1)
-    np.testing.assert_allclose(reward, 0.5 * 2 * -d / (d + 0.1), rtol=1e-6)
-    np.testing.assert_array_equal(plain.step(action)[1], [-2, -2, -2])
-    with pytest.raises(ParameterError, match="smooth"):
-        Sb3VecEnv(vector(), smooth=0.1)
-
-
 @pytest.mark.parametrize("id", IDS)
 def test_check_env_has_nothing_to_say(id):
     """Stable-Baselines3's own check, warnings being errors; and goals only where they are."""

@@ -62,8 +62,6 @@ class TrainConfig:
     final_rate: float = 0.0  # of the learning rate
     endless: bool = False  # learn as if no deadline came, see `Sb3VecEnv`
     reward_scale: float = 1.0  # constant factor of the rewards that the algorithm sees
-    smooth: float = 0.0  # m; of a goal variant: learn from smoothed rewards, see `Sb3VecEnv`
-    relative: float = 0.0  # m from the target that count as one at first, see `_lean`
     eval_every: int = 0  # steps; 0: a twentieth of the run
     eval_episodes: int = 100
     checkpoint_every: int = 0  # steps; 0: as often as it is evaluated
@@ -106,15 +104,6 @@ class TrainConfig:
             )
         if self.her is not None and self.algorithm != "SAC":
             raise ParameterError(f"TrainConfig.her needs SAC, got {self.algorithm}")
-        if not self.smooth >= 0 or (self.smooth and self.her is not None):
-            raise ParameterError(
-                "TrainConfig.smooth must be >= 0, and 0 with hindsight replay, whose rewards"
-                f" are those of the task; got {self.smooth}"
-            )
-        if not self.relative >= 0 or (self.relative and self.algorithm == "SAC"):
-            raise ParameterError(
-                f"TrainConfig.relative must be >= 0, and 0 but for PPO, got {self.relative}"
-            )
         reserved = {"policy", "env", "seed", "device", "verbose", "policy_kwargs", "use_sde"}
         taken = reserved & set(self.hyperparameters)
         if taken:
@@ -136,7 +125,7 @@ class TrainConfig:
 
     def decisions(self) -> dict[str, Any]:
         """Return how decisions are made of actions and rewards, see `Decisions`."""
-        names = ("hold", "reward_scale", "endless", "smooth")
+        names = ("hold", "reward_scale", "endless")
         return {name: getattr(self, name) for name in names}
 
     def to_dict(self) -> dict[str, Any]:

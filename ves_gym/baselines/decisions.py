@@ -39,9 +39,6 @@ class Decisions:
         reward_scale: constant factor of the rewards; returns of `Endings` are without it.
         endless: tell a deadline as a time limit, whatever the task calls it: values are then
             learned as if the episode went on.
-        smooth: of a goal variant, instead of 0 at the goal and -1 elsewhere: -d/(d + smooth),
-            d the distance of what is achieved from what is desired, in the units of the
-            observation. 0: the task's own reward. `Endings` has the task's return either way.
     """
 
     def __init__(
@@ -51,7 +48,6 @@ class Decisions:
         hold: int = 1,
         reward_scale: float = 1.0,
         endless: bool = False,
-        smooth: float = 0.0,
     ) -> None:
         if not isinstance(env, VesVectorEnv):
             raise ParameterError(f"decisions need a VesVectorEnv, got {type(env).__name__}")
@@ -59,13 +55,8 @@ class Decisions:
             raise ParameterError(
                 f"decisions need hold >= 1 and reward_scale > 0, got {hold} and {reward_scale}"
             )
-        if not smooth >= 0 or (smooth and not env.goal):
-            raise ParameterError(
-                f"decisions: smooth must be >= 0, and 0 but for a goal variant, got {smooth}"
-            )
         self.env, self.hold, self.reward_scale = env, hold, reward_scale
-        self.endless, self.smooth = endless, smooth
-        self.stepping = 0.0
+        self.endless, self.stepping = endless, 0.0
 
     def step(self, actions: Any) -> tuple[Any, Array, Mask, list[Endings]]:
         """Hold actions (n, a); observations, rewards (n,) float32, those over, and how."""
@@ -78,8 +69,6 @@ class Decisions:
             gained, terminated, truncated, info = batch.step(
                 actions, done if done.any() else None
             )
-            if self.smooth:
-                gained = self._smoothed()
             reward = (
                 np.where(done, reward, self.hold * gained) if self.env.goal else reward + gained
             )
@@ -112,9 +101,3 @@ class Decisions:
             success=info["success"][ids],
             energies={k: v[ids] for k, v in info.items() if k.startswith("energy/")},
         )
-
-    def _smoothed(self) -> Array:
-        observation = self.observe()
-        gap = observation["achieved_goal"].astype(float) - observation["desired_goal"]
-        d = np.linalg.norm(gap, axis=1)
-        return -d / (d + self.smooth)

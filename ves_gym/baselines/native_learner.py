@@ -17,7 +17,6 @@ from ves_gym.baselines.perceptron import ActorCritic
 from ves_gym.baselines.policy import Network, Policy
 from ves_gym.baselines.ppo import PPO, ObservationStack, Settings, flat
 from ves_gym.baselines.registry import get_controller
-from ves_gym.baselines.relative import init_goal_difference
 from ves_gym.envs.vector import VesVectorEnv
 
 
@@ -51,13 +50,6 @@ class NativeLearner:
         self.stack = ObservationStack(size, config.frames, features)
         sizes = (size * config.frames, *config.layers, env.batch.width)
         self.agent = ActorCritic(sizes, config.activation, config.log_std, rng)
-        if config.relative:
-            for net in (self.agent.actor, self.agent.critic):
-                newest = net.layers[0][0][-size:]
-                space = env.single_observation_space
-                init_goal_difference(
-                    newest, env.task, space, config.relative, lambda *k: rng.standard_normal(k)
-                )
         self.ppo = PPO(self.decisions, self.agent, self.stack, settings, rng, on_endings)
         self.imitation: Imitation | None = None
         if config.imitate:

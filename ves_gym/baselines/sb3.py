@@ -29,7 +29,7 @@ class Sb3VecEnv(VecEnv):
     Args:
         env: its autoreset mode is not used.
         on_endings: told of every episode that ends.
-        choices: hold, reward_scale, endless and smooth: see `Decisions`.
+        choices: hold, reward_scale and endless: see `Decisions`.
     """
 
     def __init__(

@@ -14,7 +14,6 @@ from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.config import TrainConfig
 from ves_gym.baselines.decisions import Decisions, Endings
 from ves_gym.baselines.policy import Policy, from_sb3
-from ves_gym.baselines.relative import init_goal_difference
 from ves_gym.baselines.sb3 import Sb3VecEnv
 from ves_gym.envs.vector import VesVectorEnv
 
@@ -171,16 +170,6 @@ def _model(config: TrainConfig, seed: int, venv: Any) -> Any:
     except (TypeError, AssertionError) as error:
         raise ParameterError(f"{config.algorithm}: {error}") from error
     model.set_logger(Logger(folder=None, output_formats=[]))
-    if config.relative:
-        extractor = model.policy.mlp_extractor
-        for net in (extractor.policy_net, extractor.value_net):
-            init_goal_difference(
-                net[0].weight.detach().numpy().T,
-                venv.env.task,
-                venv.observation_space,
-                config.relative,
-                lambda *shape: torch.randn(*shape[::-1]).numpy().T,
-            )
     return model
 
 
