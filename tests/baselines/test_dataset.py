@@ -128,8 +128,8 @@ def test_recipes_are_checked(tmp_path):
 def test_behaviours_that_need_different_settings_cannot_share_a_set():
     recipe = Recipe(
         id="ves/x/y-v0",
-        env="ves/PumaRestToRest-v0",
-        behaviours=("direct", "clash"),
+        env="ves/PumaReach-v0",
+        behaviours=("closing", "clash"),
         episodes=2,
         seed=0,
     )
@@ -138,6 +138,6 @@ def test_behaviours_that_need_different_settings_cannot_share_a_set():
         def settings(self, spec):
             return {"control": {"kind": "guided", "jerk": 1.0}}
 
-    direct = dataset._behaviour(recipe, "direct")
+    closing = dataset._behaviour(recipe, "closing")
     with pytest.raises(ParameterError, match="same control"):
-        dataset._settings(recipe, [direct, Clash()])
+        dataset._settings(recipe, [closing, Clash()])

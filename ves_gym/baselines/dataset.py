@@ -401,14 +401,6 @@ def flat_observations(observations: Any) -> Float32:
     return np.asarray(observations)
 
 
-def _plain_network(policy: Policy) -> dict[str, Any]:
-    """A network without `frames` where it is one: policies of before it stay what they are."""
-    plain: dict[str, Any] = to_plain(policy.network)
-    if plain["frames"] == 1:
-        del plain["frames"]
-    return plain
-
-
 def _rounded(value: Any) -> Any:
     """Plain data with numbers to `_DIGITS` of the largest in their array.
 
@@ -442,7 +434,7 @@ def identity_of(recipe: Recipe) -> str:
     given = {**spec.kwargs, **settings}
     goal = bool(given.pop("goal", False))
     weights = [
-        [_plain_network(c), [[W.tolist(), b.tolist()] for W, b in c.weights]]
+        [to_plain(c.network), [[W.tolist(), b.tolist()] for W, b in c.weights]]
         if isinstance(c, Policy)
         else None
         for c in controllers
