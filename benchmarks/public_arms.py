@@ -44,11 +44,10 @@ Reading = tuple[Array, Array, Array]
 
 def of_arm(arm: Arm, q: Array, v: Array) -> Reading:
     """Mass matrix without rotors, bias and tool Jacobian (6, n) of an arm."""
-    links = frames(arm, list(q))
-    tool = np.array(links[-1].position, float)
-    J = [[*np.cross(f.axis, tool - np.array(f.origin, float)), *f.axis] for f in links]
+    at = frames(arm, q)
+    J = np.concatenate([np.cross(at.axis, at.position[-1] - at.origin), at.axis], axis=1)
     H = inertia(arm, q)[6:, 6:] - np.diag(arm.column("rotor_inertia"))
-    return H, inverse_dynamics(arm, q, v, 0 * q, GRAVITY)[0], np.array(J, float).T
+    return H, inverse_dynamics(arm, q, v, 0 * q, GRAVITY)[0], J.T
 
 
 class ByPinocchio:

@@ -9,8 +9,8 @@ import pytest
 
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import JointStribeck
+from ves_gym.engine.kernel.numbers import parameters
 from ves_gym.engine.kernel.sensitivity import rollout_gradients
-from ves_gym.engine.kernel.trace import parameters
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, STRAIGHT_VERTICAL_THESIS
 from ves_gym.simulation.playback import play_motions

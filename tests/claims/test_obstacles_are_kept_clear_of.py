@@ -27,7 +27,7 @@ ARM = System(vehicle=BENT_THESIS).arm
 def capsules(q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Ends a, b (k, 3) and radii (k,) of links 2 and 3 and the tool at one configuration."""
     points = joint_positions(ARM, q)
-    axes = [np.array([float(x) for x in f.axis]) for f in frames(ARM, list(q))]
+    axes = frames(ARM, q).axis
     a, b, r = [], [], []
     for i in (1, 2):
         knee = points[i] + ARM.links[i].d * axes[i]

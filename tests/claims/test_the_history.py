@@ -138,7 +138,7 @@ def printed_inertia(q: np.ndarray) -> np.ndarray:
 
     The rotors' inertia then also turns with the base, about the axis of joints 2 and 3.
     """
-    axis = frames(PUMA_560, list(q))[1].axis
+    axis = frames(PUMA_560, q).axis[1]
     H = inertia(PUMA_560, q)
     H[6:, 6:] -= np.diag(PUMA_560.column("rotor_inertia"))
     for rotor, joints in ((4.710, (0, 1, 0)), (0.835, (0, 1, 1))):

@@ -17,7 +17,7 @@ from ves_gym.damping.virtual_manipulator import (
     virtual_jacobian,
 )
 from ves_gym.mechanics.arm import Arm, Inertial, diagonal
-from ves_gym.mechanics.dynamics import frames, joint_positions, start
+from ves_gym.mechanics.dynamics import frames, joint_positions
 from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING
 from ves_gym.system.system import System
@@ -53,11 +53,11 @@ def virtual_links(arm: Arm, to: str = "base") -> Array:
     masses = np.array([b.mass for b in bodies])
     beyond = np.cumsum(masses[::-1])[::-1]  # mass of body j and of all after it
     out = np.array([-b.mass * np.array(b.com) for b in bodies])
-    turn, place = start(arm)
+    turn, place = arm.start
     lengths = np.zeros((arm.n, *out.shape))  # of each link, by the bodies they turn with
     for j, link in enumerate(arm.links):
         # d lies along the axis before the link, a along the link's own x before beta
-        lengths[j, j] = link.d * np.array(turn.z if j == 0 else (0.0, 0.0, 1.0))
+        lengths[j, j] = link.d * (turn[:, 2] if j == 0 else np.eye(3)[2])
         lengths[j, j + 1] = link.a * link.far_end[0][0]
     lengths[0, 0] += place
     out -= np.tensordot(beyond[1:], lengths, axes=1)
@@ -96,8 +96,7 @@ def test_the_links_lead_from_the_centre_of_mass(name, to):
     arm = ARMS[name]
     links = virtual_links(arm, to)
     for q in np.random.default_rng(0).uniform(-2, 2, (5, arm.n)):
-        chain = frames(arm, list(q))
-        turns = [np.eye(3), *(np.array(f.rotation).T for f in chain)]
+        turns = [np.eye(3), *frames(arm, q).rotation]
         places = joint_positions(arm, q)
         bodies = [arm.base, *(k.inertial for k in arm.links)]
         centre = sum(
@@ -115,7 +114,7 @@ def test_the_jacobian_is_the_slope_of_the_links(name):
     links = virtual_links(arm)
 
     def base(q):
-        turns = [np.eye(3), *(np.array(f.rotation).T for f in frames(arm, list(q)))]
+        turns = [np.eye(3), *frames(arm, q).rotation]
         return sum(R @ v for R, v in zip(turns, links, strict=True))
 
     q = np.random.default_rng(1).uniform(-2, 2, arm.n)

@@ -14,7 +14,7 @@ import pytest
 from ves_gym._util.params import ParameterError
 from ves_gym.engine.backends import kernel as backend
 from ves_gym.engine.backends.registry import BackendWarning
-from ves_gym.engine.kernel import build, emit, trace
+from ves_gym.engine.kernel import build, emit, numbers, trace
 from ves_gym.engine.kernel.blocks import aligned
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.mechanics.arm import matrix
@@ -281,7 +281,7 @@ SYSTEMS = {
 
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_parameters_are_those_of_the_graph(name):
-    names, values = trace.parameters(SYSTEMS[name])
+    names, values = numbers.parameters(SYSTEMS[name])
     graphs = trace.equations(SYSTEMS[name])
     assert names == graphs.names
     assert len(set(names)) == len(names) == len(values) == graphs.motion.size1_in(2)
@@ -289,7 +289,7 @@ def test_parameters_are_those_of_the_graph(name):
 
 
 def test_parameters_say_what_they_are():
-    names, values = trace.parameters(System(vehicle=full()))
+    names, values = numbers.parameters(System(vehicle=full()))
     p = dict(zip(names, values, strict=True))
     base = System(vehicle=full()).base
     for i in range(6):
@@ -302,9 +302,9 @@ def test_parameters_say_what_they_are():
 
 
 def test_structural_zeros_vanish():
-    names, _ = trace.parameters(System(vehicle=DECOUPLED))
+    names, _ = numbers.parameters(System(vehicle=DECOUPLED))
     assert [k for k in names if k[0] == "K"] == [f"K{i}{i}" for i in range(1, 7)]
-    satellite, _ = trace.parameters(System(vehicle=FREE_FLOATING))
+    satellite, _ = numbers.parameters(System(vehicle=FREE_FLOATING))
     assert not [k for k in satellite if k[0] in "MDK" and k[1:].isdigit()]
     assert "satellite.mass" in satellite
     assert "satellite.com1" not in satellite  # it is zero
@@ -323,7 +323,7 @@ def test_derivatives_along_one_and_along_many_are_the_same():
     assert many.n_instructions() < one.n_instructions()
     rng = np.random.default_rng(0)
     x, u = 0.1 * rng.standard_normal(one.size1_in(0)), rng.standard_normal(one.size1_in(1))
-    p = trace.parameters(System(vehicle=BENT_THESIS))[1]
+    p = numbers.parameters(System(vehicle=BENT_THESIS))[1]
     expected = one(x, u, p).full()
     np.testing.assert_allclose(many(x, u, p).full(), expected, rtol=1e-10, atol=1e-9)
     size = {
@@ -481,13 +481,13 @@ STRUCTURES = {  # other code
 
 @pytest.mark.parametrize("name", VALUES)
 def test_values_are_no_structure(name):
-    assert trace.structure(VALUES[name]) == trace.structure(System(vehicle=BENT_THESIS))
+    assert numbers.structure(VALUES[name]) == numbers.structure(System(vehicle=BENT_THESIS))
     assert backend.compiled(VALUES[name]) is backend.compiled(System(vehicle=BENT_THESIS))
 
 
 def test_structures_differ():
-    keys = {name: trace.structure(system) for name, system in STRUCTURES.items()}
-    keys["here"] = trace.structure(System(vehicle=BENT_THESIS))
+    keys = {name: numbers.structure(system) for name, system in STRUCTURES.items()}
+    keys["here"] = numbers.structure(System(vehicle=BENT_THESIS))
     assert len(set(keys.values())) == len(keys)
 
 
@@ -496,7 +496,7 @@ def test_the_step_is_structure_only_where_it_is_in_the_code():
         System(vehicle=BENT_THESIS, integrator="implicitfast", physics_dt=dt)
         for dt in (1.25e-3, 6.25e-4)
     ]
-    assert len({trace.structure(system) for system in steps}) == 2
+    assert len({numbers.structure(system) for system in steps}) == 2
 
 
 def test_systems_of_one_structure_keep_their_own_values():

@@ -40,7 +40,7 @@ def test_times_the_numbers_it_is_newton_euler(arm):
     """Tolerance: rounding of some kN."""
     q, v, a, _, _ = motion(arm, 50)
     g = gravity_vector(np.array([0, 0, 0, 0.3, -0.2, 0.1]))
-    tau, wrench = inverse_dynamics(arm, q, v, a, gravity=tuple(g))
+    tau, wrench = inverse_dynamics(arm, q, v, a, gravity=g)
     found = inertia_regressor(arm, q, v, a, accel=-g) @ inertial_parameters(arm)
     np.testing.assert_allclose(found, np.hstack([wrench, tau]), rtol=1e-12, atol=1e-10)
 
@@ -53,7 +53,7 @@ def test_weight_is_that_of_the_gravity_model(arm):
     found = regressor @ weight_parameters(arm)
     np.testing.assert_allclose(found[:, :6], GravityModel.of(arm).wrench(arm, q, y), atol=1e-10)
     rest = np.zeros_like(q)
-    hold = inverse_dynamics(arm, q, rest, rest, gravity=tuple(g.T))[0]
+    hold = inverse_dynamics(arm, q, rest, rest, gravity=g)[0]
     np.testing.assert_allclose(found[:, 6:], hold, atol=1e-10)
     moments = regressor[:, 3:6].reshape(150, -1)
     assert np.linalg.matrix_rank(moments, rtol=1e-9) == minimal_model(arm).size

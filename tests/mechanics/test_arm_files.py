@@ -54,9 +54,8 @@ def differences(one, other):
 
 
 def pose(arm, q):
-    last = frames(arm, list(q))[-1]
-    turn = np.array(last.rotation, float).T @ arm.tool_rotation
-    return np.column_stack([turn, np.array(last.position, float)])
+    at = frames(arm, q)
+    return np.column_stack([at.rotation[-1] @ arm.tool_rotation, at.position[-1]])
 
 
 def require_same_limits(one, other):
@@ -187,12 +186,9 @@ def with_mujoco(path, arm, tool="tool", hold=()):
         site = model.site(tool).id
         J = np.zeros((6, model.nv))
         mujoco.mj_jacSite(model, data, J[:3], J[3:], site)
-        links = frames(arm, list(q))
-        place = np.array(links[-1].position, float)
-        ours = np.array(
-            [[*np.cross(f.axis, place - np.array(f.origin, float)), *f.axis] for f in links],
-            float,
-        ).T
+        at = frames(arm, q)
+        levers = at.position[-1] - at.origin
+        ours = np.concatenate([np.cross(at.axis, levers), at.axis], axis=1).T
         theirs = np.column_stack([data.site_xmat[site].reshape(3, 3), data.site_xpos[site]])
         pairs = (
             (inertia(arm, q)[6:, 6:], full[np.ix_(dofs, dofs)]),

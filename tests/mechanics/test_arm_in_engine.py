@@ -94,8 +94,7 @@ def test_an_obstacle_meets_the_shape_that_the_file_gives():
     links[2] = dataclasses.replace(links[2], shape=(wide,))
     shaped = dataclasses.replace(arm, links=tuple(links))
     q = np.array([0.3, -1.0, 0.8, 0.0, 0.0, 0.0])
-    frame = frames(arm, list(q))[2]
-    turn, at = np.array(frame.rotation, float).T, np.array(frame.position, float)
+    turn, at = (part[2] for part in (frames(arm, q).rotation, frames(arm, q).position))
     middle, aside = at + turn @ [0.2, 0.0, 0.0], turn @ [0.0, 0.0, -1.0]
     for gap, clear in ((0.01, True), (-0.01, False)):
         ball = Sphere(centre=tuple(middle + (0.2 + 0.05 + gap) * aside), radius=0.05)

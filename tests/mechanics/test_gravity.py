@@ -137,7 +137,7 @@ def test_weight_agrees_with_inverse_dynamics_and_pinocchio(arm):
     g = gravity_vector(y)
     found = GravityModel.of(arm).wrench(arm, q, y)
     rest = np.zeros_like(q)
-    expected = inverse_dynamics(arm, q, rest, rest, gravity=tuple(g.T))[1]
+    expected = inverse_dynamics(arm, q, rest, rest, gravity=g)[1]
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-12)
 
     pin = pytest.importorskip("pinocchio")

@@ -118,16 +118,10 @@ def generalised_inertia(arm, q, R):
 
 
 def forces(arm, R, q, u, udot):
-    tau, force, moment = newton_euler(
-        arm,
-        list(q),
-        list(u[6:]),
-        list(udot[6:]),
-        spin=tuple(u[:3]),
-        turn=tuple(udot[:3]),
-        accel=tuple(R.T @ udot[3:6]),
+    tau, wrench = newton_euler(
+        arm, q, u[6:], udot[6:], spin=u[:3], turn=udot[:3], accel=R.T @ udot[3:6]
     )
-    return np.concatenate([moment, R @ np.array(force), tau])
+    return np.concatenate([wrench[3:], R @ wrench[:3], tau])
 
 
 def accelerations(arm, R, q, u, tau):
@@ -142,10 +136,9 @@ def response(arm, q, R):
 
 def jacobian(arm, q, R):
     """(6, n) generalised Jacobian of the tool: angular first, inertial axes."""
-    chain = frames(arm, list(q))
-    tip = np.array(chain[-1].position, float)
-    axes = np.array([frame.axis for frame in chain], float)
-    levers = tip - np.array([frame.origin for frame in chain], float)
+    at = frames(arm, q)
+    tip, axes = at.position[-1], at.axis
+    levers = tip - at.origin
     base = response(arm, q, R)
     turning = R @ base[:3]
     linear = base[3:] + np.cross(turning.T, R @ tip).T + R @ np.cross(axes, levers).T
@@ -188,7 +181,7 @@ def test_resolved_motion_in_simulation(arm):
     y, q = run.y[0], run.q[0]
     tool = np.array(
         [
-            rotation(yk) @ np.array(frames(planar, list(qk))[-1].position) + yk[:3]
+            rotation(yk) @ frames(planar, qk).position[-1] + yk[:3]
             for yk, qk in zip(y, q, strict=True)
         ]
     )

@@ -19,9 +19,7 @@ SPAN = np.deg2rad([120.0, 60.0, 120.0, 90.0, 80.0, 120.0])
 
 def towards(arm, q, place, turn):
     """Joint angles (k, 6) at poses (k, 3) and (k, 3, 3), the nearest to q."""
-    axes = [tuple(axis.T) for axis in np.moveaxis(turn, -1, 0)]
-    way = shortest_way(arm, list(q.T), tuple(place.T), axes, np, np.clip)
-    return q + np.stack(way, axis=1)
+    return q + shortest_way(arm, q, place, turn)
 
 
 def drawn(count, seed=0):

@@ -116,13 +116,9 @@ def with_pinocchio(path, arm, tip):
         pin.updateFramePlacements(model, data)
         J = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1)
         tool = data.oMf[frame]
-        links = frames(arm, list(q))
-        place = np.array(links[-1].position, float)
-        ours = np.array(
-            [[*np.cross(f.axis, place - np.array(f.origin, float)), *f.axis] for f in links],
-            float,
-        ).T
-        turn = np.array(links[-1].rotation, float).T @ arm.tool_rotation
+        at = frames(arm, q)
+        place, turn = at.position[-1], at.rotation[-1] @ arm.tool_rotation
+        ours = np.concatenate([np.cross(at.axis, place - at.origin), at.axis], axis=1).T
         pairs = (
             (inertia(arm, q)[6:, 6:] - np.diag(arm.column("rotor_inertia")), M),
             (inverse_dynamics(arm, q, v, 0 * q, GRAVITY)[0], bias),

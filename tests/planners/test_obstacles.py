@@ -68,7 +68,7 @@ def test_distance_from_a_ball_is_that_of_capsules():
 def axis(arm, q, i):
     from ves_gym.mechanics.dynamics import frames
 
-    return np.array([float(k) for k in frames(arm, list(q))[i].axis])
+    return frames(arm, q).axis[i]
 
 
 def test_the_slope_is_that_of_the_distance():

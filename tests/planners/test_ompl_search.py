@@ -134,8 +134,7 @@ def test_an_end_in_an_obstacle_is_no_question():
 
 def test_where_there_is_no_way_it_says_so():
     """A block in the way of the shoulder, which only joint 1 moves, and only past it."""
-    shoulder = frames(System(vehicle=BENT_THESIS).arm, [0.0, 0.0, 0.0])[1]
-    axis = np.array([float(k) for k in shoulder.axis])
+    axis = frames(System(vehicle=BENT_THESIS).arm, np.zeros(3)).axis[1]
     block = Box(centre=tuple(np.array([0, 0, 0.9]) - 0.2 * axis), size=(0.05, 0.05, 0.05))
     query = dataclasses.replace(ACROSS, surroundings=Surroundings(obstacles=(block,)))
     begin = time.perf_counter()

@@ -114,9 +114,7 @@ def test_an_end_in_an_obstacle_is_said():
 
 def test_no_way_is_said():
     """A block in the way of the shoulder, which only joint 1 moves, and only past it."""
-    axis = np.array(
-        [float(k) for k in frames(System(vehicle=BENT_THESIS).arm, [0.0, 0.0, 0.0])[1].axis]
-    )
+    axis = frames(System(vehicle=BENT_THESIS).arm, np.zeros(3)).axis[1]
     block = Box(centre=tuple(np.array([0, 0, 0.9]) - 0.2 * axis), size=(0.05, 0.05, 0.05))
     walled = Surroundings(obstacles=(block,))
     plan = solve(Refined(), dataclasses.replace(ACROSS, surroundings=walled))

@@ -16,7 +16,7 @@ from ves_gym.effects import (
     JointViscous,
     joint_friction,
 )
-from ves_gym.engine.kernel.trace import structure
+from ves_gym.engine.kernel.numbers import structure
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.playback import play_motions

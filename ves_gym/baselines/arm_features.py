@@ -6,10 +6,8 @@ inverse before its last centimetres are right. Both are in closed form, so they 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +16,16 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.envs.task import Task
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import arm_names, get_arm
-from ves_gym.mechanics.dynamics import Frame, add, cross, dot, frames, scale
+from ves_gym.mechanics.dynamics import Frames, frames
+from ves_gym.mechanics.kinematics import tool_motions
+from ves_gym.mechanics.spatial import (
+    cross,
+    matvec,
+    numbers,
+    rotation,
+    solve_symmetric,
+    twist,
+)
 from ves_gym.mechanics.spherical_wrist import has_spherical_wrist, shortest_way
 
 _DAMPING = 0.05  # m/rad, of the least squares near singular configurations
@@ -30,6 +37,7 @@ _ROUNDS, _MOST_ROUNDS = 4, 16
 _FURTHER = 6.3  # rad of the way left to a pose, told apart up to there
 _POSE_DAMPING = 0.03  # m/rad
 _LEAST = 1e-5  # of 1 + cosine, where an axis is turned
+_WEIGHTS = np.array([1.0, 1.0, 1.0, _LEVER, _LEVER, _LEVER])
 _STRIDE = 1.0  # rad, the most that a joint moves per round of Newton's method
 
 
@@ -114,142 +122,103 @@ class ArmFeatures:
         )
 
     def __call__(self, observation: npt.ArrayLike) -> Array:
-        """Features (n, size) of observations (n, o)."""
-        columns = list(np.moveaxis(np.asarray(observation, np.float64), -1, 0))
-        return np.stack(np.broadcast_arrays(*self.formulas(columns, np, np.clip)), axis=-1)
+        """Return features (n, size) of observations (n, o): numbers, or what is traced."""
+        x = numbers(observation)
 
-    def formulas(
-        self, entries: Sequence[Any], xp: Any, clip: Callable[[Any, float, float], Any]
-    ) -> list[Any]:
-        """Return the features from the entries of an observation, numbers, arrays or symbols.
+        def part(first: int, count: int) -> Array:
+            return x[:, first : first + count] * np.array(self.scales[first : first + count])
 
-        Args:
-            entries: of the observation, in its scales.
-            xp: namespace of sin, cos, sqrt, arctan2 and where.
-            clip: brings the first argument into the range of the others.
-        """
-
-        def part(first: int, count: int) -> list[Any]:
-            return [entries[i] * self.scales[i] for i in range(first, first + count)]
-
-        q = part(self.joint_angle, self._arm.n)
-        turn = part(self.base_pose + 3, 3)
-        way: Any = part(self.target, 3)
+        arm, q = self._arm, part(self.joint_angle, self._arm.n)
+        pose, way = part(self.base_pose, 6), part(self.target, 3)
         if self.tool >= 0:
-            way = [a - b for a, b in zip(way, part(self.tool, 3), strict=True)]
-        base = part(self.base_rate, 6)
-        (sx, sy, sz), (cx, cy, cz) = ([f(k) for k in turn] for f in (xp.sin, xp.cos))
-        axes = (  # of the base in space, Z-Y-X
-            (cz * cy, sz * cy, -sy),
-            (cz * sy * sx - sz * cx, sz * sy * sx + cz * cx, cy * sx),
-            (cz * sy * cx + sz * sx, sz * sy * cx - cz * sx, cy * cx),
-        )
-        desired = tuple(dot(axis, way) for axis in axes)
-        moving = tuple(dot(axis, tuple(base[:3])) for axis in axes)
-        dx, dy, dz = base[3:]
-        turning = (dx - sy * dz, cx * dy + sx * cy * dz, cx * cy * dz - sx * dy)
-        chain = frames(self._arm, q, xp)
-        tool = chain[-1].position
-        carried = add(moving, cross(turning, tool))
+            way = way - part(self.tool, 3)
+        back = np.swapaxes(rotation(pose), -1, -2)
+        moving = twist(pose, part(self.base_rate, 6))
+        at, desired = frames(arm, q), matvec(back, way)
+        tool, moved = at.position[..., -1, :], tool_motions(arm, at)
+        carried, turning = moving[:, :3] + cross(moving[:, 3:], tool), moving[:, 3:]
+        rest = [tool]
         if self.turn < 0:
-            J = [frame.moved(tool)[0] for frame in chain]
-            joint_way, taken, pose, far = _damped(J, desired), _damped(J, carried), [], _FAR
+            J, far = moved[..., :3], _FAR
+            joint_way, taken = _damped(J, desired), _damped(J, carried)
         else:
-            sines, cosine = part(self.turn, 3), part(self.turn + 3, 1)[0]
-            missing = tuple(dot(axis, tuple(sines)) for axis in axes)
-            J, has = self._moved(chain), self._axes(chain)
-            asked = [_turned(missing, cosine, axis) for axis in has]
-            place = add(tool, desired)
-            left: list[Any] = []
+            missing = matvec(back, part(self.turn, 3))
+            turn, far = self._turn(at), _FURTHER
+            asked = _turned(missing, part(self.turn + 3, 1)[:, 0], turn)
+            left = []
             if self.rounds:
-                joint_way, left = self._to_pose(q, place, asked, xp, clip)
+                joint_way, lacking = self._to_pose(q, tool + desired, asked)
+                left = [lacking]
             else:
-                joint_way = shortest_way(self._arm, q, place, asked, xp, clip)
-            taken = _damped(J, (*carried, *scale(_LEVER, turning)))
-            pose, far = [*(k for axis in (*has, *asked) for k in axis), *left], _FURTHER
-        return [
-            *(clip(k, -_NEAR, _NEAR) * (1 / _NEAR) for k in joint_way),
-            *(clip(k, -far, far) for k in joint_way),
-            *(clip(k, -_FAST, _FAST) * (1 / _FAST) for k in taken),
-            *(xp.sin(k) for k in q),
-            *(xp.cos(k) for k in q),
-            *tool,
-            *pose,
-        ]
+                joint_way = shortest_way(arm, q, tool + desired, asked)
+            both = np.concatenate([carried, _LEVER * turning], axis=-1)
+            taken = _damped(moved * _WEIGHTS, both)
+            axes = [np.swapaxes(k, -1, -2).reshape(len(q), 9) for k in (turn, asked)]
+            rest = [tool, *axes, *left]
+        parts = (
+            np.clip(joint_way, -_NEAR, _NEAR) * (1 / _NEAR),
+            np.clip(joint_way, -far, far),
+            np.clip(taken, -_FAST, _FAST) * (1 / _FAST),
+            np.sin(q),
+            np.cos(q),
+            *rest,
+        )
+        return np.concatenate(parts, axis=-1)
 
-    def _to_pose(
-        self, q: list[Any], place: Any, asked: list[Any], xp: Any, clip: Callable[..., Any]
-    ) -> tuple[list[Any], list[Any]]:
+    def _to_pose(self, q: Array, place: Array, turn: Array) -> tuple[Array, Array]:
         """Joint angles that Newton's method gives for a pose, and what its last round lacked.
 
         Args:
-            q: joint angles now [rad].
-            place: of the tool in the base's axes [m].
-            asked: axes that it is to have there.
-            xp: namespace of sin and cos.
-            clip: brings the first argument into the range of the others.
+            q: (n, joints) angles now [rad].
+            place: (n, 3) of the tool in the base's axes [m].
+            turn: (n, 3, 3) that it is to have there.
         """
-        end = q
+        end, left = q, np.zeros(6)
         for _ in range(self.rounds):
-            chain = frames(self._arm, end, xp)
-            gap = add(place, scale(-1.0, chain[-1].position))
-            pairs = list(zip(self._axes(chain), asked, strict=True))
-            sine = scale(0.5, add(*(cross(a, b) for a, b in pairs)))
-            cosine = 0.5 * (sum(dot(a, b) for a, b in pairs) + -1.0)
+            at = frames(self._arm, end)
+            gap, now = place - at.position[..., -1, :], self._turn(at)
+            sine = 0.5 * cross(np.swapaxes(now, -1, -2), np.swapaxes(turn, -1, -2)).sum(axis=-2)
+            cosine = 0.5 * ((now * turn).sum(axis=(-2, -1)) - 1.0)
             # twice the tangent of half the angle along the axis: the angle, where it is small
-            turn = scale(2.0 / (cosine + (1.0 + _NO_AXIS)), sine)
-            left = [*gap, *scale(_LEVER, turn)]
-            step = _damped(self._moved(chain), left)
-            end = [k + clip(way, -_STRIDE, _STRIDE) for k, way in zip(end, step, strict=True)]
-        return [a - b for a, b in zip(end, q, strict=True)], left
+            angle = (2.0 / (cosine + (1.0 + _NO_AXIS)))[:, None] * sine
+            left = np.concatenate([gap, _LEVER * angle], axis=-1)
+            step = _damped(tool_motions(self._arm, at) * _WEIGHTS, left)
+            end = end + np.clip(step, -_STRIDE, _STRIDE)
+        return end - q, left
 
-    def _moved(self, chain: Sequence[Frame]) -> list[Any]:
-        """Velocity of the tool, and `_LEVER` times its rate of turn, per joint rate (6)."""
-        twists = [frame.moved(chain[-1].position) for frame in chain]
-        return [(*way, *scale(_LEVER, turn)) for way, turn in twists]
-
-    def _axes(self, chain: Sequence[Frame]) -> list[Any]:
-        """Three axes of the tool in the base's."""
-        columns = self._arm.tool_rotation.T.tolist()
-        return [chain[-1].rotation.apply(tuple(k)) for k in columns]
+    def _turn(self, at: Frames) -> Array:
+        """(n, 3, 3) from the tool's axes to the base's."""
+        last = at.rotation[..., -1, :, :].copy("C")
+        turn: Array = last @ self._arm.tool_rotation
+        return turn
 
 
-def _turned(sines: Any, cosine: Any, axis: Any) -> Any:
-    """Return an axis turned by an angle about another one (Rodrigues).
+def _turned(sines: Array, cosine: Array, turn: Array) -> Array:
+    """Return axes turned by an angle about another one (Rodrigues).
 
     Args:
-        sines: the other one, times the angle's sine.
-        cosine: of the angle.
-        axis: to be turned.
+        sines: (n, 3) the other one, times the angle's sine.
+        cosine: (n,) of the angle.
+        turn: (n, 3, 3), its columns to be turned.
     """
-    along = dot(sines, axis) * (1.0 / (cosine + (1.0 + _LEAST)))
-    return add(scale(cosine, axis), cross(sines, axis), scale(along, sines))
+    axes, about = np.swapaxes(turn, -1, -2), sines[:, None]
+    along = (about * axes).sum(axis=-1) * (1.0 / (cosine + (1.0 + _LEAST)))[:, None]
+    out = cosine[:, None, None] * axes + cross(about, axes) + along[..., None] * about
+    return np.swapaxes(out, -1, -2)
 
 
-def _damped(J: Sequence[Any], v: Any) -> list[Any]:
-    """Return J^T (J J^T + damping^2)^-1 v by elimination.
+def _damped(J: Array, v: Array) -> Array:
+    """Return J^T (J J^T + damping^2)^-1 v.
 
     Args:
-        J: velocities of the tool (m), one per joint.
-        v: (m) to be had.
+        J: (n, joints, m) velocities of the tool, one per joint.
+        v: (n, m) to be had.
     """
-    m = len(v)
+    m = v.shape[-1]
     square = (_DAMPING if m == 3 else _POSE_DAMPING) ** 2
-    rows = [
-        [sum(a[i] * a[k] for a in J) + (square if i == k else 0.0) for k in range(m)] + [v[i]]
-        for i in range(m)
-    ]
-    for i in range(m):  # positive definite: no pivot is zero
-        over = 1.0 / rows[i][i]
-        rows[i] = [over * k for k in rows[i]]
-        for r in range(i + 1, m):
-            ahead = rows[r][i]
-            rows[r] = [a - ahead * b for a, b in zip(rows[r], rows[i], strict=True)]
-    load: list[Any] = []
-    for row in reversed(rows):
-        later = sum(a * b for a, b in zip(row[m - len(load) : m], load, strict=True))
-        load.insert(0, row[m] - later)
-    return [sum(a * b for a, b in zip(column, load, strict=True)) for column in J]
+    A = (J[..., :, None] * J[..., None, :]).sum(axis=-3) + square * np.eye(m)
+    load = solve_symmetric(A, v[..., None])[..., 0]
+    return (J * load[:, None]).sum(axis=-1)
 
 
 def arm_features(task: Task, goal: bool = False) -> ArmFeatures:

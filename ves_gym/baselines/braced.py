@@ -82,9 +82,7 @@ def base_torque(arm: Arm, q: Array, v: Array, y: Array, yd: Array, ydd: Array) -
         (k, n) [N m].
     """
     moving, turning = twist(y, yd), twist_rate(y, yd, ydd)
-    linear = turning[:, :3] + np.cross(moving[:, 3:], moving[:, :3])
-    spin, turn, accel = (tuple(k.T) for k in (moving[:, 3:], turning[:, 3:], linear))
-    angles, rates, none = list(q.T), list(v.T), [np.zeros(len(q))] * arm.n
-    ridden, _, _ = newton_euler(arm, angles, rates, none, spin=spin, turn=turn, accel=accel)
-    still, _, _ = newton_euler(arm, angles, rates, none)
-    return np.stack([a - b for a, b in zip(ridden, still, strict=True)], axis=1)
+    spin, none = moving[:, 3:], np.zeros_like(v)
+    accel = turning[:, :3] + np.cross(spin, moving[:, :3])
+    ridden, _ = newton_euler(arm, q, v, none, spin=spin, turn=turning[:, 3:], accel=accel)
+    return ridden - newton_euler(arm, q, v, none)[0]

@@ -188,9 +188,7 @@ class ClosingPose(Closing):
             turn: (n, 3, 3) of the tool there.
         """
         if has_spherical_wrist(arm):
-            axes = [tuple(axis.T) for axis in np.moveaxis(turn, -1, 0)]
-            way = shortest_way(arm, list(q.T), tuple(place.T), axes, np, np.clip)
-            return np.asarray(q + np.stack(way, axis=1))
+            return q + shortest_way(arm, q, place, turn)
         end = self._nearest(arm, q)
         for _ in range(_ROUNDS):
             at, turned = tool_frame(arm, end)

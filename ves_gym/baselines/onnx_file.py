@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.optional import installed, require
-from ves_gym._util.params import Array, write_bytes
+from ves_gym._util.params import Array, ParameterError, write_bytes
+from ves_gym.baselines.arm_features import ArmFeatures
 from ves_gym.baselines.policy import Policy
+from ves_gym.engine.kernel.symbolic import column, symbols
 
 OPSET = 17
 TOLERANCE = 1e-6  # of an action in [-1, 1]
@@ -55,10 +57,7 @@ def to_onnx(policy: Policy) -> bytes:
     if net.features is not None:
         split = [f"entry{i}" for i in range(net.entries)]
         nodes.append(helper.make_node("Split", [x], split, axis=1))
-        graph_of = _Formulas(add, constant)
-        columns = [_Column(name, graph_of) for name in split]
-        more = net.features.formulas(columns, graph_of, graph_of.clip)
-        x = add("Concat", x, *(k.name for k in more), axis=1)
+        x = add("Concat", x, *_features(net.features, split, add, constant), axis=1)
     for i, (W, b) in enumerate(policy.weights):
         x = add("MatMul", x, constant(f"layer{i}.weight", W))
         x = add("Add", x, constant(f"layer{i}.bias", b))
@@ -90,98 +89,105 @@ def to_onnx(policy: Policy) -> bytes:
     return data
 
 
-class _Formulas:
-    """Makes nodes of the operations on columns: the namespace of `ArmFeatures.formulas`.
+# Of CasADi, as nodes; truth is what `Where` takes
+_NODES = {
+    "OP_ADD": "Add",
+    "OP_SUB": "Sub",
+    "OP_MUL": "Mul",
+    "OP_DIV": "Div",
+    "OP_NEG": "Neg",
+    "OP_SIN": "Sin",
+    "OP_COS": "Cos",
+    "OP_SQRT": "Sqrt",
+    "OP_FABS": "Abs",
+    "OP_FMIN": "Min",
+    "OP_FMAX": "Max",
+    "OP_LT": "Less",
+    "OP_NOT": "Not",
+}
+
+
+def _features(
+    features: ArmFeatures,
+    entries: list[str],
+    add: Callable[..., str],
+    constant: Callable[..., str],
+) -> list[str]:
+    """Return the columns of the features, traced and written instruction by instruction.
 
     Args:
+        features: of an observation.
+        entries: its columns (n, 1).
         add: adds a node, by its kind and inputs; the name of its output.
         constant: adds a number, by its name.
     """
+    import casadi as ca
 
-    def __init__(self, add: Callable[..., str], constant: Callable[[str, float], str]) -> None:
-        self._add, self._constant = add, constant
-        self._numbers: dict[float, str] = {}
+    x = symbols("x", (1, len(entries)))
+    graph = ca.Function("features", [column(x)], [ca.cse(column(features(x)))])
+    kinds = {getattr(ca, name): kind for name, kind in _NODES.items()}
+    known: dict[float, str] = {}
 
-    def __call__(self, kind: str, *inputs: _Column | float) -> _Column:
-        """Return the column (n, 1) that a node makes of columns and numbers."""
-        names = [k.name if isinstance(k, _Column) else self.number(k) for k in inputs]
-        return _Column(self._add(kind, *names), self)
+    def number(value: float) -> str:
+        if value not in known:
+            known[value] = constant(f"number{len(known)}", value)
+        return known[value]
 
-    def number(self, value: float) -> str:
-        """Return the name of a constant, one for every value."""
-        if value not in self._numbers:
-            name = f"number{len(self._numbers)}"
-            self._numbers[value] = self._constant(name, float(value))
-        return self._numbers[value]
-
-    def sin(self, x: _Column) -> _Column:
-        """Sine."""
-        return self("Sin", x)
-
-    def cos(self, x: _Column) -> _Column:
-        """Cosine."""
-        return self("Cos", x)
-
-    def sqrt(self, x: _Column) -> _Column:
-        """Square root."""
-        return self("Sqrt", x)
-
-    def arctan2(self, y: _Column, x: _Column) -> _Column:
-        """Angle of a direction [rad].
-
-        Engines have the arctangent in single precision alone. What it leaves of the angle is so
-        small that its sine, which they have in double precision, makes up for it.
-        """
-        long = self("Max", self.sqrt(x * x + y * y), _NONE)
-        half = y * (1.0 / (long + self("Abs", x)))  # its tangent, for x >= 0
-        single = self("Atan", self._cast(half, "FLOAT"))
-        near = 2.0 * self._cast(single, "DOUBLE")
-        behind = self.where(y < 0.0, -math.pi, math.pi) - near
-        rough = self.where(x < 0.0, behind, near)
-        return rough + (y * self.cos(rough) - x * self.sin(rough)) * (1.0 / long)
-
-    def _cast(self, x: _Column, kind: str) -> _Column:
-        from onnx import TensorProto
-
-        return _Column(self._add("Cast", x.name, to=getattr(TensorProto, kind)), self)
-
-    def where(self, condition: _Column, x: _Column | float, y: _Column | float) -> _Column:
-        """Return x where the condition holds, else y."""
-        return self("Where", condition, x, y)
-
-    def clip(self, x: _Column, low: float, high: float) -> _Column:
-        """Return x brought into low to high."""
-        return self("Clip", x, low, high)
+    columns: dict[int, str] = {}
+    out = [""] * graph.size1_out(0)
+    for k in range(graph.n_instructions()):
+        op, into = graph.instruction_id(k), graph.instruction_output(k)
+        operands = graph.instruction_input(k)
+        if op == ca.OP_OUTPUT:
+            out[into[1]] = columns[operands[0]]
+            continue
+        if op == ca.OP_CONST:
+            columns[into[0]] = number(graph.instruction_constant(k))
+            continue
+        if op == ca.OP_INPUT:
+            columns[into[0]] = entries[operands[1]]
+            continue
+        a, b = columns[operands[0]], columns[operands[-1]]
+        if op in kinds:
+            column_ = add(kinds[op], *(columns[i] for i in operands))
+        elif op == ca.OP_SQ:
+            column_ = add("Mul", a, a)
+        elif op == ca.OP_TWICE:
+            column_ = add("Add", a, a)
+        elif op == ca.OP_INV:
+            column_ = add("Div", number(1.0), a)
+        elif op == ca.OP_IF_ELSE_ZERO:
+            column_ = add("Where", a, b, number(0.0))
+        elif op == ca.OP_ATAN2:
+            column_ = _angle(a, b, add, number)
+        else:
+            raise ParameterError(f"operation {op} of the features has no ONNX node")
+        columns[into[0]] = column_
+    return out
 
 
-class _Column:
-    """A column (n, 1) of the graph, with the operators of a number."""
+def _angle(y: str, x: str, add: Callable[..., str], number: Callable[[float], str]) -> str:
+    """Angle of a direction [rad].
 
-    def __init__(self, name: str, formulas: _Formulas) -> None:
-        self.name, self.formulas = name, formulas
+    Engines have the arctangent in single precision alone. What it leaves of the angle is so
+    small that its sine, which they have in double precision, makes up for it.
 
-    def __add__(self, other: _Column | float) -> _Column:
-        return self.formulas("Add", self, other)
+    Args:
+        y, x: columns of its sides.
+        add, number: see `_features`.
+    """
+    from onnx import TensorProto
 
-    def __mul__(self, other: _Column | float) -> _Column:
-        return self.formulas("Mul", self, other)
-
-    def __sub__(self, other: _Column | float) -> _Column:
-        return self.formulas("Sub", self, other)
-
-    def __neg__(self) -> _Column:
-        return self.formulas("Neg", self)
-
-    def __lt__(self, other: _Column | float) -> _Column:
-        return self.formulas("Less", self, other)
-
-    def __rsub__(self, other: float) -> _Column:
-        return -self + other
-
-    def __rtruediv__(self, other: float) -> _Column:
-        return self.formulas("Div", other, self)
-
-    __radd__, __rmul__ = __add__, __mul__
+    squares = add("Add", add("Mul", x, x), add("Mul", y, y))
+    long = add("Max", add("Sqrt", squares), number(_NONE))
+    half = add("Div", y, add("Add", long, add("Abs", x)))  # its tangent, for x >= 0
+    single = add("Atan", add("Cast", half, to=TensorProto.FLOAT))
+    near = add("Mul", add("Cast", single, to=TensorProto.DOUBLE), number(2.0))
+    zero = number(0.0)
+    straight = add("Where", add("Less", y, zero), number(-math.pi), number(math.pi))
+    rough = add("Where", add("Less", x, zero), add("Sub", straight, near), near)
+    left = add("Sub", add("Mul", y, add("Cos", rough)), add("Mul", x, add("Sin", rough)))
+    return add("Add", rough, add("Div", left, long))
 
 
 def difference(policy: Policy, data: bytes, rows: int = 1000) -> float:

@@ -12,7 +12,8 @@ from ves_gym._util.params import Array, Index, ParameterError, Rows, content_has
 from ves_gym.engine.kernel.blocks import aligned, lanes, unlane
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES, emit_map
-from ves_gym.engine.kernel.trace import inertia_matrix, parameters, structure
+from ves_gym.engine.kernel.numbers import parameters, structure
+from ves_gym.engine.kernel.trace import inertia_matrix
 from ves_gym.hardware.admittance import admittance_matrices, require_admittance
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.gravity import GravityModel
@@ -111,7 +112,7 @@ def bodies_of(system: System) -> tuple[int, int]:
 
 
 class ParameterRows:
-    """Parameters of the kernel (`trace.parameters`), by name, for systems of one structure.
+    """Parameters of the kernel (`numbers.parameters`), by name, for systems of one structure.
 
     A number that is zero in the own system is no parameter of its code: zero it stays. One
     that is zero in another system is a parameter of value zero.
@@ -207,7 +208,7 @@ class Bodies:
     gamma: Array  # (n, 12, 6)
     mass: Array  # (n,) of the arm [kg]
     P: Array  # (n, p) of its weight's moment [kg m]
-    numbers: Array  # (n, k) of `trace.parameters` as `Inertias` takes them
+    numbers: Array  # (n, k) of `numbers.parameters` as `Inertias` takes them
 
     @staticmethod
     def of(system: System, linear: bool, sampled: bool, numbers: Array) -> Bodies:
@@ -275,7 +276,7 @@ class Inertias:
     def __call__(self, q: Array, ids: Index, numbers: Array) -> Array:
         """(m, joints) -> (m, 6 + joints, 6 + joints), of simulations `ids` (m,).
 
-        `numbers` (m, k): their `trace.parameters`.
+        `numbers` (m, k): their `numbers.parameters`.
         """
         if self._code is None:
             pairs = zip(ids.tolist(), q, strict=True)

@@ -14,7 +14,8 @@ import scipy.linalg
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.kernel.maps import evaluate, points
-from ves_gym.engine.kernel.trace import linearisation, parameters, structure
+from ves_gym.engine.kernel.numbers import parameters, structure
+from ves_gym.engine.kernel.trace import linearisation
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.system.system import System
 

@@ -15,7 +15,8 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array
 from ves_gym.engine.kernel.maps import evaluate, points
-from ves_gym.engine.kernel.trace import geometry, regressor
+from ves_gym.engine.kernel.numbers import geometry
+from ves_gym.engine.kernel.trace import regressor
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.body_numbers import numbers_of_body
 

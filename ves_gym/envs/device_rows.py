@@ -10,8 +10,9 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.backends.gpu_kernel import KINDS
+from ves_gym.engine.kernel.numbers import parameters, structure
 from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
-from ves_gym.engine.kernel.trace import inertia_matrix, parameters, structure
+from ves_gym.engine.kernel.trace import inertia_matrix
 from ves_gym.engine.kernel.warp_code import advance_kernel, graph_kernel, launch, launch_graph
 from ves_gym.envs import compiled
 from ves_gym.envs.batch import Batch

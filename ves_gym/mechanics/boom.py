@@ -100,11 +100,11 @@ class Boom:
                 within[-1].append(event)
         R, p = _mounted(arm, flange)
         chain = arm_of(self.name, Lump(), joints, (R, p), source=self.source)
-        at_rest = frames(chain, [0.0] * chain.n)
+        at = frames(chain, np.zeros(chain.n))
         links = []
-        for link, frame, hinges in zip(chain.links, at_rest, within, strict=True):
-            turn = np.column_stack(frame.rotation)
-            flexures = tuple(_flexure(k, turn, np.array(frame.position)) for k in hinges)
+        parts = chain.links, at.rotation, at.position, within
+        for link, turn, place, hinges in zip(*parts, strict=True):
+            flexures = tuple(_flexure(k, turn, place) for k in hinges)
             links.append(replace(link, flexures=flexures or None))
         first = replace(arm.links[0], offset=arm.links[0].offset + (chain.tool_angle or 0.0))
         return replace(

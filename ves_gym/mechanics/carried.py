@@ -1,9 +1,8 @@
 """What a free body carries on one joint each: reaction wheels, panels, sloshing masses.
 
 Exact multibody terms, not a linearised mode: a carried body turns or slides on the satellite,
-whatever the satellite does (docs/spacecraft.md derives them). Component by component, as in
-`dynamics`, so that one text serves NumPy and the kernel's graph. Frame: the platform's, wrench
-and twist at its origin, linear part first.
+whatever the satellite does (docs/spacecraft.md derives them). Plain NumPy, as `dynamics` is.
+Frame: the platform's, wrench and twist at its origin, linear part first.
 """
 
 from __future__ import annotations
@@ -24,8 +23,17 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
-from ves_gym.mechanics.dynamics import ZERO, Rotation, Scalar, Vec, add, cross, dot, scale
-from ves_gym.mechanics.serial_chain import Inertial
+from ves_gym.mechanics.dynamics import (
+    body_loads,
+    moments,
+    packed,
+    packed_matvec,
+    spatial_inertia,
+    swing,
+    turned_inertia,
+)
+from ves_gym.mechanics.serial_chain import Inertial, skew
+from ves_gym.mechanics.spatial import cross, room
 
 
 def _require_unit(vector: Vector, name: str) -> None:
@@ -94,7 +102,7 @@ class Appendage:
     @property
     def inertia(self) -> float:
         """Inertia that its spring moves, the satellite at rest [kg m^2, kg]."""
-        return float(inertia_of(self, 0.0, math).joint)
+        return float(inertia_of(self, np.zeros(())).joint)
 
     @property
     def frequency(self) -> float:
@@ -106,124 +114,97 @@ Carried = ReactionWheel | Appendage
 
 
 class CarriedInertia(NamedTuple):
-    """A carried body's part of the inertia matrix, as scalars."""
+    """A carried body's part of the inertia matrix."""
 
-    locked: list[list[Scalar]] | None  # (6, 6) with its joint locked; None: in the body's
-    across: list[Scalar]  # (6,) momentum per unit rate of its joint
-    joint: Scalar  # inertia of the joint [kg m^2, kg]
-
-
-def _turn(axis: Vec, angle: Scalar, xp: Any) -> Rotation:
-    """Rotation about a fixed axis (Rodrigues)."""
-    s, c = xp.sin(angle), xp.cos(angle)
-    columns = []
-    for unit_vector in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
-        along = scale(dot(axis, unit_vector), axis)
-        columns.append(
-            add(
-                along,
-                scale(c, add(unit_vector, scale(-1.0, along))),
-                scale(s, cross(axis, unit_vector)),
-            )
-        )
-    return Rotation(*columns)
+    locked: Array | None  # (..., 6, 6) with its joint locked; None: in the satellite's body
+    across: Array  # (..., 6) momentum per unit rate of its joint
+    joint: Array  # (...) inertia of the joint [kg m^2, kg]
 
 
-def _placed(part: Any, at: Scalar, xp: Any) -> tuple[Vec, list[list[Scalar]]]:
-    """Centre of mass and inertia about it of an appendage at a deflection, platform axes."""
-    com: Vec = (part.body.com[0], part.body.com[1], part.body.com[2])
-    I = [list(row) for row in part.body.inertia]
-    axis = _vec(part.axis)
+def _about(axis: Array, angle: Array) -> Array:
+    """Rotation (..., 3, 3) about a fixed axis (Rodrigues)."""
+    along = np.outer(axis, axis)
+    s, c = np.sin(angle)[..., None, None], np.cos(angle)[..., None, None]
+    return along + c * (np.eye(3) - along) + s * skew(axis)
+
+
+def _placed(part: Any, at: Array) -> tuple[Array, Array]:
+    """Centre of mass (..., 3) and inertia about it (..., 6) of an appendage, platform axes."""
+    com, inertia = np.asanyarray(part.body.com), np.asanyarray(part.body.inertia)
+    axis = np.array(part.axis)
     if part.joint == "slide":
-        return add(com, scale(at, axis)), I
-    R, point = _turn(axis, at, xp), _vec(part.point)
-    arm = R.apply(add(com, scale(-1.0, point)))
-    half = [R.apply((row[0], row[1], row[2])) for row in I]  # R I, by columns (I = I^T)
-    rows = zip(*half, strict=True)
-    turned = [[dot(_vec(row), (R.x[j], R.y[j], R.z[j])) for j in range(3)] for row in rows]
-    return add(point, arm), turned
+        return com + at[..., None] * axis, packed(inertia)
+    R, point = _about(axis, at), np.array(part.point)
+    return point + (R * (com - point)).sum(axis=-1), turned_inertia(R, inertia)
 
 
-def _vec(v: Any) -> Vec:
-    x, y, z = v
-    return x, y, z
-
-
-def _applied(matrix: list[list[Scalar]], v: Vec) -> Vec:
-    x, y, z = (dot(_vec(row), v) for row in matrix)
-    return x, y, z
-
-
-def inertia_of(part: Any, at: Scalar, xp: Any = np) -> CarriedInertia:
+def inertia_of(part: Any, at: Array) -> CarriedInertia:
     """Return a carried body's part of the inertia matrix.
 
     Args:
         part: a `ReactionWheel` or `Appendage`, or the same with symbols for numbers.
-        at: angle or way of its joint.
-        xp: namespace of sin and cos.
+        at: (...) angle or way of its joint.
     """
-    axis = _vec(part.axis)
+    axis = np.array(part.axis)
     if part.kind == "wheel":
-        return CarriedInertia(None, [0.0, 0.0, 0.0, *scale(part.inertia, axis)], part.inertia)
-    com, I = _placed(part, at, xp)
-    mass = part.body.mass
-    x, y, z = scale(mass, com)
-    locked: list[list[Scalar]] = [[0.0] * 6 for _ in range(6)]
-    square = dot(com, com)
-    for i in range(3):
-        locked[i][i] = mass
-        for j in range(3):
-            shift = (square if i == j else 0.0) - com[i] * com[j]
-            locked[3 + i][3 + j] = I[i][j] + mass * shift
-    for i, j, value in ((0, 4, z), (1, 5, x), (2, 3, y), (0, 5, -y), (1, 3, -z), (2, 4, -x)):
-        locked[i][j] = locked[j][i] = value
+        spun = np.concatenate([np.zeros(3), np.asanyarray(part.inertia)[None] * axis])
+        return CarriedInertia(None, spun, part.inertia)
+    (com, turned), mass = _placed(part, at), np.asanyarray(part.body.mass)
+    locked = spatial_inertia(mass, *moments(mass, com, turned))
     if part.joint == "slide":
-        linear = scale(mass, axis)
-        return CarriedInertia(locked, [*linear, *cross(com, linear)], mass)
-    arm = add(com, scale(-1.0, _vec(part.point)))
-    linear, spun = scale(mass, cross(axis, arm)), _applied(I, axis)
-    about = add(spun, cross(arm, linear))
-    return CarriedInertia(locked, [*linear, *add(spun, cross(com, linear))], dot(axis, about))
+        linear = mass[..., None] * axis
+        across = _side_by_side(linear, cross(com, linear))
+        return CarriedInertia(locked, across, part.body.mass)
+    arm = com - np.array(part.point)
+    linear = mass[..., None] * cross(axis, arm)
+    spun = packed_matvec(turned, axis)
+    joint = (axis * (spun + cross(arm, linear))).sum(axis=-1)
+    return CarriedInertia(locked, _side_by_side(linear, spun + cross(com, linear)), joint)
+
+
+def _side_by_side(a: Array, b: Array) -> Array:
+    """(..., 6) of two (..., 3)."""
+    out = room(b, *b.shape[:-1], 6)
+    out[..., :3], out[..., 3:] = a, b
+    return out
 
 
 def load_of(
-    part: Any, at: Scalar, rate: Scalar, spin: Vec, turn: Vec, accel: Vec, xp: Any = np
-) -> tuple[Vec, Vec, Scalar]:
+    part: Any, at: Array, rate: Array, spin: Array, turn: Array, accel: Array
+) -> tuple[Array, Array]:
     """Return what a carried body's motion takes, the rate of its joint constant.
 
     Args:
-        part, at, xp: see `inertia_of`.
-        rate: of its joint.
-        spin, turn: angular velocity and acceleration of the platform, its axes.
-        accel: acceleration of its origin, its axes.
+        part, at: see `inertia_of`.
+        rate: (...) of its joint.
+        spin, turn: (..., 3) angular velocity and acceleration of the platform, its axes.
+        accel: (..., 3) acceleration of its origin, its axes.
 
     Returns:
-        Force [N] and moment [N m] on it at the platform's origin, and effort of its joint.
+        Wrench (..., 6) on it at the platform's origin [N, N m], and effort (...) of its joint.
     """
-    axis = _vec(part.axis)
+    axis = np.array(part.axis)
     if part.kind == "wheel":
-        momentum = scale(part.inertia * rate, axis)
-        return ZERO, cross(spin, momentum), part.inertia * dot(axis, turn)
-    com, I = _placed(part, at, xp)
-    w, dw, moving = spin, turn, scale(rate, axis)
+        momentum = (part.inertia * rate)[..., None] * axis
+        effort = part.inertia * (axis * turn).sum(axis=-1)
+        return _side_by_side(np.zeros(3), cross(spin, momentum)), effort
+    com, turned = _placed(part, at)
+    w, dw, moving = spin, turn, rate[..., None] * axis
     if part.joint == "slide":
-        a = add(accel, cross(turn, com), cross(spin, cross(spin, com)))
-        a = add(a, scale(2.0, cross(spin, moving)))
+        a = accel + swing(spin, turn, com) + 2.0 * cross(spin, moving)
     else:
-        point = _vec(part.point)
-        arm = add(com, scale(-1.0, point))
-        a = add(accel, cross(turn, point), cross(spin, cross(spin, point)))
-        w, dw = add(spin, moving), add(turn, cross(spin, moving))
-        a = add(a, cross(dw, arm), cross(w, cross(w, arm)))
-    force = scale(part.body.mass, a)
-    moment = add(_applied(I, dw), cross(w, _applied(I, w)))
-    effort = dot(axis, force)
+        point = np.array(part.point)
+        arm = com - point
+        w, dw = spin + moving, turn + cross(spin, moving)
+        a = accel + swing(spin, turn, point) + swing(w, dw, arm)
+    force, moment = body_loads(np.asanyarray(part.body.mass), com, turned, w, dw, a)
+    effort = (axis * force).sum(axis=-1)
     if part.joint == "hinge":
-        effort = dot(axis, add(moment, cross(arm, force)))
-    return force, add(moment, cross(com, force)), effort
+        effort = (axis * (moment - cross(point, force))).sum(axis=-1)
+    return _side_by_side(force, moment), effort
 
 
-def passive_effort(part: Any, at: Scalar, rate: Scalar) -> Scalar:
+def passive_effort(part: Any, at: Array, rate: Array) -> Any:
     """Return the effort of spring and damper on a carried body's joint [N m, N].
 
     Args:
@@ -252,11 +233,9 @@ def carried_inertia(carried: tuple[Carried, ...], at: Array) -> tuple[Array, Arr
     joints = np.zeros((*shape, k))
     for c, part in enumerate(carried):
         entries = inertia_of(part, at[..., c])
-        for i in range(6):
-            across[..., i, c] = entries.across[i]
-            for j in range(6 if entries.locked is not None else 0):
-                locked[..., i, j] += entries.locked[i][j]  # type: ignore[index]
-        joints[..., c] = entries.joint
+        across[..., c], joints[..., c] = entries.across, entries.joint
+        if entries.locked is not None:
+            locked += entries.locked
     return locked, across, joints
 
 
@@ -306,14 +285,13 @@ def carried_wrench(
         (n, 6) in platform axes [N, N m].
     """
     out = np.zeros(twist.shape)
-    spin, turn = _vec(twist[:, 3:].T), _vec(twist_rate[:, 3:].T)
-    accel = _vec((twist_rate[:, :3] + np.cross(twist[:, 3:], twist[:, :3])).T)
+    spin, turn = twist[:, 3:], twist_rate[:, 3:]
+    accel = twist_rate[:, :3] + cross(spin, twist[:, :3])
     for c, part in enumerate(carried):
         entries = inertia_of(part, at[:, c])
-        force, moment, effort = load_of(part, at[:, c], rate[:, c], spin, turn, accel)
+        wrench, effort = load_of(part, at[:, c], rate[:, c], spin, turn, accel)
         drive = motor[:, c] if c < motor.shape[1] else 0.0
         pushed = passive_effort(part, at[:, c], rate[:, c]) + drive - effort
         joint = pushed / entries.joint  # what the motion of the platform leaves it
-        for i, value in enumerate((*force, *moment)):
-            out[:, i] += value + entries.across[i] * joint
+        out += wrench + entries.across * joint[:, None]
     return out

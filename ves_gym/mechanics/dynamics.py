@@ -1,160 +1,156 @@
-"""Rigid-body dynamics of the arm on its base, vectorised over configurations.
+"""Rigid-body dynamics of the arm on its base, batch first: plain NumPy.
 
-Everything is written component by component, on tuples of three scalars, where a
-scalar is a float, an array over configurations, or any other object with arithmetic
-(a symbolic expression). One text therefore serves a million configurations in NumPy
-and can be traced. Products with exact zeros and ones of the DH table are dropped.
+The same text runs on numbers and is traced into graphs (`engine.kernel.symbolic`), where an
+exact 0 or 1 of the DH table leaves no instruction. Sums go element by element, so that a
+configuration's numbers do not depend on how many others there are.
 
 Frame: the platform-top frame; wrench and twist at its origin, linear part first.
 """
 
 from __future__ import annotations
 
-import math
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.joints import Joint, Mechanism, Turn, turn_by
 from ves_gym.mechanics.serial_chain import SerialChain
+from ves_gym.mechanics.spatial import cross, numbers, room
 
-Scalar = Any  # float, array over configurations, or symbol
-Vec = tuple[Scalar, Scalar, Scalar]
-ZERO: Vec = (0.0, 0.0, 0.0)
-
-
-# ------------------------------------------------------- scalars and three-vectors
-
-
-def _mul(a: Scalar, b: Scalar) -> Scalar:
-    if isinstance(a, float) and a in (0.0, 1.0):
-        return b if a else 0.0
-    if isinstance(b, float) and b in (0.0, 1.0):
-        return a if b else 0.0
-    return a * b
-
-
-def _add(a: Scalar, b: Scalar) -> Scalar:
-    if isinstance(a, float) and a == 0.0:
-        return b
-    if isinstance(b, float) and b == 0.0:
-        return a
-    return a + b
-
-
-def _sub(a: Scalar, b: Scalar) -> Scalar:
-    if isinstance(b, float) and b == 0.0:
-        return a
-    return -b if isinstance(a, float) and a == 0.0 else a - b
-
-
-def add(*vectors: Vec) -> Vec:
-    """Sum of three-vectors."""
-    x, y, z = ZERO
-    for v in vectors:
-        x, y, z = _add(x, v[0]), _add(y, v[1]), _add(z, v[2])
-    return x, y, z
-
-
-def scale(s: Scalar, v: Vec) -> Vec:
-    """Scalar times vector."""
-    return _mul(s, v[0]), _mul(s, v[1]), _mul(s, v[2])
-
-
-def dot(a: Vec, b: Vec) -> Scalar:
-    """Scalar product."""
-    return _add(_add(_mul(a[0], b[0]), _mul(a[1], b[1])), _mul(a[2], b[2]))
-
-
-def cross(a: Vec, b: Vec) -> Vec:
-    """Vector product."""
-    return (
-        _sub(_mul(a[1], b[2]), _mul(a[2], b[1])),
-        _sub(_mul(a[2], b[0]), _mul(a[0], b[2])),
-        _sub(_mul(a[0], b[1]), _mul(a[1], b[0])),
-    )
-
-
-class Rotation(NamedTuple):
-    """Rotation by its columns."""
-
-    x: Vec
-    y: Vec
-    z: Vec
-
-    def apply(self, v: Vec) -> Vec:
-        """Turn a vector: R v."""
-        return add(scale(v[0], self.x), scale(v[1], self.y), scale(v[2], self.z))
-
-
-IDENTITY = Rotation((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+# Spatial inertia (6, 6) by places in (0, m, h, -h, second moments), h the first moment
+_SPATIAL = [
+    [1, 0, 0, 0, 4, 6],
+    [0, 1, 0, 7, 0, 2],
+    [0, 0, 1, 3, 5, 0],
+    [0, 7, 3, 8, 11, 13],
+    [4, 0, 5, 11, 9, 12],
+    [6, 2, 0, 13, 12, 10],
+]
+# Joints of some configurations at a time: what lies between stays in the cache, and its arrays
+# below the size from which the system hands out pages of memory one by one (128 KiB)
+_CHUNK = 3600
 
 
 # ----------------------------------------------------------------------- kinematics
 
 
-class Frame(NamedTuple):
-    """Pose of a link's DH frame, and the joint that moves it."""
+class Frames(NamedTuple):
+    """Poses of the joint frames: frame 0 the first joint's before it turns, then the links'.
 
-    rotation: Rotation
-    position: Vec  # m
-    axis: Vec  # joint axis
-    origin: Vec  # a point on the joint axis [m]
-    slides: bool = False  # the joint moves along its axis
-
-    def moved(self, point: Vec) -> tuple[Vec, Vec]:
-        """Return velocity of a point beyond the joint and angular velocity, per joint rate."""
-        if self.slides:
-            return self.axis, ZERO
-        return cross(self.axis, add(point, scale(-1.0, self.origin))), self.axis
-
-
-def start(arm: SerialChain) -> tuple[Rotation, Vec]:
-    """Return the pose of the first joint's frame, before it turns, in the platform-top frame.
-
-    Args:
-        arm: with its mount.
+    Joint i turns about z of frame i - 1, or slides along it, and carries frame i.
     """
-    if arm.mount is None:
-        return IDENTITY, ZERO
-    x, y, z = (tuple(column) for column in arm.mount.rotation.T.tolist())
-    px, py, pz = (float(k) for k in arm.mount.position)
-    return Rotation(x, y, z), (px, py, pz)
+
+    rotations: Array  # (..., n + 1, 3, 3) from the frame's axes to the platform's
+    positions: Array  # (..., n + 1, 3) m
+    ways: Array  # (..., n, 3) from each frame to the next [m]
+
+    @property
+    def rotation(self) -> Array:
+        """(..., n, 3, 3) of the links' frames."""
+        return self.rotations[..., 1:, :, :]
+
+    @property
+    def position(self) -> Array:
+        """(..., n, 3) of the links' frames [m]."""
+        return self.positions[..., 1:, :]
+
+    @property
+    def axis(self) -> Array:
+        """(..., n, 3) of the joints, unit vectors."""
+        return self.rotations[..., :-1, :, 2]
+
+    @property
+    def origin(self) -> Array:
+        """(..., n, 3) points on the joints' axes [m]."""
+        return self.positions[..., :-1, :]
 
 
-def frames(arm: SerialChain, q: list[Scalar], xp: Any = np) -> list[Frame]:
-    """Return the pose of every link frame in the platform-top frame (thesis B.3).
+def frames(arm: Mechanism, q: npt.ArrayLike) -> Frames:
+    """Return the pose of every joint frame in the platform-top frame (thesis B.3).
 
     Args:
         arm: the arm.
-        q: n joint angles [rad], numbers, arrays or symbols.
-        xp: namespace of sin and cos: NumPy, CasADi.
+        q: (..., n) joint angles [rad].
+    """
+    angles, (foot, place) = np.asanyarray(numbers(q), order="F"), arm.start
+    batch, n = angles.shape[:-1], len(arm.joints)
+    same, other = _swings(arm.joints, angles)
+    rotations, positions = room(angles, *batch, n + 1, 3, 3), room(angles, *batch, n + 1, 3)
+    ways = room(angles, *batch, n, 3)
+    rotations[..., 0, :, :], positions[..., 0, :] = foot, place
+    for i, joint in enumerate(arm.joints):
+        before, R, way = rotations[..., i, :, :], rotations[..., i + 1, :, :], ways[..., i, :]
+        z, (cosine, sine) = before[..., 2], joint.alpha
+        swung = R[..., ::2] if cosine == 0.0 else R[..., :2]
+        np.multiply(same[..., i, None, :], before[..., :2], out=swung)
+        swung += other[..., i, None, :] * before[..., 1::-1]
+        if cosine == 0.0:  # y has become z, and z y
+            np.multiply(sine, z, out=R[..., 1])
+        else:
+            R[..., 2] = z
+        if cosine != 0.0 and sine != 0.0:  # of an angle of 1e-8 the cosine is 1
+            R[..., 1:] = _turned(R[..., 1:], joint.alpha)
+        if joint.a:
+            np.multiply(joint.a, R[..., 0], out=way)
+        if joint.slides:
+            way += (joint.d + angles[..., i, None]) * z
+        elif joint.d:
+            way += joint.d * z
+        if joint.beta is not None:  # z towards x
+            R[..., ::-2] = _turned(R[..., ::-2], joint.beta)
+        np.add(positions[..., i, :], way, out=positions[..., i + 1, :])
+    return Frames(rotations, positions, ways)
+
+
+def _swings(joints: tuple[Joint, ...], q: Array) -> tuple[Array, Array]:
+    """What x and y of a frame are multiplied with, and y and x, to be the next one's.
+
+    x' = c x + s y and y' = c y - s x, of the angles of the DH table; where alpha is a right
+    angle the second is -sin(alpha) y', which is where z comes to lie.
 
     Returns:
-        One frame per link, first link first.
+        (..., n, 2) each.
     """
-    out = []
-    R, p = start(arm)
-    for link, value in zip(arm.links, q, strict=True):
-        axis, origin, d = R.z, p, link.d
-        if link.slides:
-            c, s = round(math.cos(link.offset), 15), round(math.sin(link.offset), 15)
-            d = d + value
-        else:
-            angle = value + link.offset if link.offset else value
-            c, s = xp.cos(angle), xp.sin(angle)
-        x = add(scale(c, R.x), scale(s, R.y))
-        y = add(scale(-s, R.x), scale(c, R.y))
-        p = add(p, scale(d, axis), scale(link.a, x))
-        ca, sa = round(math.cos(link.alpha), 15), round(math.sin(link.alpha), 15)
-        R = Rotation(x, add(scale(ca, y), scale(sa, axis)), add(scale(-sa, y), scale(ca, axis)))
-        if link.beta:
-            cb, sb = round(math.cos(link.beta), 15), round(math.sin(link.beta), 15)
-            x, z = R.x, R.z
-            R = Rotation(add(scale(cb, x), scale(-sb, z)), R.y, add(scale(sb, x), scale(cb, z)))
-        out.append(Frame(R, p, axis, origin, bool(link.slides)))
-    return out
+    offsets = [joint.offset for joint in joints]
+    angles = q + np.array(offsets) if any(offsets) else q
+    cosine, sine = np.cos(angles), np.sin(angles)
+    for i, joint in enumerate(joints):
+        if joint.slides:
+            cosine[..., i], sine[..., i] = turn_by(joint.offset)
+    sign = np.array([-j.alpha[1] if j.alpha[0] == 0.0 else 1.0 for j in joints])
+    same, other = room(q, *q.shape, 2), room(q, *q.shape, 2)
+    same[..., 0], other[..., 0] = cosine, sine
+    np.multiply(cosine, sign, out=same[..., 1])
+    np.multiply(sine, -sign, out=other[..., 1])
+    return same, other
+
+
+def _turned(pair: Array, turn: Turn) -> Array:
+    """Columns u, w (..., 3, 2) as c u + s w and c w - s u."""
+    cosine, sine = turn
+    return cosine * pair + np.array([sine, -sine]) * pair[..., ::-1]
+
+
+def twists(arm: Mechanism, at: Frames) -> tuple[Array, Array]:
+    """Return the motion of what is beyond each joint, per rate of the joint.
+
+    Args:
+        arm: the arm.
+        at: its frames.
+
+    Returns:
+        Velocity at the platform's origin, and angular velocity, (..., n, 3) each.
+    """
+    moving, turning = cross(at.origin, at.axis), at.axis
+    if any(joint.slides for joint in arm.joints):
+        turning = turning.copy()
+    for i, joint in enumerate(arm.joints):
+        if joint.slides:
+            moving[..., i, :], turning[..., i, :] = at.axis[..., i, :], 0.0
+    return moving, turning
 
 
 def joint_positions(arm: SerialChain, q: npt.ArrayLike) -> Array:
@@ -167,125 +163,168 @@ def joint_positions(arm: SerialChain, q: npt.ArrayLike) -> Array:
     Returns:
         (..., n + 1, 3) points [m]; the last is the tool (the far end of the last link).
     """
-    angles = _columns(arm, q)
-    shape = angles[0].shape
-    out = np.zeros((*shape, arm.n + 1, 3))
-    for i, frame in enumerate(frames(arm, angles)):
-        for k in range(3):
-            out[..., i + 1, k] = frame.position[k]
+    out = np.ascontiguousarray(frames(arm, _joint_values(arm, q)).positions)
+    out[..., 0, :] = 0.0
     return out
 
 
-def _columns(arm: SerialChain, q: npt.ArrayLike, name: str = "q") -> list[Array]:
+def _joint_values(arm: SerialChain, q: npt.ArrayLike, name: str = "q") -> Array:
     array = np.asarray(q, float)
     if array.ndim == 0 or array.shape[-1] != arm.n:
         raise ParameterError(f"{name} must have shape (..., {arm.n}), got {array.shape}")
-    return list(np.moveaxis(array, -1, 0).copy())
+    return array
+
+
+# --------------------------------------------------------------------- rigid bodies
+# Symmetric matrices are packed as xx, yy, zz, xy, yz, xz
+
+
+def packed(matrix: Array) -> Array:
+    """Symmetric matrices (..., 3, 3) as (..., 6)."""
+    return matrix[..., [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+
+
+def _products(a: Array, b: Array) -> Array:
+    """a_i b_j (..., 6) of vectors (..., 3)."""
+    out = room(a, *a.shape[:-1], 6)
+    np.multiply(a, b, out=out[..., :3])
+    np.multiply(a[..., :2], b[..., 1:], out=out[..., 3:5])
+    np.multiply(a[..., 0], b[..., 2], out=out[..., 5])
+    return out
+
+
+def packed_matvec(matrix: Array, vector: Array) -> Array:
+    """Symmetric matrices (..., 6) times vectors (..., 3)."""
+    out = matrix[..., :3] * vector
+    out[..., :2] += matrix[..., 3:5] * vector[..., 1:]
+    out[..., 1:] += matrix[..., 3:5] * vector[..., :2]
+    out[..., ::2] += matrix[..., 5, None] * vector[..., ::-2]
+    return out
+
+
+def turned_inertia(rotation: Array, inertia: Array) -> Array:
+    """R I R^T (..., 6) of bodies about their centres of mass.
+
+    Args:
+        rotation: (..., 3, 3).
+        inertia: (..., 3, 3) in the bodies' axes.
+    """
+    diagonal = inertia.dtype != object and not packed(inertia)[..., 3:].any()
+    if diagonal:
+        half = rotation * packed(inertia)[..., None, :3]
+    else:
+        half = room(rotation, *rotation.shape)
+        for k in range(3):
+            half[..., k] = (rotation * inertia[..., None, k, :]).sum(axis=-1)
+    x, y, z = (_products(half[..., k], rotation[..., k]) for k in range(3))
+    return x + y + z
+
+
+def moments(mass: Array, com: Array, turned: Array) -> tuple[Array, Array]:
+    """First moment (..., 3) and second moments (..., 6) of bodies about the origin.
+
+    Args:
+        mass: (...) kg.
+        com: (..., 3) m.
+        turned: (..., 6) of `turned_inertia`.
+    """
+    first = mass[..., None] * com
+    across = _products(first, com)
+    second = turned - across
+    second[..., :3] += across[..., :3].sum(axis=-1)[..., None]
+    return first, second
+
+
+def spatial_inertia(mass: Array, first: Array, second: Array) -> Array:
+    """(..., 6, 6) at the origin, of mass (...) and moments (..., 3), (..., 6)."""
+    parts = room(first, *first.shape[:-1], 14)
+    parts[..., 1], parts[..., 2:5], parts[..., 5:8] = mass, first, -first
+    parts[..., 8:] = second
+    return parts[..., _SPATIAL]
+
+
+def swing(w: Array, dw: Array, arm: Array) -> Array:
+    """Acceleration of a point relative to another of the same body."""
+    return cross(dw, arm) + cross(w, cross(w, arm))
+
+
+def body_loads(
+    mass: Array, com: Array, turned: Array, w: Array, dw: Array, accel: Array
+) -> tuple[Array, Array]:
+    """Force and moment about the origin (..., 3) that bodies' motions take.
+
+    Args:
+        mass: (...) kg.
+        com: (..., 3) place of the centre of mass [m].
+        turned: (..., 6) of `turned_inertia`.
+        w, dw: (..., 3) angular velocity and acceleration.
+        accel: (..., 3) of the centre of mass.
+    """
+    force = mass[..., None] * accel
+    spun = packed_matvec(turned, dw) + cross(w, packed_matvec(turned, w))
+    return force, spun + cross(com, force)
+
+
+def _from_the_tip(x: Array) -> Array:
+    """Add to each joint's row of x (..., n, k) those beyond it, in place."""
+    for i in reversed(range(x.shape[-2] - 1)):
+        x[..., i, :] += x[..., i + 1, :]
+    return x
+
+
+def _from_the_base(first: Array, x: Array) -> Array:
+    """(..., n + 1, 3): the first (..., 3), then the rows of x (..., n, 3) added in turn."""
+    batch = np.broadcast_shapes(first.shape[:-1], x.shape[:-2])
+    out = room(x, *batch, x.shape[-2] + 1, 3)
+    out[..., 0, :] = first
+    for i in range(x.shape[-2]):
+        np.add(out[..., i, :], x[..., i, :], out=out[..., i + 1, :])
+    return out
 
 
 # ------------------------------------------------------------------- inertia matrix
 
 
-class _Composite(NamedTuple):
-    """Mass, first moment and second moment of a set of bodies about the origin."""
+class InertiaParts(NamedTuple):
+    """The inertia matrix by its parts."""
 
-    mass: float
-    moment: Vec  # kg m
-    xx: Scalar  # second moment [kg m^2]
-    yy: Scalar
-    zz: Scalar
-    xy: Scalar
-    xz: Scalar
-    yz: Scalar
-
-    def plus(self, other: _Composite) -> _Composite:
-        return _Composite(
-            self.mass + other.mass,
-            add(self.moment, other.moment),
-            *(_add(a, b) for a, b in zip(self[2:], other[2:], strict=True)),
-        )
-
-    def turn(self, w: Vec) -> Vec:
-        """Angular momentum about the origin of a rotation w about the origin."""
-        return (
-            dot((self.xx, self.xy, self.xz), w),
-            dot((self.xy, self.yy, self.yz), w),
-            dot((self.xz, self.yz, self.zz), w),
-        )
+    base: Array  # (..., 6, 6) spatial inertia of all bodies at the origin
+    across: Array  # (..., n, 6) momentum of all bodies per unit joint rate
+    joints: Array  # (..., n, n) rotors included
 
 
-def _body(
-    mass: float, com: Vec, R: Rotation, inertia: tuple[tuple[float, ...], ...]
-) -> _Composite:
-    """A rigid body at `com` [m], turned by R, seen from the origin."""
-    cols = [R.apply((row[0], row[1], row[2])) for row in inertia]  # R I, by columns (I = I^T)
-
-    def moment(i: int, j: int) -> Scalar:
-        turned = dot((cols[0][i], cols[1][i], cols[2][i]), (R.x[j], R.y[j], R.z[j]))
-        return _sub(turned, _mul(mass, _mul(com[i], com[j])))
-
-    square = _mul(mass, dot(com, com))
-    return _Composite(
-        mass,
-        scale(mass, com),
-        *(_add(moment(i, i), square) for i in range(3)),
-        *(moment(i, j) for i, j in ((0, 1), (0, 2), (1, 2))),
-    )
-
-
-def _base_body(arm: SerialChain) -> _Composite:
-    x, y, z = arm.base.com
-    return _body(arm.base.mass, (x, y, z), IDENTITY, arm.base.inertia)
-
-
-class InertiaEntries(NamedTuple):
-    """The inertia matrix by its parts, as scalars."""
-
-    base: list[list[Scalar]]  # (6, 6) spatial inertia of all bodies at the origin
-    across: list[list[Scalar]]  # (n, 6) momentum of all bodies per unit joint rate
-    joints: list[list[Scalar]]  # (n, n) rotors included
-
-
-def inertia_entries(arm: SerialChain, q: list[Scalar], xp: Any = np) -> InertiaEntries:
-    """Return the parts of `inertia` for one configuration of scalars.
+def inertia_parts(arm: Mechanism, q: npt.ArrayLike) -> InertiaParts:
+    """Return the parts of `inertia`.
 
     Args:
         arm: the arm.
-        q: n joint angles [rad], numbers, arrays or symbols.
-        xp: namespace of sin and cos.
+        q: (..., n) joint angles [rad].
     """
-    n, chain = arm.n, frames(arm, q, xp)
-    composite: _Composite | None = None
-    across: list[list[Scalar]] = [[] for _ in range(n)]
-    joints: list[list[Scalar]] = [[0.0] * n for _ in range(n)]
-    for j in reversed(range(n)):
-        link, frame = arm.links[j], chain[j]
-        x, y, z = link.inertial.com
-        com = add(frame.position, frame.rotation.apply((x, y, z)))
-        body = _body(link.inertial.mass, com, frame.rotation, link.inertial.inertia)
-        composite = body if composite is None else composite.plus(body)
-        # unit rate of joint j: linear and angular momentum (about the origin) of what it moves
-        if frame.slides:
-            linear = scale(composite.mass, frame.axis)
-            angular = cross(composite.moment, frame.axis)
-        else:
-            slide = cross(frame.origin, frame.axis)
-            linear = add(scale(composite.mass, slide), cross(frame.axis, composite.moment))
-            angular = add(cross(composite.moment, slide), composite.turn(frame.axis))
-        across[j] = [*linear, *angular]
-        for i in range(j + 1):
-            value = _along(chain[i], linear, angular)
-            joints[i][j] = joints[j][i] = value
-        joints[j][j] = _add(joints[j][j], link.rotor_inertia)
-    assert composite is not None  # an Arm has at least one link
-    return InertiaEntries(_spatial(composite.plus(_base_body(arm))), across, joints)
-
-
-def _along(joint: Frame, force: Vec, moment: Vec) -> Scalar:
-    """Force, or moment about the origin, that a joint's coordinate feels."""
-    if joint.slides:
-        return dot(joint.axis, force)
-    return _add(dot(joint.axis, moment), dot(cross(joint.origin, joint.axis), force))
+    at, bodies, n = frames(arm, q), arm.bodies, len(arm.joints)
+    rotation = at.rotation
+    com = at.position + (rotation * bodies.com[..., 1:, None, :]).sum(axis=-1)
+    turned = turned_inertia(rotation, bodies.inertia[..., 1:, :, :])
+    first, second = map(_from_the_tip, moments(bodies.mass[..., 1:], com, turned))
+    mass = np.cumsum(bodies.mass[..., :0:-1], axis=-1)[..., ::-1]
+    # unit rate of a joint: linear and angular momentum (about the origin) of what it moves
+    moving, turning = twists(arm, at)
+    across = room(com, *com.shape[:-1], 6)
+    linear, angular = across[..., :3], across[..., 3:]
+    np.add(mass[..., None] * moving, cross(turning, first), out=linear)
+    np.add(cross(first, moving), packed_matvec(second, turning), out=angular)
+    pairs = (moving[..., :, None, :] * linear[..., None, :, :]).sum(axis=-1)
+    pairs += (turning[..., :, None, :] * angular[..., None, :, :]).sum(axis=-1)
+    joints = np.where(np.tri(n, dtype=bool), np.swapaxes(pairs, -1, -2), pairs)
+    joints[..., range(n), range(n)] += bodies.rotor
+    own = moments(
+        bodies.mass[..., 0], bodies.com[..., 0, :], packed(bodies.inertia[..., 0, :, :])
+    )
+    base = spatial_inertia(
+        mass[..., 0] + bodies.mass[..., 0],
+        first[..., 0, :] + own[0],
+        second[..., 0, :] + own[1],
+    )
+    return InertiaParts(base, across, joints)
 
 
 def inertia(arm: SerialChain, q: npt.ArrayLike) -> Array:
@@ -298,19 +337,23 @@ def inertia(arm: SerialChain, q: npt.ArrayLike) -> Array:
         (..., 6 + n, 6 + n): [[H_b, H_bm], [H_bm^T, H_m]] for the base twist (linear part
         first, platform-top frame) and the joint rates; rotors included in H_m.
     """
-    angles = _columns(arm, q)
-    n, shape = arm.n, angles[0].shape
-    parts = inertia_entries(arm, angles)
-    out = np.empty((*shape, 6 + n, 6 + n))
-    for i in range(6):
-        for j in range(6):
-            out[..., i, j] = parts.base[i][j]
-    for j in range(n):
-        for k in range(6):
-            out[..., k, 6 + j] = out[..., 6 + j, k] = parts.across[j][k]
-        for i in range(n):
-            out[..., 6 + i, 6 + j] = parts.joints[i][j]
+    angles, size = _joint_values(arm, q), 6 + arm.n
+    out = np.empty((*angles.shape[:-1], size, size))
+
+    def part(angles: Array, H: Array) -> None:
+        base, across, joints = inertia_parts(arm, angles)
+        H[:, :6, :6], H[:, 6:, :6], H[:, 6:, 6:] = base, across, joints
+        H[:, :6, 6:] = np.swapaxes(across, -1, -2)
+
+    _in_chunks(part, angles.reshape(-1, arm.n), out.reshape(-1, size, size))
     return out
+
+
+def _in_chunks(function: Callable[..., None], *arrays: Array) -> None:
+    """Call a function with some rows of arrays after others."""
+    size = _CHUNK // arrays[0].shape[-1]
+    for k in range(0, len(arrays[0]), size):
+        function(*(x[k : k + size] for x in arrays))
 
 
 def drawn_configurations(arm: SerialChain) -> Array:
@@ -324,89 +367,61 @@ def drawn_configurations(arm: SerialChain) -> Array:
     return np.vstack([np.clip(0.0, low, high), drawn])
 
 
-def _spatial(c: _Composite) -> list[list[Scalar]]:
-    """(6, 6) spatial inertia of a composite at the origin."""
-    x, y, z = c.moment
-    out: list[list[Scalar]] = [[0.0] * 6 for _ in range(6)]
-    for i in range(3):
-        out[i][i] = c.mass
-    for i, j, value in ((0, 4, z), (1, 5, x), (2, 3, y)):
-        out[i][j] = out[j][i] = value
-    for i, j, value in ((0, 5, y), (1, 3, z), (2, 4, x)):
-        out[i][j] = out[j][i] = _sub(0.0, value)
-    for i, j, value in (
-        (3, 3, c.xx),
-        (4, 4, c.yy),
-        (5, 5, c.zz),
-        (3, 4, c.xy),
-        (3, 5, c.xz),
-        (4, 5, c.yz),
-    ):
-        out[i][j] = out[j][i] = value
-    return out
-
-
 # ------------------------------------------------------------------ inverse dynamics
+
+_NONE = np.zeros(3)
 
 
 def newton_euler(
-    arm: SerialChain,
-    q: list[Scalar],
-    v: list[Scalar],
-    a: list[Scalar],
+    arm: Mechanism,
+    q: Array,
+    v: Array,
+    a: Array,
     *,
-    spin: Vec = ZERO,
-    turn: Vec = ZERO,
-    accel: Vec = ZERO,
-    xp: Any = np,
-) -> tuple[list[Scalar], Vec, Vec]:
-    """Torques of a motion, and force and moment that move the whole arm with its base link.
+    spin: Array = _NONE,
+    turn: Array = _NONE,
+    accel: Array = _NONE,
+) -> tuple[Array, Array]:
+    """Torques of a motion, and the wrench that moves the whole arm with its base link.
 
     Args:
-        spin, turn: angular velocity and acceleration of the base, platform axes.
-        accel: acceleration of its origin less that of free fall, platform axes.
+        arm: the arm.
+        q, v, a: (..., n) joint angles [rad], rates [rad/s], accelerations [rad/s^2].
+        spin, turn: (..., 3) angular velocity and acceleration of the base, platform axes.
+        accel: (..., 3) acceleration of its origin less that of free fall, platform axes.
 
     Returns:
-        tau (n) [N m], rotors included; force [N] and moment [N m] on the base link at the
-        platform-top origin, platform axes. What the arm exerts on the base is their negative.
+        tau (..., n) [N m], rotors included, and the wrench (..., 6) [N, N m] on the base link
+        at the platform-top origin, platform axes. What the arm exerts is its negative.
     """
-    chain = frames(arm, q, xp)
-    forces: list[tuple[Vec, Vec]] = []  # of each body: force, moment about the origin
-
-    def body(inertial: Any, R: Rotation, com: Vec, w: Vec, dw: Vec, at_com: Vec) -> None:
-        force = scale(inertial.mass, at_com)
-        moment = _body(0.0, ZERO, R, inertial.inertia)
-        spun = add(moment.turn(dw), cross(w, moment.turn(w)))
-        forces.append((force, add(spun, cross(com, force))))
-
-    def moved(a0: Vec, w: Vec, dw: Vec, r: Vec) -> Vec:
-        return add(a0, cross(dw, r), cross(w, cross(w, r)))
-
-    x, y, z = arm.base.com
-    body(arm.base, IDENTITY, (x, y, z), spin, turn, moved(accel, spin, turn, (x, y, z)))
-    w, dw, point = spin, turn, start(arm)[1]  # motion of the frame reached so far
-    accel = moved(accel, w, dw, point)
-    for i, frame in enumerate(chain):
-        rate = scale(v[i], frame.axis)
-        if frame.slides:
-            accel = add(accel, scale(a[i], frame.axis), scale(2.0, cross(w, rate)))
-        else:
-            dw = add(dw, scale(a[i], frame.axis), cross(w, rate))
-            w = add(w, rate)
-        x, y, z = arm.links[i].inertial.com
-        com = add(frame.position, frame.rotation.apply((x, y, z)))
-        at_com = moved(accel, w, dw, add(com, scale(-1.0, point)))
-        body(arm.links[i].inertial, frame.rotation, com, w, dw, at_com)
-        accel = moved(accel, w, dw, add(frame.position, scale(-1.0, point)))
-        point = frame.position
-
-    tau: list[Scalar] = [0.0] * arm.n
-    force, moment = ZERO, ZERO  # what the links from i outwards need
-    for i in reversed(range(arm.n)):
-        force, moment = add(force, forces[i + 1][0]), add(moment, forces[i + 1][1])
-        along = _along(chain[i], force, moment)
-        tau[i] = _add(along, _mul(arm.links[i].rotor_inertia, a[i]))
-    return tau, add(force, forces[0][0]), add(moment, forces[0][1])
+    at, bodies = frames(arm, q), arm.bodies
+    rotation, slides = at.rotation, [joint.slides for joint in arm.joints]
+    rates, pushes = v[..., None] * at.axis, a[..., None] * at.axis
+    turns = np.array([[float(not k)] for k in slides]) if any(slides) else 1.0
+    # angular velocities and accelerations, of the base and of each link
+    spins = _from_the_base(spin, turns * rates)
+    w, gyration = spins[..., 1:, :], cross(spins[..., :-1, :], rates)
+    dw = _from_the_base(turn, turns * (pushes + gyration))[..., 1:, :]
+    # acceleration of where the joint is, as its link moves
+    gain = swing(w, dw, at.ways)
+    slid = (1.0 - turns) * (pushes + 2.0 * gyration) if any(slides) else 0.0
+    places = _from_the_base(accel + swing(spin, turn, arm.start[1]), gain + slid)
+    # forces and moments about the origin, of each body, then of all from it outwards
+    reach = at.ways + (rotation * bodies.com[..., 1:, None, :]).sum(axis=-1)
+    turned = turned_inertia(rotation, bodies.inertia[..., 1:, :, :])
+    moved = places[..., :-1, :] + slid + swing(w, dw, reach)
+    com = at.origin + reach
+    force, moment = map(
+        _from_the_tip, body_loads(bodies.mass[..., 1:], com, turned, w, dw, moved)
+    )
+    moving, turning = twists(arm, at)
+    tau = (moving * force).sum(axis=-1) + (turning * moment).sum(axis=-1) + bodies.rotor * a
+    com, own = bodies.com[..., 0, :], packed(bodies.inertia[..., 0, :, :])
+    moved = accel + swing(spin, turn, com)
+    base = body_loads(bodies.mass[..., 0], com, own, spin, turn, moved)
+    wrench = room(force, *force.shape[:-2], 6)
+    wrench[..., :3], wrench[..., 3:] = force[..., 0, :] + base[0], moment[..., 0, :] + base[1]
+    return tau, wrench
 
 
 def inverse_dynamics(
@@ -414,30 +429,30 @@ def inverse_dynamics(
     q: npt.ArrayLike,
     v: npt.ArrayLike,
     a: npt.ArrayLike,
-    gravity: tuple[float, float, float] = ZERO,
+    gravity: npt.ArrayLike = (0.0, 0.0, 0.0),
 ) -> tuple[Array, Array]:
     """Torque and base wrench of a motion on a base that stands still (Newton-Euler).
 
     Args:
         q, v, a: (..., n) joint angles [rad], rates [rad/s], accelerations [rad/s^2].
-        gravity: acceleration of free fall in the platform frame [m/s^2].
+        gravity: (..., 3) acceleration of free fall in the platform frame [m/s^2].
 
     Returns:
         tau (..., n) [N m], rotors included, and the wrench (..., 6) [N, N m] that the arm
         exerts on the base at the platform-top origin.
     """
-    angles = _columns(arm, q)
-    rates, accelerations = _columns(arm, v, "v"), _columns(arm, a, "a")
-    lift: Vec = (-gravity[0], -gravity[1], -gravity[2])
-    torques, force, moment = newton_euler(arm, angles, rates, accelerations, accel=lift)
-    shape = np.broadcast_shapes(angles[0].shape, rates[0].shape, accelerations[0].shape)
+    motion = np.broadcast_arrays(
+        _joint_values(arm, q), _joint_values(arm, v, "v"), _joint_values(arm, a, "a")
+    )
+    shape, lift = motion[0].shape[:-1], -np.asarray(gravity, float)
+    rows = [x.reshape(-1, arm.n) for x in motion]
+    rows.append(np.broadcast_to(lift, (*shape, 3)).reshape(-1, 3))
     tau, wrench = np.empty((*shape, arm.n)), np.empty((*shape, 6))
-    for i, value in enumerate(torques):
-        tau[..., i] = value
-    for k, value in enumerate((*force, *moment)):  # reaction
-        wrench[..., k] = -value if not _is_zero(value) else 0.0
+
+    def part(q: Array, v: Array, a: Array, rising: Array, tau: Array, wrench: Array) -> None:
+        accel = lift if lift.ndim == 1 else rising
+        torque, load = newton_euler(arm, *(x.copy("F") for x in (q, v, a)), accel=accel)
+        tau[:], wrench[:] = torque, -load
+
+    _in_chunks(part, *rows, tau.reshape(-1, arm.n), wrench.reshape(-1, 6))
     return tau, wrench
-
-
-def _is_zero(s: Scalar) -> bool:
-    return isinstance(s, float) and s == 0.0

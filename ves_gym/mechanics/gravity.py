@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite, require_positive, unit
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import IDENTITY, Frame, Scalar, Vec, add, frames, scale, start
-from ves_gym.mechanics.spatial import numbers
+from ves_gym.mechanics.dynamics import frames
+from ves_gym.mechanics.spatial import cross, numbers, room
 
 GRAVITY = 9.81  # m/s^2; thesis: 919 N for 93.7 kg
 
@@ -52,25 +52,20 @@ def moment_regressor(arm: Arm, q: npt.ArrayLike) -> Array:
         arm: the arm.
         q: (..., n) joint angles [rad].
     """
-    angles = _joints(arm, q)
-    chain = frames(arm, angles)
-    columns = [axis for turn in (IDENTITY, *(f.rotation for f in chain)) for axis in turn]
-    return _stack([*columns, *(f.position for f in chain)], angles[0].shape)
+    n, at = arm.n, frames(arm, _joints(arm, q))
+    out = np.zeros((*at.position.shape[:-2], 3, 3 * (n + 1) + n))
+    out[..., :3] = np.eye(3)
+    for i in range(n):
+        out[..., 3 * (i + 1) : 3 * (i + 2)] = at.rotation[..., i, :, :]
+    out[..., 3 * (n + 1) :] = np.swapaxes(at.position, -1, -2)
+    return out
 
 
-def _joints(arm: Arm, q: npt.ArrayLike) -> list[Array]:
+def _joints(arm: Arm, q: npt.ArrayLike) -> Array:
     angles = numbers(q)
     if angles.ndim == 0 or angles.shape[-1] != arm.n:
         raise ParameterError(f"q must have shape (..., {arm.n}), got {angles.shape}")
-    return list(np.asanyarray(np.moveaxis(angles, -1, 0), order="C"))
-
-
-def _stack(columns: list[Vec], shape: tuple[int, ...]) -> Array:
-    out = np.empty((*shape, 3, len(columns)))
-    for j, column in enumerate(columns):
-        for k in range(3):
-            out[..., k, j] = column[k]
-    return out
+    return angles
 
 
 # ---------------------------------------------------------------- minimal parameters
@@ -105,8 +100,7 @@ class MinimalModel:
 
     def regressor(self, q: npt.ArrayLike) -> Array:
         """(..., 3, size) C with c(q) = C P [kg m]."""
-        angles = _joints(self.arm, q)
-        return _stack(self._columns(frames(self.arm, angles)), angles[0].shape)
+        return np.ascontiguousarray(np.swapaxes(self._columns(q), -1, -2))
 
     def G(self, q: npt.ArrayLike, g: npt.ArrayLike) -> Array:
         """Return G with moment = G P (thesis eq. 3.9).
@@ -121,20 +115,23 @@ class MinimalModel:
         C, gravity = self.regressor(q), np.asarray(g, float)[..., None]
         return np.cross(C, gravity, axis=-2)
 
-    def first_moment(self, q: npt.ArrayLike, P: npt.ArrayLike) -> Vec:
-        """Return c(q) = C P [kg m] by components, without building C.
+    def first_moment(self, q: npt.ArrayLike, P: npt.ArrayLike) -> Array:
+        """Return c(q) = C P (..., 3) [kg m].
 
         Args:
             q: (..., n) joint angles [rad].
             P: (..., size) parameters [kg m].
         """
-        columns = self._columns(frames(self.arm, _joints(self.arm, q)))
-        values: list[Scalar] = list(np.moveaxis(numbers(P), -1, 0))
-        return add(*(scale(p, column) for p, column in zip(values, columns, strict=True)))
+        moment: Array = (self._columns(q) * numbers(P)[..., None]).sum(axis=-2)
+        return moment
 
-    def _columns(self, chain: list[Frame]) -> list[Vec]:
-        turns = (IDENTITY, *(frame.rotation for frame in chain))
-        return [turns[body][axis] for body, axis in self.directions]
+    def _columns(self, q: npt.ArrayLike) -> Array:
+        """(..., size, 3) the directions in platform axes."""
+        rotation = frames(self.arm, _joints(self.arm, q)).rotation
+        out = room(rotation, *rotation.shape[:-3], self.size, 3)
+        for k, (body, axis) in enumerate(self.directions):
+            out[..., k, :] = rotation[..., body - 1, :, axis] if body else np.eye(3)[axis]
+        return out
 
 
 @lru_cache(maxsize=64)
@@ -167,9 +164,9 @@ def minimal_model(arm: Arm) -> MinimalModel:
 
     for k in range(3):
         lump({k: 1.0}, k, 1.0, f"m0 r0{'xyz'[k]}")
-    turn, place = start(arm)
-    z = {k: float(part) for k, part in enumerate(turn.z) if part}  # axis by kept directions
-    for k, length in enumerate(place):
+    turn, place = arm.start
+    z = {k: part for k, part in enumerate(turn[:, 2].tolist()) if part}  # by kept directions
+    for k, length in enumerate(place.tolist()):
         if length:
             extend({k: 1.0}, length, 1, f"{'xyz'[k]}0")
     for i, link in enumerate(arm.links, start=1):
@@ -241,14 +238,10 @@ def gravity_wrench(
         raise ParameterError(
             f"P must have {model.size} entries for {arm.name}, got shape {values.shape}"
         )
-    x, y, z = model.first_moment(joints, values)
-    gx, gy, gz = g[..., 0], g[..., 1], g[..., 2]
-    shape = np.broadcast_shapes(joints.shape[:-1], gx.shape, m.shape, values.shape[:-1])
-    out = np.zeros_like(m[..., None] * x[..., None], shape=(*shape, 6))
-    out[..., :3] = m[..., None] * g
-    out[..., 3] = y * gz - z * gy
-    out[..., 4] = z * gx - x * gz
-    out[..., 5] = x * gy - y * gx
+    force, moment = m[..., None] * g, cross(model.first_moment(joints, values), g)
+    shape = np.broadcast_shapes(force.shape, moment.shape)
+    out = np.zeros_like(moment, shape=(*shape[:-1], 6))
+    out[..., :3], out[..., 3:] = force, moment
     return out
 
 

@@ -9,8 +9,9 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import frames, joint_positions
-from ves_gym.mechanics.spatial import matvec
+from ves_gym.mechanics.dynamics import Frames, frames, joint_positions
+from ves_gym.mechanics.joints import Mechanism
+from ves_gym.mechanics.spatial import cross, matvec, room
 
 _ROUNDS = 40
 _STEP = 0.3  # rad, the most a joint moves per round
@@ -34,11 +35,23 @@ def tool_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
     angles = np.asarray(q, float)
     if angles.ndim == 0 or angles.shape[-1] != arm.n:
         raise ParameterError(f"q must have shape (..., {arm.n}), got {angles.shape}")
-    chain = frames(arm, list(np.moveaxis(angles, -1, 0)))
-    out = np.empty((*angles.shape[:-1], 3, arm.n))
-    for j, frame in enumerate(chain):
-        for k, value in enumerate(frame.moved(chain[-1].position)[0]):
-            out[..., k, j] = value
+    at = frames(arm, angles)
+    return np.ascontiguousarray(np.swapaxes(tool_motions(arm, at)[..., :3], -1, -2))
+
+
+def tool_motions(arm: Mechanism, at: Frames) -> Array:
+    """Return velocity and rate of turning (..., n, 6) of the tool per joint rate.
+
+    Args:
+        arm: the arm.
+        at: its frames.
+    """
+    out = room(at.axis, *at.axis.shape[:-1], 6)
+    reach = at.position[..., -1:, :] - at.origin
+    out[..., :3], out[..., 3:] = cross(at.axis, reach), at.axis
+    for i, joint in enumerate(arm.joints):
+        if joint.slides:
+            out[..., i, :3], out[..., i, 3:] = at.axis[..., i, :], 0.0
     return out
 
 

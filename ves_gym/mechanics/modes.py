@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -89,6 +90,65 @@ def natural_modes(K: Array, M: Array) -> Modes:
     squares, vectors = np.linalg.eigh((reduced + np.swapaxes(reduced, -1, -2)) / 2)
     shapes = np.linalg.solve(np.swapaxes(root, -1, -2), vectors)
     return Modes(np.sqrt(np.maximum(squares, 0.0)), shapes)
+
+
+# -------------------------------------------------- without a decision, to be compiled
+
+_TINY = 1e-300  # keeps 0 / 0 away where two axes are alike and uncoupled
+
+
+def reduced(K: Array, M: Array, b: Array) -> tuple[Array, Array]:
+    """Return L^-1 K L^-T (..., k, k) and L^-1 b (..., k, c), where M = L L^T.
+
+    Args:
+        K: (..., k, k) stiffness, symmetric.
+        M: (..., k, k) mass, symmetric positive definite; its lower triangle is read.
+        b: (..., k, c) vectors.
+    """
+    L, k = 0 * M, M.shape[-1]  # the inverse of each number on the diagonal
+    for j in range(k):
+        row = L[..., j, :j]
+        inverse = 1 / np.sqrt(M[..., j, j] - (row * row).sum(axis=-1))
+        L[..., j, j] = inverse
+        column = M[..., j + 1 :, j] - (L[..., j + 1 :, :j] * row[..., None, :]).sum(axis=-1)
+        L[..., j + 1 :, j] = column * inverse[..., None]
+
+    def forward(b: Array) -> Array:
+        out = 0 * b
+        for i in range(k):
+            known = (L[..., i, :i, None] * out[..., :i, :]).sum(axis=-2)
+            out[..., i, :] = (b[..., i, :] - known) * L[..., i, i, None]
+        return out
+
+    half = np.swapaxes(forward(K), -1, -2)
+    return np.swapaxes(forward(half), -1, -2), forward(b)
+
+
+def jacobi_sweep(A: Array, b: Array) -> tuple[Array, Array]:
+    """Return V^T A V and V^T b, V a rotation in the plane of each pair of axes in turn.
+
+    Golub and Van Loan, Matrix Computations, 4th ed., 8.5.
+
+    Args:
+        A: (..., k, k) symmetric.
+        b: (..., k, c) vectors.
+    """
+    A, b = A.copy(), b.copy()
+    for i, j in itertools.combinations(range(A.shape[-1]), 2):
+        across, half = A[..., i, j], (A[..., j, j] - A[..., i, i]) / 2
+        size = np.abs(half) + np.sqrt(half * half + across * across) + _TINY
+        t = np.where(half < 0, -across, across) / size  # tangent of the smaller angle
+        cosine = (1 / np.sqrt(1 + t * t))[..., None]
+        sine, moved = t[..., None] * cosine, t * across
+        ends = A[..., i, i] - moved, A[..., j, j] + moved
+        x, y = A[..., i].copy(), A[..., j].copy()
+        A[..., i] = A[..., i, :] = cosine * x - sine * y
+        A[..., j] = A[..., j, :] = sine * x + cosine * y
+        A[..., i, i], A[..., j, j] = ends
+        A[..., i, j] = A[..., j, i] = 0.0
+        x, y = b[..., i, :].copy(), b[..., j, :].copy()
+        b[..., i, :], b[..., j, :] = cosine * x - sine * y, sine * x + cosine * y
+    return A, b
 
 
 def root(K: Array, symmetric: bool = False) -> Array:

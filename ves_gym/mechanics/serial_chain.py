@@ -19,6 +19,7 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
+from ves_gym.mechanics.joints import Bodies, Joint
 
 # Hz, of an arm that states none; the thesis's high gains: 2.2 to 3.4 (this project)
 BANDWIDTH = 2.0
@@ -254,6 +255,23 @@ class SerialChain:
     def n(self) -> int:
         """Number of joints."""
         return len(self.links)
+
+    @cached_property
+    def joints(self) -> tuple[Joint, ...]:
+        """Lengths and angles of the links as `dynamics` takes them."""
+        return tuple(map(Joint.of, self.links))
+
+    @cached_property
+    def start(self) -> tuple[Array, Array]:
+        """Rotation (3, 3) and position (3,) of the first joint's frame before it turns."""
+        if self.mount is None:
+            return np.eye(3), np.zeros(3)
+        return self.mount.rotation, np.array(self.mount.position)
+
+    @cached_property
+    def bodies(self) -> Bodies:
+        """Base link and links as arrays."""
+        return Bodies.of(self.base, self.links)
 
     @property
     def tool_rotation(self) -> Array:

@@ -78,17 +78,33 @@ def twist_rate(y: npt.ArrayLike, yd: npt.ArrayLike, ydd: npt.ArrayLike) -> Array
     Returns:
         (..., 6) [m/s^2, rad/s^2].
     """
-    pose, rate = numbers(y), numbers(yd)
-    out = matvec(rate_matrix(pose), numbers(ydd))
-    v = twist(pose, rate)
-    out[..., :3] -= cross(v[..., 3:], v[..., :3])
+    T, spin, turn, accel = base_motion(y, yd, ydd)
+    velocity = matvec(T, numbers(yd))[..., :3]
+    return np.concatenate([accel - cross(spin, velocity), turn], axis=-1)
+
+
+def base_motion(
+    y: npt.ArrayLike, yd: npt.ArrayLike, ydd: npt.ArrayLike
+) -> tuple[Array, Array, Array, Array]:
+    """Return T of `rate_matrix`, and the platform's motion in its own axes.
+
+    Args:
+        y, yd, ydd: (..., 6) pose [m, rad] and its derivatives.
+
+    Returns:
+        T (..., 6, 6), angular velocity and acceleration, and acceleration of the origin
+        (..., 3).
+    """
+    pose, rate, T = numbers(y), numbers(yd), rate_matrix(y)
+    spin, accelerated = matvec(T, rate)[..., 3:], matvec(T, numbers(ydd))
     cx, cy = np.cos(pose[..., 3]), np.cos(pose[..., 4])
     sx, sy = np.sin(pose[..., 3]), np.sin(pose[..., 4])
     dx, dy, dz = (rate[..., i] for i in (3, 4, 5))
-    out[..., 3] -= dz * cy * dy
-    out[..., 4] += -dy * sx * dx + dz * (cy * cx * dx - sy * sx * dy)
-    out[..., 5] += -dy * cx * dx - dz * (cy * sx * dx + sy * cx * dy)
-    return out
+    turn = accelerated[..., 3:]
+    turn[..., 0] -= dz * cy * dy
+    turn[..., 1] += -dy * sx * dx + dz * (cy * cx * dx - sy * sx * dy)
+    turn[..., 2] += -dy * cx * dx - dz * (cy * sx * dx + sy * cx * dy)
+    return T, spin, turn, accelerated[..., :3]
 
 
 def body_wrench(
@@ -125,9 +141,19 @@ def matvec(matrix: Array, vector: Array) -> Array:
 
 def cross(a: Array, b: Array) -> Array:
     """Vector product (..., 3), component by component: it rounds alike for any batch."""
-    ax, ay, az = (a[..., k] for k in range(3))
-    bx, by, bz = (b[..., k] for k in range(3))
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+    ahead = a[..., :2] * b[..., 1:]
+    out = room(ahead, *ahead.shape[:-1], 3)
+    np.subtract(ahead, a[..., 1:] * b[..., :2], out=out[..., ::-2])  # z and x
+    np.subtract(a[..., 2] * b[..., 0], a[..., 0] * b[..., 2], out=out[..., 1])
+    return out
+
+
+def room(like: Array, *shape: int) -> Array:
+    """Return zeros of a shape, of the kind of `like`: numbers, or what is traced.
+
+    Simulations lie side by side in memory, whose axis comes first: NumPy works along them.
+    """
+    return np.zeros_like(like, shape=shape, order="F")
 
 
 def solve(A: Array, b: Array) -> Array:

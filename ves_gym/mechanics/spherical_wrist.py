@@ -2,19 +2,21 @@
 
 Place and orientation then come apart (Pieper, thesis, Stanford 1968): the first three joints
 bring the point to its place (shoulder and elbow two ways each), the last three turn the tool
-(two ways). Written as `dynamics` is, for numbers, arrays and symbols.
+(two ways). Plain NumPy, as `dynamics` is.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from typing import NamedTuple
 
-from ves_gym._util.params import ParameterError
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import Rotation, Scalar, Vec, add, dot, scale, start
+from ves_gym.mechanics.spatial import matvec
 
 _TINY = 1e-9
 _MARGIN = 0.05  # rad inside the joint limits
@@ -33,8 +35,8 @@ class _Shape(NamedTuple):
 class _Turn(NamedTuple):
     """Cosine and sine of an angle, times a positive number."""
 
-    cosine: Scalar
-    sine: Scalar
+    cosine: Array
+    sine: Array
 
     def times(self, other: _Turn) -> _Turn:
         """Return the sum of both angles."""
@@ -69,14 +71,7 @@ def _shape(arm: Arm) -> _Shape | None:
     return _Shape(sines[0], sines[2], sines[3], sines[4])
 
 
-def shortest_way(
-    arm: Arm,
-    q: Sequence[Scalar],
-    place: Vec,
-    turn: Sequence[Vec],
-    xp: Any,
-    clip: Callable[[Any, float, float], Any],
-) -> list[Scalar]:
+def shortest_way(arm: Arm, q: Array, place: Array, turn: Array) -> Array:
     """Return the joint angles missing to a pose: of all configurations' the shortest.
 
     Shortest in time, joints as fast as they may be (root of the sum of squares); configurations
@@ -85,109 +80,81 @@ def shortest_way(
 
     Args:
         arm: with a spherical wrist.
-        q: 6 joint angles now [rad], numbers, arrays or symbols.
-        place: that the tool is to have in the platform-top frame [m].
-        turn: axes that it is to have there, unit vectors.
-        xp: namespace of sin, cos, sqrt, arctan2 and where.
-        clip: brings the first argument into the range of the others.
+        q: (..., 6) joint angles now [rad].
+        place: (..., 3) that the tool is to have in the platform-top frame [m].
+        turn: (..., 3, 3) that it is to have there, from its axes to the platform's.
 
     Returns:
-        6 angles [rad].
+        (..., 6) angles [rad].
     """
     shape = _shape(arm)
     if shape is None:
         raise ParameterError(
             f"joint angles in closed form need an arm with a spherical wrist, got {arm.name}"
         )
-    now = [
-        _Turn(xp.cos(k + link.offset), xp.sin(k + link.offset))
-        for k, link in zip(q, arm.links, strict=True)
-    ]
-    best: list[Scalar] = []
-    least: Scalar = math.inf
-    for ends in _every(arm, shape, place, turn, xp, clip):
-        ways, costs = [], []
-        for i, (end, at) in enumerate(zip(ends, now, strict=True)):
-            gap = end.times(at.back())
-            way, cost = _within(arm, i, q[i], xp.arctan2(gap.sine, gap.cosine), xp, clip)
-            ways.append(way)
-            costs.append(cost)
-        cost = sum(costs)
-        if best:
-            nearer = cost < least
-            best = [xp.where(nearer, a, b) for a, b in zip(ways, best, strict=True)]
-            least = xp.where(nearer, cost, least)
-        else:
-            best, least = ways, cost
+    angles = q + arm.column("offset")
+    now = _Turn(np.cos(angles), np.sin(angles))
+    best, least = q, np.zeros(())
+    for k, end in enumerate(_every(arm, shape, place, turn)):
+        gap = end.times(now.back())
+        way, cost = _within(arm, q, np.arctan2(gap.sine, gap.cosine))
+        if k == 0:
+            best, least = way, cost
+        nearer = cost < least
+        best = np.where(nearer[..., None], way, best)
+        least = np.where(nearer, cost, least)
     return best
 
 
-def _within(
-    arm: Arm, joint: int, q: Scalar, way: Scalar, xp: Any, clip: Callable[..., Any]
-) -> tuple[Scalar, Scalar]:
-    """One joint's way, this way round or the other, and what it costs [s^2].
+def _within(arm: Arm, q: Array, way: Array) -> tuple[Array, Array]:
+    """Ways of the joints (..., 6), each this way round or the other, and their cost [s^2].
 
     Args:
-        arm: whose joint.
-        joint: which.
-        q: its angle now [rad].
-        way: to go, up to half a turn [rad].
-        xp: namespace of where.
-        clip: brings the first argument into the range of the others.
+        arm: whose joints.
+        q: (..., 6) their angles now [rad].
+        way: (..., 6) to go, up to half a turn [rad].
     """
-    link = arm.links[joint]
-    low, high, over = link.q_min + _MARGIN, link.q_max - _MARGIN, link.v_max**-2
+    low, high = arm.column("q_min") + _MARGIN, arm.column("q_max") - _MARGIN
+    over = arm.column("v_max") ** -2
 
-    def cost(some: Scalar) -> Scalar:
+    def cost(some: Array) -> Array:
         end = q + some
-        beyond = clip(end - high, 0.0, 7.0) + clip(low - end, 0.0, 7.0)
+        beyond = np.clip(end - high, 0.0, 7.0) + np.clip(low - end, 0.0, 7.0)
         return some * some * over + beyond * beyond * _BEYOND
 
-    other = xp.where(way < 0.0, way + 2 * math.pi, way - 2 * math.pi)
+    other = np.where(way < 0.0, way + 2 * math.pi, way - 2 * math.pi)
     here, there = cost(way), cost(other)
     round_ = there < here
-    return xp.where(round_, other, way), xp.where(round_, there, here)
+    return np.where(round_, other, way), np.where(round_, there, here).sum(axis=-1)
 
 
-def _every(
-    arm: Arm,
-    shape: _Shape,
-    place: Vec,
-    turn: Sequence[Vec],
-    xp: Any,
-    clip: Callable[..., Any],
-) -> list[list[_Turn]]:
-    """Return the eight configurations, angles of the DH table.
+def _every(arm: Arm, shape: _Shape, place: Array, turn: Array) -> Iterator[_Turn]:
+    """Yield the eight configurations, angles (..., 6) of the DH table.
 
     Args:
         arm: of this shape.
         shape: its.
-        place: of the tool in the platform-top frame [m].
-        turn: axes of the tool there.
-        xp: namespace of sqrt.
-        clip: brings the first argument into the range of the others.
+        place: (..., 3) of the tool in the platform-top frame [m].
+        turn: (..., 3, 3) of the tool there.
     """
     links = arm.links
-    ground, foot = start(arm)
-    columns = arm.tool_rotation.tolist()  # of the tool's axes, those of the last link
-    last = [
-        tuple(dot(axis, Rotation(*turn).apply(tuple(row))) for axis in ground)
-        for row in columns
-    ]
-    centre = add(place, scale(-1.0, foot))
-    x, y, z = add(tuple(dot(axis, centre) for axis in ground), scale(-links[5].d, last[2]))
+    ground, foot = arm.start
+    # axes of the last link, and the point where the last three meet, in the first joint's
+    hand = ground.T @ turn @ arm.tool_rotation.T
+    end, side, ahead = (hand[..., k] for k in range(3))
+    centre = matvec(ground.T, place - foot) - links[5].d * ahead
+    x, y, z = (centre[..., k] for k in range(3))
     aside = shape.shoulder * (links[1].d + links[2].d)
     upper, fore = links[1].a, math.hypot(links[2].a, links[3].d)
     # the forearm's angle from the axis of its link
     bend = _Turn(links[2].a / fore, -shape.elbow * links[3].d / fore)
     height = (z - links[0].d) * shape.shoulder
-    far = clip(x * x + y * y - aside * aside, _TINY, 1e9)
-    reach = xp.sqrt(far)
+    far = np.clip(x * x + y * y - aside * aside, _TINY, 1e9)
+    reach = np.sqrt(far)
     square = far + height * height
     cosine = (square - (upper * upper + fore * fore)) * (1 / (2 * upper * fore))
-    cosine = clip(cosine, -1.0, 1.0)
-    sine = xp.sqrt(1.0 - cosine * cosine)
-    out = []
+    cosine = np.clip(cosine, -1.0, 1.0)
+    sine = np.sqrt(1.0 - cosine * cosine)
     for front, up in itertools.product((1.0, -1.0), (1.0, -1.0)):
         out_there = reach * front
         first = _Turn(x * out_there - y * aside, y * out_there + x * aside)
@@ -195,33 +162,31 @@ def _every(
         third = beta.times(bend.back())
         along = _Turn(beta.cosine * fore + upper, beta.sine * fore)
         second = _Turn(out_there, height).times(along.back())
-        both = second.times(third)
-        c, s = _unit(both, xp, clip)
-        cq, sq = _unit(first, xp, clip)
+        (c, s), (cq, sq) = _unit(second.times(third)), _unit(first)
         # axes of the first link: outwards, and up or down
-        outwards, across = (cq, sq, 0.0), (sq * shape.shoulder, -cq * shape.shoulder, 0.0)
-        upwards = (0.0, 0.0, shape.shoulder)
-        x3 = add(scale(c, outwards), scale(s, upwards))
-        z3 = scale(shape.elbow, add(scale(s, outwards), scale(-c, upwards)))
-        y3 = scale(shape.elbow, across)
-        tilt = clip(-shape.wrist * shape.hand * dot(last[2], z3), -1.0, 1.0)
-        side = xp.sqrt(1.0 - tilt * tilt)
+        none = 0.0 * cq
+        outwards = np.stack([cq, sq, none], axis=-1)
+        across = shape.shoulder * np.stack([sq, -cq, none], axis=-1)
+        upwards = np.array([0.0, 0.0, shape.shoulder])
+        x3 = c[..., None] * outwards + s[..., None] * upwards
+        y3 = shape.elbow * across
+        z3 = shape.elbow * (s[..., None] * outwards - c[..., None] * upwards)
+        tilt = np.clip(-shape.wrist * shape.hand * _dot(ahead, z3), -1.0, 1.0)
+        level = np.sqrt(1.0 - tilt * tilt)
         for flip in (1.0, -1.0):
             a, b = flip * shape.hand, flip * shape.wrist
-            fourth = _Turn(dot(last[2], x3) * a, dot(last[2], y3) * a)
-            sixth = _Turn(dot(z3, last[0]) * b, dot(z3, last[1]) * -b)
-            out.append([first, second, third, fourth, _Turn(tilt, side * flip), sixth])
-    return out
+            fourth = _Turn(_dot(ahead, x3) * a, _dot(ahead, y3) * a)
+            sixth = _Turn(_dot(z3, end) * b, _dot(z3, side) * -b)
+            turns = (first, second, third, fourth, _Turn(tilt, level * flip), sixth)
+            yield _Turn(*(np.stack(parts, axis=-1) for parts in zip(*turns, strict=True)))
 
 
-def _unit(turn: _Turn, xp: Any, clip: Callable[..., Any]) -> _Turn:
-    """Cosine and sine as they are; of no direction zeros.
+def _dot(a: Array, b: Array) -> Array:
+    return (a * b).sum(axis=-1)
 
-    Args:
-        turn: both, times a number.
-        xp: namespace of sqrt.
-        clip: brings the first argument into the range of the others.
-    """
+
+def _unit(turn: _Turn) -> _Turn:
+    """Cosine and sine as they are, of both times a number; of no direction zeros."""
     square = turn.cosine * turn.cosine + turn.sine * turn.sine
-    over = 1.0 / xp.sqrt(clip(square, 1e-30, 1e30))
+    over = 1.0 / np.sqrt(np.clip(square, 1e-30, 1e30))
     return _Turn(turn.cosine * over, turn.sine * over)

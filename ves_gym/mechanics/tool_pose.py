@@ -18,9 +18,9 @@ from ves_gym._util.params import (
     unit,
 )
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import Frame, Vec, add, cross, dot, frames, scale
-from ves_gym.mechanics.kinematics import tool_jacobian
-from ves_gym.mechanics.spatial import matvec, numbers, rotation
+from ves_gym.mechanics.dynamics import Frames, frames
+from ves_gym.mechanics.kinematics import tool_motions
+from ves_gym.mechanics.spatial import cross, matvec, numbers, rotation
 
 CLOSE = 1e-6  # m and rad from the pose: there
 _ROUNDS = 60
@@ -73,15 +73,17 @@ def tool_frame(arm: Arm, q: npt.ArrayLike) -> tuple[Array, Array]:
     Returns:
         (..., 3) [m] and (..., 3, 3) from the tool's axes to the platform's.
     """
-    angles = numbers(q)
-    last = frames(arm, list(np.moveaxis(angles, -1, 0)))[-1]
-    shape = angles.shape[:-1]
-    place, turn = (np.empty_like(angles, shape=(*shape, *k)) for k in ((3,), (3, 3)))
-    for i in range(3):
-        place[..., i] = last.position[i]
-        for j, axis in enumerate(last.rotation):
-            turn[..., i, j] = axis[i]
+    place, turn = _last(frames(arm, q))
     return place, turn @ arm.tool_rotation
+
+
+def _last(at: Frames) -> tuple[Array, Array]:
+    """Position and rotation of the last link's frame, in plain order of memory.
+
+    Products of stacks round by the layout of their memory.
+    """
+    position, rotation = at.position[..., -1, :], at.rotation[..., -1, :, :]
+    return position.copy("C"), rotation.copy("C")
 
 
 def tool_twists(arm: Arm, q: npt.ArrayLike) -> Array:
@@ -94,14 +96,8 @@ def tool_twists(arm: Arm, q: npt.ArrayLike) -> Array:
     Returns:
         (..., 6, n) in the platform's axes: three rows [m/rad], three [1].
     """
-    angles = np.asarray(q, float)
-    linear = tool_jacobian(arm, angles)
-    out = np.empty((*angles.shape[:-1], 6, arm.n))
-    out[..., :3, :] = linear
-    for j, frame in enumerate(frames(arm, list(np.moveaxis(angles, -1, 0)))):
-        for i in range(3):
-            out[..., 3 + i, j] = 0.0 if frame.slides else frame.axis[i]
-    return out
+    motions = tool_motions(arm, frames(arm, np.asarray(q, float)))
+    return np.ascontiguousarray(np.swapaxes(motions, -1, -2))
 
 
 def tool_speeds(arm: Arm, q: Array, v: Array, base: Array) -> Array:
@@ -116,8 +112,9 @@ def tool_speeds(arm: Arm, q: Array, v: Array, base: Array) -> Array:
     Returns:
         (..., 2) [m^2/s^2, rad^2/s^2].
     """
-    _, moving, turning = _moving(arm, q, v, base)
-    return np.stack([dot(moving, moving), dot(turning, turning)], axis=-1)
+    _, motion = _moving(arm, q, v, base)
+    squares: Array = motion**2
+    return squares.reshape(*squares.shape[:-1], 2, 3).sum(axis=-1)
 
 
 class ToolState(NamedTuple):
@@ -137,31 +134,17 @@ def tool_state(arm: Arm, q: Array, v: Array, base: Array) -> ToolState:
         v: (..., n) joint rates [rad/s].
         base: (..., 6) twist of the base in its own axes [m/s, rad/s] (`spatial.twist`).
     """
-    last, moving, turning = _moving(arm, q, v, base)
-    place, turn = np.empty((*q.shape[:-1], 3)), np.empty((*q.shape[:-1], 3, 3))
-    motion = np.empty((*q.shape[:-1], 6))
-    for i in range(3):
-        place[..., i], motion[..., i], motion[..., 3 + i] = (
-            last.position[i],
-            moving[i],
-            turning[i],
-        )
-        for j, axis in enumerate(last.rotation):
-            turn[..., i, j] = axis[i]
+    at, motion = _moving(arm, q, v, base)
+    place, turn = _last(at)
     return ToolState(place, turn @ arm.tool_rotation, motion)
 
 
-def _moving(arm: Arm, q: Array, v: Array, base: Array) -> tuple[Frame, Vec, Vec]:
-    """Frame of the last link, velocity of its end, its angular velocity, platform axes."""
-    parts = [base[..., i] for i in range(6)]
-    chain = frames(arm, list(np.moveaxis(q, -1, 0)))
-    turning: Vec = (parts[3], parts[4], parts[5])
-    moving = add((parts[0], parts[1], parts[2]), cross(turning, chain[-1].position))
-    for j, frame in enumerate(chain):
-        way, turn = frame.moved(chain[-1].position)
-        moving = add(moving, scale(v[..., j], way))
-        turning = add(turning, scale(v[..., j], turn))
-    return chain[-1], moving, turning
+def _moving(arm: Arm, q: Array, v: Array, base: Array) -> tuple[Frames, Array]:
+    """Frames of the links, and twist (..., 6) of the end of the last, platform axes."""
+    at = frames(arm, q)
+    motion = base + (v[..., None] * tool_motions(arm, at)).sum(axis=-2)
+    motion[..., :3] += cross(base[..., 3:], at.position[..., -1, :])
+    return at, motion
 
 
 def pose_dexterity(arm: Arm, q: npt.ArrayLike, lever: float) -> Array:

@@ -21,7 +21,11 @@ from ves_gym.engine.kernel.blocks import aligned
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES, emit_map
 from ves_gym.engine.kernel.maps import evaluate
-from ves_gym.engine.kernel.trace import inertia_matrix, parameters, structure
+from ves_gym.engine.kernel.numbers import parameters, structure
+from ves_gym.engine.kernel.symbolic import column, symbols, traced
+from ves_gym.engine.kernel.trace import inertia_matrix
+from ves_gym.mechanics.modes import jacobi_sweep, reduced
+from ves_gym.mechanics.spatial import solve_symmetric
 from ves_gym.system.system import System
 
 if TYPE_CHECKING:
@@ -160,98 +164,46 @@ def _form(system: System, kind: str) -> casadi.Function:
     """((q, dq), (p, M, K, duration, least)) -> dq^T (Q + least 1) dq."""
     import casadi as ca
 
-    from ves_gym.engine.kernel.mechanics import solve
-
-    n, count = system.arm.n, len(parameters(system)[0])
-    x, numbers = ca.SX.sym("x", 2 * n), ca.SX.sym("p", count + 74)
-    step, p = x[n:], numbers[:count]
-    M, K = (ca.reshape(numbers[count + i : count + i + 36], 6, 6) for i in (0, 36))
-    H = ca.reshape(inertia_matrix(system)(x[:n], p), 6 + n, 6 + n)
-    Mt, u = H[:6, :6] + M, ca.vertsplit(H[:6, 6:] @ step)  # mass, momentum of the step
+    n, size, count = system.arm.n, 6 + system.arm.n, len(parameters(system)[0])
+    x, p = symbols("x", (2, n)), symbols("p", (count + 74,))
+    (q, step), (M, K) = x, p[count:-2].reshape(2, 6, 6)
+    entries = inertia_matrix(system)(column(q), column(p[:count]))
+    H = traced(ca.vertsplit(entries), (size, size))
+    Mt, u = H[:6, :6] + M, H[:6, 6:] @ step  # mass, momentum of the step
     if kind == "qt":
-        value = _band_limited(_rows(Mt), _rows(K), u, numbers[-2])
+        value = _band_limited(Mt, K, u, p[-2:-1])
     else:
-        moved = ca.vertcat(*solve(_rows(Mt), list(u)))  # of the base, per step
+        moved = solve_symmetric(Mt, u[:, None])[:, 0]  # of the base, per step
         value = {
-            "q": lambda: ca.bilin(K, moved, moved),
-            "kinetic": lambda: ca.dot(ca.vertcat(*u), moved),
-            "disturbance": lambda: ca.sumsqr(moved[3:]),
+            "q": lambda: moved @ (K @ moved),
+            "kinetic": lambda: u @ moved,
+            "disturbance": lambda: moved[3:] @ moved[3:],
         }[kind]()
-    out = value + numbers[-1] * ca.sumsqr(step)
-    return ca.Function("form", [x, numbers], [ca.cse(ca.densify(out))])
+    out = value + p[-1:] * (step @ step)
+    return ca.Function("form", [column(x), column(p)], [ca.cse(column(out))])
 
 
-def _rows(matrix: casadi.SX) -> list[list[Any]]:
-    return [[matrix[i, j] for j in range(6)] for i in range(6)]
+def _band_limited(Mt: Array, K: Array, u: Array, duration: Array) -> Array:
+    """sum_i omega_i^2 S(omega_i T)^2 (phi_i^T u)^2 over the modes of (K, M_t).
 
-
-def _band_limited(Mt: list[list[Any]], K: list[list[Any]], u: Any, duration: Any) -> Any:
-    """sum_i omega_i^2 S(omega_i T)^2 (phi_i^T u)^2 over the modes of (K, M_t)."""
-    L = _cholesky(Mt)
-    half = [_forward(L, [row[j] for row in K]) for j in range(6)]  # columns of L^-1 K
-    C = [_forward(L, [half[j][i] for j in range(6)]) for i in range(6)]  # L^-1 K L^-T
-    y = _forward(L, list(u))
-    _diagonalise(C, y)
-    return sum(_weight(C[i][i], duration) * y[i] * y[i] for i in range(6))
-
-
-def _weight(square: Any, duration: Any) -> Any:
-    """omega^2 S(omega T)^2 with S of `modes.quintic_spectrum`, from omega^2."""
-    import casadi as ca
-
-    square = ca.fmax(square, 0.0)
-    x = ca.sqrt(square) * duration / 2
-    h = ca.fmax(x, 0.1)
-    bessel = (3 / (h * h) - 1) * ca.sin(h) / h - 3 * ca.cos(h) / (h * h)  # j_2(h)
-    series = 1 - x**2 / 14 + x**4 / 504 - x**6 / 33264
-    shape = ca.if_else(x < 0.1, series, 15 * bessel / (h * h))
-    return square * shape * shape
-
-
-def _cholesky(A: list[list[Any]]) -> list[list[Any]]:
-    import casadi as ca
-
-    L: list[list[Any]] = [[0.0] * 6 for _ in range(6)]
-    for i in range(6):
-        for j in range(i + 1):
-            remainder = A[i][j] - sum(L[i][k] * L[j][k] for k in range(j))
-            L[i][j] = ca.sqrt(remainder) if i == j else remainder / L[j][j]
-    return L
-
-
-def _forward(L: list[list[Any]], b: list[Any]) -> list[Any]:
-    """L^-1 b for a lower triangle."""
-    out: list[Any] = []
-    for i in range(6):
-        out.append((b[i] - sum(L[i][k] * out[k] for k in range(i))) / L[i][i])
-    return out
-
-
-def _diagonalise(C: list[list[Any]], y: list[Any]) -> None:
-    """Jacobi's method in place: C becomes V^T C V (diagonal), y becomes V^T y.
-
-    A fixed number of rotations, so that there is nothing to decide in compiled code.
+    Args:
+        Mt, K: (..., 6, 6).
+        u: (..., 6).
+        duration: (..., 1) T [s].
     """
-    import casadi as ca
-
+    C, y = reduced(K, Mt, u[..., None])
     for _ in range(_SWEEPS):
-        for p in range(5):
-            for q in range(p + 1, 6):
-                off = C[p][q]
-                # the smaller of two angles; where there is nothing to do, t is 0
-                gap, twice = C[q][q] - C[p][p], 2 * off
-                size = ca.fabs(gap) + ca.sqrt(gap * gap + twice * twice)
-                t = ca.if_else(
-                    size > 0, ca.if_else(gap < 0, -1, 1) * twice / (size + 1e-300), 0
-                )
-                c = 1 / ca.sqrt(t * t + 1)
-                s = t * c
-                C[p][p], C[q][q] = C[p][p] - t * off, C[q][q] + t * off
-                C[p][q] = C[q][p] = 0.0
-                for k in range(6):
-                    if k in (p, q):
-                        continue
-                    a, b = C[p][k], C[q][k]
-                    C[p][k] = C[k][p] = c * a - s * b
-                    C[q][k] = C[k][q] = s * a + c * b
-                y[p], y[q] = c * y[p] - s * y[q], s * y[p] + c * y[q]
+        C, y = jacobi_sweep(C, y)
+    squares = C[..., range(6), range(6)]
+    return (_weight(squares, duration) * y[..., 0] ** 2).sum(axis=-1)
+
+
+def _weight(square: Array, duration: Array) -> Array:
+    """omega^2 S(omega T)^2 with S of `modes.quintic_spectrum`, from omega^2."""
+    square = np.maximum(square, 0.0)
+    x = np.sqrt(square) * duration / 2
+    h = np.maximum(x, 0.1)
+    bessel = (3 / (h * h) - 1) * np.sin(h) / h - 3 * np.cos(h) / (h * h)  # j_2(h)
+    series = 1 - x**2 / 14 + x**4 / 504 - x**6 / 33264
+    shape = np.where(x < 0.1, series, 15 * bessel / (h * h))
+    return square * shape * shape

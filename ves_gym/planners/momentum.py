@@ -13,9 +13,10 @@ import numpy as np
 
 from ves_gym._util.params import Array, content_hash, to_plain
 from ves_gym.engine.kernel.maps import evaluate, points
-from ves_gym.engine.kernel.trace import geometry
+from ves_gym.engine.kernel.numbers import geometry
+from ves_gym.engine.kernel.symbolic import column, symbols
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import inertia_entries, newton_euler
+from ves_gym.mechanics.dynamics import inertia_parts, newton_euler
 
 if TYPE_CHECKING:
     import casadi
@@ -85,19 +86,17 @@ def _digest(arm: Arm) -> str:
 def _momentum(arm: Arm) -> casadi.Function:
     import casadi as ca
 
-    n, x = arm.n, ca.SX.sym("x", 2 * arm.n)
-    across = inertia_entries(arm, list(ca.vertsplit(x[:n])), ca).across
-    Hbm = ca.horzcat(*(ca.vertcat(*column) for column in across))
-    u = Hbm @ x[n:]
-    out = ca.vertcat(u, ca.vec(ca.jacobian(u, x[:n])), ca.vec(Hbm))
-    return ca.Function("momentum", [x, ca.SX(0, 1)], [ca.cse(ca.densify(out))])
+    q, v = symbols("q", (arm.n,)), symbols("v", (arm.n,))
+    across = inertia_parts(arm, q).across
+    u = column(v @ across)
+    out = ca.vertcat(u, ca.vec(ca.jacobian(u, column(q))), column(across))
+    return ca.Function("momentum", [column(q, v), ca.SX(0, 1)], [ca.cse(ca.densify(out))])
 
 
 def _torque(arm: Arm) -> casadi.Function:
     import casadi as ca
 
-    n, x = arm.n, ca.SX.sym("x", 3 * arm.n)
-    parts: list[Any] = list(ca.vertsplit(x))
-    tau = ca.vertcat(*newton_euler(arm, parts[:n], parts[n : 2 * n], parts[2 * n :], xp=ca)[0])
+    motion = symbols("x", (3, arm.n))
+    x, tau = column(motion), column(newton_euler(arm, *motion)[0])
     out = ca.vertcat(tau, ca.vec(ca.jacobian(tau, x)))
     return ca.Function("torque", [x, ca.SX(0, 1)], [ca.cse(ca.densify(out))])

@@ -11,7 +11,7 @@ from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.carried import Appendage, carried_inertia
 from ves_gym.mechanics.contact import Contact
-from ves_gym.mechanics.dynamics import drawn_configurations, inertia_entries
+from ves_gym.mechanics.dynamics import drawn_configurations, inertia
 from ves_gym.mechanics.flexure import unfold
 from ves_gym.mechanics.latch import tool_motion
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
@@ -130,9 +130,7 @@ def _passive(system: System, q: Array) -> tuple[Array, Array, Array]:
     """M, D, K of what swings by itself, with the joints at q (n,)."""
     base, chain = system.base, unfold(system.arm)
     arm = chain.arm  # every joint, driven or passive
-    parts = inertia_entries(arm, chain.angles(q).tolist(), math)
-    across: Array = np.array(parts.across).T
-    H = np.block([[np.array(parts.base), across], [across.T, np.array(parts.joints)]])
+    H = inertia(arm, chain.angles(q))
     if base.carried and not (arm.geared or base.m or chain.passive):
         return _with_carried(base, H[:6, :6])
     if not (arm.geared or base.m or chain.passive):

@@ -54,19 +54,8 @@ def motion_load(
     spin, turn, accel = base
     if fall is not None:
         accel = accel - fall
-    tau, force, moment = newton_euler(
-        arm,
-        *(list(_columns(part)) for part in joints),
-        spin=_columns(spin),
-        turn=_columns(turn),
-        accel=_columns(accel),
-    )
-    shape = joints.x.shape[:-1]
-    stack = [
-        np.stack([np.broadcast_to(k, shape) for k in part], -1)
-        for part in (tau, (*force, *moment))
-    ]
-    return stack[0], -stack[1]
+    tau, wrench = newton_euler(arm, *joints, spin=spin, turn=turn, accel=accel)
+    return tau, -wrench
 
 
 def weight_torque(arm: Arm, q: Array, pose: Array) -> Array:

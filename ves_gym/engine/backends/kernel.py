@@ -19,8 +19,9 @@ from ves_gym.engine.backends.compiled import CompiledBackend
 from ves_gym.engine.kernel.blocks import aligned, fill, lanes, unlane
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES, emit_module
+from ves_gym.engine.kernel.numbers import structure
 from ves_gym.engine.kernel.pieces import Program, Step
-from ves_gym.engine.kernel.trace import equations, structure
+from ves_gym.engine.kernel.trace import equations
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
 _ALONE = 8  # blocks below which a second thread costs more than it brings

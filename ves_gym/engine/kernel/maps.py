@@ -16,14 +16,9 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.kernel.blocks import aligned, fill, lanes, unlane
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES, emit_map
+from ves_gym.engine.kernel.numbers import geometry, parameters, structure
 from ves_gym.engine.kernel.symbolic import column, symbols
-from ves_gym.engine.kernel.trace import (
-    coupling,
-    geometry,
-    inertia_matrix,
-    parameters,
-    structure,
-)
+from ves_gym.engine.kernel.trace import coupling, inertia_matrix
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench, minimal_model

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from functools import lru_cache
-from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +14,9 @@ from ves_gym.engine.kernel.blocks import aligned, fill, unlane
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.pieces import Piece, Program, emit_pieces
-from ves_gym.mechanics.modes import natural_modes
+from ves_gym.engine.kernel.symbolic import Traced, column, symbols
+from ves_gym.mechanics import modes
+from ves_gym.mechanics.modes import jacobi_sweep, natural_modes, reduced
 
 if TYPE_CHECKING:
     import casadi
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
 # 2e-17 of eight axes, nine 5e-26 of twelve
 _SWEEPS = {8: 7, 12: 9}  # up to so many axes
 _MOST = max(_SWEEPS)  # axes: code grows by their cube
-_TINY = 1e-300  # keeps 0 / 0 away where two axes are alike and uncoupled
-
-Matrix = list[list[Any]]  # of expressions
 
 
 class ModeMap:
@@ -102,81 +100,36 @@ def _library(k: int, columns: int) -> Library:
 def _source() -> str:
     """Digest of the text that writes the code, so that a changed one is compiled anew."""
     files = [Path(__file__).with_name(name) for name in ("emit.py", "modes.py", "pieces.py")]
+    files += [Path(str(modes.__file__)), Path(__file__).with_name("symbolic.py")]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
 def _reduction(k: int, columns: int) -> casadi.Function:
-    """(M, K, b) -> A = L^-1 K L^-T and L^-1 b, where M = L L^T; lower triangles of M, K, A."""
+    """(M, K, b) -> `modes.reduced`; lower triangles of M, K and the result."""
     import casadi as ca
 
     entries = k * (k + 1) // 2
-    rows = [ca.SX.sym("M", entries), ca.SX.sym("K", entries), ca.SX.sym("b", k * columns)]
-    mass, stiffness, b = (ca.vertsplit(row) for row in rows)
-    L = _cholesky(_symmetric(mass, k), ca)
-    half = [_forward(L, column) for column in _symmetric(stiffness, k)]
-    A = [_forward(L, [half[j][i] for j in range(k)]) for i in range(k)]
-    vectors = [_forward(L, b[c::columns]) for c in range(columns)]
-    return ca.Function("reduce", rows, [ca.vertcat(*_packed(A, vectors))])
+    parts = [("M", entries), ("K", entries), ("b", k * columns)]
+    mass, stiffness, b = rows = [symbols(name, (size,)) for name, size in parts]
+    A, vectors = reduced(_symmetric(stiffness, k), _symmetric(mass, k), b.reshape(k, columns))
+    out = column(A[np.tril_indices(k)], vectors)
+    return ca.Function("reduce", [column(row) for row in rows], [out])
 
 
 def _sweep(k: int, columns: int) -> casadi.Function:
-    """(A, b) -> (V^T A V, V^T b), V a rotation in the plane of each pair of axes in turn.
-
-    Golub and Van Loan, Matrix Computations, 4th ed., 8.5.
-    """
+    """(A, b) -> `modes.jacobi_sweep`; lower triangles of A."""
     import casadi as ca
 
     entries = k * (k + 1) // 2
-    row = ca.SX.sym("row", entries + k * columns)
-    values = ca.vertsplit(row)
-    A = _symmetric(values[:entries], k)
-    vectors = [values[entries + c :: columns] for c in range(columns)]
-    for i, j in combinations(range(k), 2):
-        across, half = A[i][j], (A[j][j] - A[i][i]) / 2
-        size = ca.fabs(half) + ca.sqrt(half * half + across * across) + _TINY
-        t = ca.if_else(half < 0, -across, across) / size  # tangent of the smaller angle
-        c = 1 / ca.sqrt(1 + t * t)
-        s = t * c
-        A[i][i], A[j][j] = A[i][i] - t * across, A[j][j] + t * across
-        A[i][j] = A[j][i] = ca.SX(0)
-        for other in set(range(k)) - {i, j}:
-            x, y = A[other][i], A[other][j]
-            A[other][i] = A[i][other] = c * x - s * y
-            A[other][j] = A[j][other] = s * x + c * y
-        for vector in vectors:
-            x, y = vector[i], vector[j]
-            vector[i], vector[j] = c * x - s * y, s * x + c * y
-    return ca.Function("sweep", [row], [ca.vertcat(*_packed(A, vectors))])
+    row = symbols("row", (entries + k * columns,))
+    A, b = jacobi_sweep(_symmetric(row[:entries], k), row[entries:].reshape(k, columns))
+    out = column(A[np.tril_indices(k)], b)
+    return ca.Function("sweep", [column(row)], [out])
 
 
-def _symmetric(lower: list[Any], k: int) -> Matrix:
+def _symmetric(lower: Traced, k: int) -> Traced:
     """Matrix from its lower triangle, row by row."""
-    return [
-        [lower[max(i, j) * (max(i, j) + 1) // 2 + min(i, j)] for j in range(k)]
-        for i in range(k)
-    ]
-
-
-def _packed(A: Matrix, vectors: Matrix) -> list[Any]:
-    """Lower triangle of a matrix, then vectors as the columns of a matrix, row by row."""
-    lower = [A[i][j] for i in range(len(A)) for j in range(i + 1)]
-    return lower + [vector[i] for i in range(len(A)) for vector in vectors]
-
-
-def _cholesky(M: Matrix, xp: Any) -> Matrix:
-    """L of M = L L^T, with the inverse of each number on its diagonal."""
-    k = len(M)
-    L: Matrix = [[0.0] * k for _ in range(k)]
-    for j in range(k):
-        L[j][j] = 1 / xp.sqrt(M[j][j] - sum(L[j][m] * L[j][m] for m in range(j)))
-        for i in range(j + 1, k):
-            L[i][j] = (M[i][j] - sum(L[i][m] * L[j][m] for m in range(j))) * L[j][j]
-    return L
-
-
-def _forward(L: Matrix, b: list[Any]) -> list[Any]:
-    """L^-1 b, L as from `_cholesky`."""
-    x: list[Any] = []
-    for i, row in enumerate(L):
-        x.append((b[i] - sum(a * c for a, c in zip(row, x, strict=False))) * row[i])
-    return x
+    i, j = np.indices((k, k))
+    high, low = np.maximum(i, j), np.minimum(i, j)
+    matrix: Traced = lower[high * (high + 1) // 2 + low]
+    return matrix

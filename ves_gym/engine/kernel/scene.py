@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.engine.kernel import mechanics
 from ves_gym.engine.kernel.blocks import aligned, fill, unlane
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES
+from ves_gym.engine.kernel.numbers import parameters, structure, symbolic_model
 from ves_gym.engine.kernel.pieces import Piece, Program, emit_pieces
-from ves_gym.engine.kernel.trace import _symbols, parameters, structure
+from ves_gym.engine.kernel.symbolic import column, symbols
+from ves_gym.mechanics import equations
 from ves_gym.mechanics.dynamics import frames, inverse_dynamics, joint_positions, newton_euler
 from ves_gym.mechanics.spatial import matvec, rotation
 from ves_gym.system.energy import base_energy
@@ -88,20 +89,18 @@ class SceneMap(_Map):
     def graph(system: System) -> casadi.Function:
         import casadi as ca
 
-        model, symbols = _symbols(system)
-        size = 6 + system.arm.n
-        x = [ca.SX.sym(name, k) for name, k in (("z", size), ("zd", size), ("measured", 6))]
-        x += [ca.SX.sym(name, system.base.hidden) for name in ("u", "ud") if system.base.hidden]
-        z, zd, measured, *modes = (list(ca.vertsplit(k)) for k in x)
-        u, ud = modes or ([], [])
-        energy, strain = mechanics.base_energy(model, z, zd, u, ud, ca)
-        reach = frames(model.arm, z[6:], ca)[-1].position
-        tools = []
-        for y in (z[:6], measured):
-            T, _ = mechanics._rates(y, ca)
-            tools += [y[i] + sum(T[j][i] * reach[j] for j in range(3)) for i in range(3)]
-        out = ca.vertcat(energy, strain, *tools)
-        return ca.Function("scene", [*x, ca.vertcat(*symbols)], [ca.cse(out)])
+        model, _, p = symbolic_model(system)
+        size, hidden = 6 + system.arm.n, system.base.hidden
+        sizes = {"z": size, "zd": size, "measured": 6}
+        sizes |= {"u": hidden, "ud": hidden} if hidden else {}
+        x = [symbols(name, (k,)) for name, k in sizes.items()]
+        z, zd, measured, *modes = x
+        u, ud = modes or (z[:0], z[:0])
+        energies = equations.base_energy(model, z, zd, u, ud)
+        reach = frames(model.arm, z[6:]).position[-1]
+        tools = [y[:3] + rotation(y) @ reach for y in (z[:6], measured)]
+        out = column(*energies, *tools)
+        return ca.Function("scene", [column(k) for k in (*x, p)], [ca.cse(out)])
 
     def __call__(
         self,
@@ -150,13 +149,10 @@ class TorqueMap(_Map):
     def graph(system: System) -> casadi.Function:
         import casadi as ca
 
-        model, symbols = _symbols(system)
-        n = system.arm.n
-        x = ca.SX.sym("x", 3 * n)
-        k = list(ca.vertsplit(x))
-        arm = mechanics.one_base(model.arm)
-        torque, _, _ = newton_euler(arm, k[:n], k[n : 2 * n], k[2 * n :], xp=ca)
-        return ca.Function("torque", [x, ca.vertcat(*symbols)], [ca.cse(ca.vertcat(*torque))])
+        model, _, p = symbolic_model(system)
+        x = symbols("x", (3, system.arm.n))
+        torque, _ = newton_euler(model.arm, *x)
+        return ca.Function("torque", [column(x), column(p)], [ca.cse(column(torque))])
 
     def __call__(self, motion: Array) -> Array:
         """(n, 3, joints) angle, rate and acceleration -> (n, joints) [N m]."""

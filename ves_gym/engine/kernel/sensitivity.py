@@ -16,7 +16,8 @@ from ves_gym._util.suggest import did_you_mean
 from ves_gym.engine.kernel.blocks import aligned, lanes, unlane
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES, emit_module
-from ves_gym.engine.kernel.trace import parameters, structure, tangents
+from ves_gym.engine.kernel.numbers import parameters, structure
+from ves_gym.engine.kernel.trace import tangents
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.system.system import System
 

@@ -269,6 +269,10 @@ def _reduced(
 ) -> Any:
     if any(k not in ("initial", "where") for k in others) or axis is None:
         raise Untraceable(f"numpy.{name} over everything")
+    if isinstance(axis, tuple):
+        for k in sorted((k % array.ndim for k in axis), reverse=True):
+            array = np.asarray(_reduced(name, array, k, keepdims), object)
+        return array
     combine = _operations()[name]
     if not array.shape[axis] and name == "add":
         return np.zeros(array.shape).sum(axis=axis, keepdims=keepdims)
@@ -365,6 +369,7 @@ def _operations() -> Mapping[str, Callable[..., Any]]:
     table |= {name: either(getattr(ca, name), getattr(np, name)) for name in same}
     table["fabs"] = table["absolute"]
     others = {
+        "arctan2": ca.atan2,
         "maximum": ca.fmax,
         "minimum": ca.fmin,
         "less": operator.lt,

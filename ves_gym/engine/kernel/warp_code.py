@@ -11,8 +11,9 @@ import importlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from ves_gym.engine.kernel.numbers import structure
 from ves_gym.engine.kernel.scalar import advance_text, graph_text
-from ves_gym.engine.kernel.trace import equations, structure
+from ves_gym.engine.kernel.trace import equations
 from ves_gym.system.system import System
 
 THREADS = 64  # of a block; one takes all the registers that it can have

@@ -9,8 +9,9 @@ import numpy as np
 from ves_gym._util.params import Array, Index
 from ves_gym.engine.batch_parameters import Bodies, Inertias
 from ves_gym.engine.kernel.maps import InertiaMap
+from ves_gym.engine.kernel.numbers import geometry, parameters
 from ves_gym.engine.kernel.symbolic import Traced, column, traced
-from ves_gym.engine.kernel.trace import geometry, inertia_matrix, parameters
+from ves_gym.engine.kernel.trace import inertia_matrix
 from ves_gym.hardware.admittance import implicit_step
 from ves_gym.hardware.force_sensor import low_pass
 from ves_gym.mechanics.spatial import matvec, rate_matrix

@@ -1,0 +1,396 @@
+"""The numbers of a system in a fixed order: as values, or as symbols of the equations.
+
+A number of the system that is zero stays zero and vanishes from the graph; every other one is
+a parameter, so that systems that differ in values share one graph and one compiled kernel.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym.engine.kernel.symbolic import Traced, column, expressions, symbols, traced
+from ves_gym.mechanics import dynamics
+from ves_gym.mechanics.carried import ReactionWheel
+from ves_gym.mechanics.equations import Model, Modes, Springs, merged
+from ves_gym.mechanics.flexure import unfold
+from ves_gym.mechanics.joints import STILL, Bodies, Chain, Joint
+from ves_gym.mechanics.vehicle import blows
+from ves_gym.system.effect import TorqueEffect
+from ves_gym.system.system import PRESCRIBED_INERTIA
+
+if TYPE_CHECKING:
+    from ves_gym.mechanics.arm import Arm
+    from ves_gym.mechanics.vehicle import Carried, InternalModes
+    from ves_gym.system.system import System
+
+Number = Any  # a value, or a CasADi symbol
+Body = tuple[Array, Array, Array]  # mass, centre of mass (3,), inertia about it (3, 3)
+
+
+class _Reader:
+    """Reads a system's numbers one by one, as values or as symbols.
+
+    Args:
+        make: (name, value) -> the number.
+        array: (numbers row by row, shape) -> array.
+        zeros: numbers that are zero may become others, and are made as well.
+    """
+
+    def __init__(
+        self,
+        make: Callable[[str, float], Number],
+        array: Callable[[list[Number], tuple[int, ...]], Array],
+        zeros: bool = False,
+    ) -> None:
+        self.make, self.array, self.zeros = make, array, zeros
+
+    def __call__(self, name: str, value: float) -> Number:
+        left_out = value == 0 and not self.zeros
+        return float(value) if left_out else self.make(name, float(value))
+
+    def number(self, name: str, value: float) -> Array:
+        """One number, ()."""
+        return self.array([self(name, value)], ())
+
+    def vector(self, name: str, values: Sequence[float] | Array) -> Array:
+        """Numbers name1, name2 and so on."""
+        return self.array(
+            [self(f"{name}{i}", k) for i, k in enumerate(values, 1)], (len(values),)
+        )
+
+    def always(self, name: str, values: Sequence[float]) -> Array:
+        """The same, of numbers that may be set at any time and are never structural zeros."""
+        made = [self.make(f"{name}{i}", k) for i, k in enumerate(values, 1)]
+        return self.array(made, (len(values),))
+
+    def matrix(self, name: str, values: Array) -> Array:
+        """A symmetric matrix: its entries on and above the diagonal."""
+        size = len(values)
+        rows: list[list[Number]] = [[0.0] * size for _ in range(size)]
+        for i in range(size):
+            for j in range(i, size):
+                rows[i][j] = rows[j][i] = self(f"{name}{i + 1}{j + 1}", values[i][j])
+        return self.array([k for row in rows for k in row], (size, size))
+
+    def body(self, name: str, body: Any, changing: bool = False) -> Body:
+        """Mass properties; of a body that changes in a run no number is left out."""
+        read = _Reader(self.make, self.array, zeros=True) if changing else self
+        return (
+            read.number(f"{name}.mass", body.mass),
+            read.vector(f"{name}.com", body.com),
+            read.matrix(f"{name}.I", np.array(body.inertia)),
+        )
+
+    def effect(self, name: str, effect: TorqueEffect) -> dict[str, Array]:
+        """Parameters of an effect."""
+        out: dict[str, Array] = {}
+        for field in dataclasses.fields(effect):  # type: ignore[arg-type]
+            value, label = getattr(effect, field.name), f"{name}.{field.name}"
+            many = isinstance(value, tuple)
+            out[field.name] = self.vector(label, value) if many else self.number(label, value)
+        return out
+
+    def modes(self, internal: InternalModes) -> Modes:
+        """Inner modes of the base."""
+        coupling = [
+            self(f"coupling{k}.{i}", c)
+            for k, column in enumerate(internal.coupling.T, start=1)
+            for i, c in enumerate(column, start=1)
+        ]
+        return Modes(
+            self.array(coupling, internal.coupling.shape[::-1]).T,
+            self.vector("internal_stiffness", internal.omega**2),
+            self.matrix("internal_damping.", internal.damping),
+        )
+
+    def carried(self, name: str, part: Carried) -> Any:
+        """A wheel or an appendage; axes and places are structure."""
+        shape = {"kind": part.kind, "axis": part.axis}
+        if isinstance(part, ReactionWheel):
+            return SimpleNamespace(
+                **shape,
+                inertia=self.number(f"{name}.inertia", part.inertia),
+                viscous=self.number(f"{name}.viscous", part.viscous),
+                motor=self.array([self.make(f"motor{name}", 0.0)], ()),  # set at any time
+            )
+        mass, com, inertia = self.body(name, part.body)
+        return SimpleNamespace(
+            **shape,
+            joint=part.joint,
+            point=part.point,
+            body=SimpleNamespace(mass=mass, com=com, inertia=inertia),
+            stiffness=self.number(f"{name}.stiffness", part.stiffness),
+            damping=self.number(f"{name}.damping", part.damping),
+        )
+
+
+def _read(system: System, read: _Reader) -> Model:
+    """Walk through the numbers of a system; the order of the walk is the order of p."""
+    arm, base, n = system.arm, system.base, system.arm.n
+    prescribed, ideal = system.drive == "prescribed", system.mode == "ideal"
+    added = PRESCRIBED_INERTIA if prescribed else 0.0
+    links, rotors = [], []
+    for i, link in enumerate(arm.links, start=1):
+        changes = system.payload is not None and i == n
+        links.append(read.body(f"link{i}", link.inertial, changes))
+        rotors.append(read.number(f"link{i}.rotor", link.rotor_inertia + added))
+    own = read.body("base", arm.base)
+    flexible, flexures = _flexible(system, read, rotors)
+    satellite = base.body if ideal else None
+    host = own if satellite is None else merged([own, read.body("satellite", satellite)])
+    zero = np.zeros((6, 6))
+    M, D, K = (
+        read.matrix(name, part if ideal else zero)
+        for name, part in (("M", base.M), ("D", base.D), ("K", base.K))
+    )
+    drag = read.vector("drag", base.drag if ideal and base.drag is not None else np.zeros(6))
+    limits = [np.inf if prescribed else link.tau_max for link in arm.links]
+    gains = [
+        read.always("kp", [0.0] * n),
+        read.always("kd", [0.0] * n),
+        read.always("limit", limits),
+        read.always("gain", [added or 1.0] * n),
+    ]
+    laws = [
+        (effect, read.effect(f"{effect.kind}#{i}", effect))
+        for i, effect in enumerate(system.effects, start=1)
+        if isinstance(effect, TorqueEffect)
+    ]
+    gears = [(f"gear{i + 1}", arm.links[i].gear) for i in arm.geared]
+    springs = [
+        *([read(f"{name}.{k}", getattr(gear, k)) for k in _SPRING] for name, gear in gears),
+        *flexures,
+    ]
+    rows = read.array([k for row in springs for k in row], (len(springs), 3))
+    modes = read.modes(base.internal) if ideal and base.internal is not None else None
+    carried = tuple(
+        read.carried(f"carried{i}", part)
+        for i, part in enumerate(base.carried if ideal else (), start=1)
+    )
+    jets = ideal and blows(system.vehicle)
+    rigid = _Joints(arm.joints, arm.start, host, links, rotors, list(range(n)))
+    places = rigid if flexible is None else flexible
+    chain, driven, passive = places.unfolded(set(arm.geared))
+    return Model(
+        alone=replace(rigid, base=own).chain(),
+        arm=rigid.chain(),
+        chain=chain,
+        driven=driven,
+        passive=passive,
+        bends=len(flexures),
+        springs=Springs(
+            *(rows[:, k] for k in range(3)), [k for k, (_, g) in enumerate(gears) if g.gap]
+        ),
+        M=M,
+        D=D,
+        K=K,
+        drag=drag,
+        kp=gains[0],
+        kd=gains[1],
+        limit=gains[2],
+        gain=gains[3],
+        laws=tuple(
+            effect.bound({**values, "tau_max": gains[2]}).law
+            for effect, values in laws
+            if not _vanishes(effect, values)
+        ),
+        modes=modes,
+        carried=carried,
+        jets=read.always("jet", [0.0] * 6) if jets else None,
+        emulated=not ideal,
+        balanced=not ideal and system.emulator_settings.joint_balance,
+    )
+
+
+_SPRING = ("stiffness", "damping", "gap")
+
+
+@dataclasses.dataclass(frozen=True)
+class _Joints:
+    """The joints of an arm and what they carry, from which a chain is made."""
+
+    joints: Sequence[Joint]
+    start: tuple[Array, Array]
+    base: Body
+    links: Sequence[Body]
+    rotors: Sequence[Array]
+    driven: list[int]  # places of the n joints
+
+    def chain(self) -> Chain:
+        """They as they are."""
+        bodies = [self.base, *self.links]
+        parts = (np.stack([body[k] for body in bodies]) for k in range(3))
+        return Chain(tuple(self.joints), self.start, Bodies(*parts, np.stack(self.rotors)))
+
+    def unfolded(self, geared: set[int]) -> tuple[Chain, list[int], list[int]]:
+        """The chain with a joint for each gear, after its rotor.
+
+        Args:
+            geared: those of the n joints that have one.
+
+        Returns:
+            The chain, places of the n joints in it, and of the springs: gears, then flexures.
+        """
+        nothing = (np.zeros(()), np.zeros(3), np.zeros((3, 3)))
+        joints, links, rotors = [], [], []
+        driven, gears, flexures = [], [], []
+        for place, (joint, link, rotor) in enumerate(
+            zip(self.joints, self.links, self.rotors, strict=True)
+        ):
+            if place not in self.driven:
+                flexures.append(len(joints))
+            else:
+                i = len(driven)
+                driven.append(len(joints))
+                if i in geared:
+                    joints.append(STILL)
+                    links.append(nothing)
+                    rotors.append(rotor)
+                    gears.append(len(joints))
+                    rotor = np.zeros(())
+            joints.append(joint)
+            links.append(link)
+            rotors.append(rotor)
+        whole = replace(self, joints=joints, links=links, rotors=rotors)
+        return whole.chain(), driven, [*gears, *flexures]
+
+
+def _flexible(
+    system: System, read: _Reader, rotors: list[Array]
+) -> tuple[_Joints | None, list[list[Number]]]:
+    """All joints of an arm whose links bend, and numbers of its flexures."""
+    if not system.arm.bends:
+        return None, []
+    whole = unfold(system.arm)
+    links = [read.body(f"part{k}", link.inertial) for k, link in enumerate(whole.arm.links, 1)]
+    base = read.body("root", whole.arm.base)
+    satellite = system.base.body if system.mode == "ideal" else None
+    if satellite is not None:
+        base = merged([base, read.body("host", satellite)])
+    springs = enumerate(zip(whole.stiffness, whole.damping, strict=True), start=1)
+    numbers = [
+        [read(f"flexure{k}.stiffness", float(a)), read(f"flexure{k}.damping", float(b)), 0.0]
+        for k, (a, b) in springs
+    ]
+    by_place = dict(zip(whole.driven, rotors, strict=True))
+    behind = [by_place.get(k, np.zeros(())) for k in range(whole.arm.n)]
+    joints = whole.arm.joints, whole.arm.start
+    return _Joints(*joints, base, links, behind, list(whole.driven)), numbers
+
+
+def _vanishes(effect: TorqueEffect, values: dict[str, Array]) -> bool:
+    """True if every number that makes the effect act is a structural zero."""
+    for field in dataclasses.fields(effect):  # type: ignore[arg-type]
+        null = field.metadata["null"]
+        if null is not None and (
+            null != 0 or any(not _is_zero(k) for k in expressions(values[field.name]))
+        ):
+            return False
+    return True
+
+
+def _is_zero(value: Any) -> bool:
+    return isinstance(value, float) and value == 0.0
+
+
+def parameters(system: System) -> tuple[tuple[str, ...], Array]:
+    """Names and values of p for a system."""
+    names: list[str] = []
+    values: list[float] = []
+
+    def make(name: str, value: float) -> float:
+        names.append(name)
+        values.append(value)
+        return value
+
+    _read(system, _Reader(make, _values))
+    return tuple(names), np.array(values, dtype=np.float64)
+
+
+def _values(entries: list[Number], shape: tuple[int, ...]) -> Array:
+    return np.array(entries, dtype=np.float64).reshape(shape)
+
+
+def model_of(system: System) -> Model:
+    """A system's numbers as the equations of motion take them; gains are those of no servo."""
+    return _read(system, _Reader(lambda name, value: value, _values))
+
+
+def symbolic_model(system: System) -> tuple[Model, tuple[str, ...], Traced]:
+    """The model with a symbol for each of `parameters(system)`; their names, and themselves."""
+    import casadi as ca
+
+    made: list[Any] = []
+
+    def make(name: str, value: float) -> Any:
+        made.append(ca.SX.sym(name))
+        return made[-1]
+
+    model = _read(system, _Reader(make, traced))
+    return model, tuple(str(k) for k in made), traced(made, (len(made),))
+
+
+def structure(system: System) -> str:
+    """Return a digest of the graph's shape, on which a system's compiled code depends."""
+    names, _ = parameters(system)
+    step = system.physics_dt if system.integrator == "implicitfast" else None
+    balance = system.mode == "emulated" and system.emulator_settings.joint_balance
+    laws = _laws(system) if any(isinstance(e, TorqueEffect) for e in system.effects) else None
+    what: tuple[Any, ...] = (names, laws, system.mode, system.integrator, step, balance)
+    if system.base.carried:
+        what = (*what, [replaced(part) for part in system.base.carried])
+    return f"{geometry(system.arm)} {what!r}"
+
+
+def replaced(part: Carried) -> tuple[Any, ...]:
+    """Return what of a wheel or an appendage is no number: its kind, axis and place."""
+    joint = getattr(part, "joint", None), getattr(part, "point", None)
+    return part.kind, part.axis, *joint
+
+
+def geometry(arm: Arm) -> str:
+    """Return a digest of an arm's lengths and angles: its code depends on no weight."""
+    lengths: list[Any] = [(k.d, k.a, k.alpha, k.beta, k.offset) for k in arm.links]
+    if arm.sliding:
+        lengths.append(arm.sliding)
+    if arm.bends:
+        chain = unfold(arm)
+        lengths += [(k.d, k.a, k.alpha, k.beta, k.offset) for k in chain.arm.links]
+        return f"{_source()} {arm.mount!r} {chain.arm.mount!r} {chain.driven!r} {lengths!r}"
+    return f"{_source()} {arm.mount!r} {lengths!r}"
+
+
+def _laws(system: System) -> str:
+    """Digest of the graph of the effects' laws, whatever text and constants it came from."""
+    import casadi as ca
+
+    model, _, p = symbolic_model(system)
+    q, v, tau = (symbols(name, (system.arm.n,)) for name in ("q", "v", "tau"))
+    torque = sum(law(q, v, tau) for law in model.laws) + 0.0 * q
+    inputs = [column(k) for k in (q, v, tau, p)]
+    graph = ca.Function("laws", inputs, [column(torque)])
+    return hashlib.sha256(graph.serialize().encode()).hexdigest()
+
+
+@lru_cache(maxsize=1)
+def _source() -> str:
+    """Digest of the text that writes the code, so that a changed one is compiled anew."""
+    mechanics = Path(dynamics.__file__).parent
+    kernel = Path(__file__).parent
+    files = [mechanics / f"{name}.py" for name in _TEXTS]
+    files += [kernel / f"{name}.py" for name in _WRITERS]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
+
+
+_TEXTS = ("dynamics", "carried", "equations", "gravity", "joints", "spatial")
+_WRITERS = ("trace", "numbers", "emit", "symbolic", "scene", "pieces")
