@@ -356,7 +356,8 @@ def base_energy(
 
 def form(matrix: Array, vector: Array) -> Array:
     """Return x^T A x."""
-    return (vector * matvec(matrix, vector)).sum(axis=-1)
+    out: Array = (vector * matvec(matrix, vector)).sum(axis=-1)
+    return out
 
 
 def merged(bodies: Sequence[tuple[Any, Any, Any]]) -> tuple[Any, Any, Any]:

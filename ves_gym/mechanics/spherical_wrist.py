@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,8 +35,8 @@ class _Shape(NamedTuple):
 class _Turn(NamedTuple):
     """Cosine and sine of an angle, times a positive number."""
 
-    cosine: Array
-    sine: Array
+    cosine: Any  # arrays, or numbers of an angle that no configuration changes
+    sine: Any
 
     def times(self, other: _Turn) -> _Turn:
         """Return the sum of both angles."""
@@ -182,7 +182,8 @@ def _every(arm: Arm, shape: _Shape, place: Array, turn: Array) -> Iterator[_Turn
 
 
 def _dot(a: Array, b: Array) -> Array:
-    return (a * b).sum(axis=-1)
+    out: Array = (a * b).sum(axis=-1)
+    return out
 
 
 def _unit(turn: _Turn) -> _Turn:

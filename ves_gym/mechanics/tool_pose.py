@@ -114,7 +114,8 @@ def tool_speeds(arm: Arm, q: Array, v: Array, base: Array) -> Array:
     """
     _, motion = _moving(arm, q, v, base)
     squares: Array = motion**2
-    return squares.reshape(*squares.shape[:-1], 2, 3).sum(axis=-1)
+    out: Array = squares.reshape(*squares.shape[:-1], 2, 3).sum(axis=-1)
+    return out
 
 
 class ToolState(NamedTuple):

@@ -14,7 +14,7 @@ from ves_gym.engine.kernel.blocks import aligned, fill, unlane
 from ves_gym.engine.kernel.build import Library, cached
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.pieces import Piece, Program, emit_pieces
-from ves_gym.engine.kernel.symbolic import Traced, column, symbols
+from ves_gym.engine.kernel.symbolic import column, symbols
 from ves_gym.mechanics import modes
 from ves_gym.mechanics.modes import jacobi_sweep, natural_modes, reduced
 
@@ -127,9 +127,9 @@ def _sweep(k: int, columns: int) -> casadi.Function:
     return ca.Function("sweep", [column(row)], [out])
 
 
-def _symmetric(lower: Traced, k: int) -> Traced:
+def _symmetric(lower: Array, k: int) -> Array:
     """Matrix from its lower triangle, row by row."""
     i, j = np.indices((k, k))
     high, low = np.maximum(i, j), np.minimum(i, j)
-    matrix: Traced = lower[high * (high + 1) // 2 + low]
+    matrix: Array = lower[high * (high + 1) // 2 + low]
     return matrix

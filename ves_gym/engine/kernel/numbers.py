@@ -172,6 +172,7 @@ def _read(system: System, read: _Reader) -> Model:
         *flexures,
     ]
     rows = read.array([k for row in springs for k in row], (len(springs), 3))
+    loose = [k for k, (_, gear) in enumerate(gears) if getattr(gear, "gap", 0.0)]
     modes = read.modes(base.internal) if ideal and base.internal is not None else None
     carried = tuple(
         read.carried(f"carried{i}", part)
@@ -188,9 +189,7 @@ def _read(system: System, read: _Reader) -> Model:
         driven=driven,
         passive=passive,
         bends=len(flexures),
-        springs=Springs(
-            *(rows[:, k] for k in range(3)), [k for k, (_, g) in enumerate(gears) if g.gap]
-        ),
+        springs=Springs(rows[:, 0], rows[:, 1], rows[:, 2], loose),
         M=M,
         D=D,
         K=K,
@@ -229,8 +228,9 @@ class _Joints:
     def chain(self) -> Chain:
         """They as they are."""
         bodies = [self.base, *self.links]
-        parts = (np.stack([body[k] for body in bodies]) for k in range(3))
-        return Chain(tuple(self.joints), self.start, Bodies(*parts, np.stack(self.rotors)))
+        mass, com, inertia = (np.stack([body[k] for body in bodies]) for k in range(3))
+        numbers = Bodies(mass, com, inertia, np.stack(self.rotors))
+        return Chain(tuple(self.joints), self.start, numbers)
 
     def unfolded(self, geared: set[int]) -> tuple[Chain, list[int], list[int]]:
         """The chain with a joint for each gear, after its rotor.
@@ -242,8 +242,12 @@ class _Joints:
             The chain, places of the n joints in it, and of the springs: gears, then flexures.
         """
         nothing = (np.zeros(()), np.zeros(3), np.zeros((3, 3)))
-        joints, links, rotors = [], [], []
-        driven, gears, flexures = [], [], []
+        joints: list[Joint] = []
+        links: list[Body] = []
+        rotors: list[Array] = []
+        driven: list[int] = []
+        gears: list[int] = []
+        flexures: list[int] = []
         for place, (joint, link, rotor) in enumerate(
             zip(self.joints, self.links, self.rotors, strict=True)
         ):
