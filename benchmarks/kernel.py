@@ -13,8 +13,8 @@ import numpy as np
 from benchmarks.timing import Pair, side_by_side
 from ves_gym.engine.backends.kernel import KernelBackend
 from ves_gym.engine.backends.mujoco import MujocoBackend
+from ves_gym.engine.kernel.numbers import parameters
 from ves_gym.engine.kernel.sensitivity import rollout_gradients
-from ves_gym.engine.kernel.trace import parameters
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 

@@ -107,8 +107,8 @@ def test_logs_of_two_machines_are_refused(call, logs, tmp_path):
     [
         (["--final", "3"], "--final must leave a log to fit: 0 to 2, got 3"),
         (["--without", "joint/magic"], "no candidate 'joint/magic'; known: "),
-        (["--most", "0"], "--most must be 1 and more, got 0"),
-        (["--machine", "arm.toml", "--system", "s.toml"], "describe two machines"),
+        (["--most", "0"], "--most must be >= 1, got 0"),
+        (["--machine", "arm.toml", "--arm", "ur5e"], "describe two machines"),
         (["--band", "80"], "sampled at 200 Hz, comparing up to 80 Hz needs at least 320 Hz"),
         (["nowhere.csv"], "nowhere.csv"),
     ],

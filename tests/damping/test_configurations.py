@@ -75,7 +75,8 @@ def test_a_map_is_tuned_node_by_node():
     Q_here = coupling_matrix(system, q)
     assert section.coupling[1, 2] == pytest.approx(np.trace(Q_here))
     assert section.estimated[1, 2] == pytest.approx(float(estimated_integral(system, q)))
-    assert section.tuned[1, 2] == pytest.approx(tune(plant_at(system, q)).value, rel=0.03)
+    # two searches from other starts: rounding alone has them end 1 to 4 % apart
+    assert section.tuned[1, 2] == pytest.approx(tune(plant_at(system, q)).value, rel=0.05)
 
 
 def test_other_arms_have_maps():

@@ -91,7 +91,7 @@ def frames(arm: Mechanism, q: npt.ArrayLike) -> Frames:
             np.multiply(sine, z, out=R[..., 1])
         else:
             R[..., 2] = z
-        if cosine != 0.0 and sine != 0.0:  # of an angle of 1e-8 the cosine is 1
+        if cosine != 0.0 and joint.alpha != (1.0, 0.0):  # of 1e-8 rad the cosine alone is 1
             R[..., 1:] = _turned(R[..., 1:], joint.alpha)
         if joint.a:
             np.multiply(joint.a, R[..., 0], out=way)
