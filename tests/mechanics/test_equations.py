@@ -1,4 +1,4 @@
-"""The equations of motion, run on numbers, against MuJoCo: the text that is traced is the text."""
+"""The equations of motion, run on numbers, against MuJoCo: what is traced is this text."""
 
 import numpy as np
 import pytest
