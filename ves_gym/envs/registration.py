@@ -12,7 +12,7 @@ from ves_gym.envs.deadline import UNLIMITED, Deadline, with_deadline
 ENTRY_POINT = "ves_gym.envs.env:VesEnv"
 
 
-class Entry(NamedTuple):
+class Registered(NamedTuple):
     """What is filed of a task: its id in space, and in the laboratory that emulates it."""
 
     task: str
@@ -24,26 +24,26 @@ class Entry(NamedTuple):
     emulated: dict[str, Any] | None = {}
 
 
-IDS: dict[str, Entry] = {
-    "PumaRestToRest": Entry(  # its jerk is part of the question: no method chooses another
+IDS: dict[str, Registered] = {
+    "PumaRestToRest": Registered(  # its jerk is part of the question: no method chooses another
         "rest_to_rest", 160, {"control": {"kind": "guided"}}, {"rest": math.radians(8.0)}
     ),
-    "PumaReach": Entry("reach", 320),
-    "PumaReachGoal": Entry("reach_goal", 320, {"goal": True}),
-    "PumaTrack": Entry("track", 480),
-    "MacroMicro": Entry("seam", 480),
-    "PumaDamp": Entry("damp", 640, emulated={"saving": 0.72}),
-    "FreeFlyerReach": Entry("free_flyer", 400, emulated={"rest": math.radians(10.0)}),
-    "BeamLQR": Entry(  # starts three times as large: the errors of a laboratory are not
+    "PumaReach": Registered("reach", 320),
+    "PumaReachGoal": Registered("reach_goal", 320, {"goal": True}),
+    "PumaTrack": Registered("track", 480),
+    "MacroMicro": Registered("seam", 480),
+    "PumaDamp": Registered("damp", 640, emulated={"saving": 0.72}),
+    "FreeFlyerReach": Registered("free_flyer", 400, emulated={"rest": math.radians(10.0)}),
+    "BeamLQR": Registered(  # starts three times as large: the errors of a laboratory are not
         "lqr", 320, emulated={"slack": 0.2, "shift": 3e-3, "tilt": 9e-4, "bend": 3e-2}
     ),
-    "PoseReach": Entry("pose_reach", 400),
-    "PayloadTransfer": Entry(  # m/s: there the payload's weight is taken for a force
+    "PoseReach": Registered("pose_reach", 400),
+    "PayloadTransfer": Registered(  # m/s: there the payload's weight is taken for a force
         "payload_transfer", 800, emulated={"rest": 0.08}
     ),
     # its platform emulates a satellite's body, neither wheels nor jets, and a stand holds what
     # is grasped until then, so that nothing tumbles
-    "ServicerCapture": Entry("servicer_capture", 600, emulated=None),
+    "ServicerCapture": Registered("servicer_capture", 600, emulated=None),
 }
 
 

@@ -16,7 +16,7 @@ from ves_gym.leaderboard.methods import given
 from ves_gym.leaderboard.problems import Problem, get_problem
 from ves_gym.leaderboard.seeds import Seeds, seeds_of
 from ves_gym.leaderboard.statistics import repeated
-from ves_gym.leaderboard.tracks.base import Answers, Progress, Track, no_progress
+from ves_gym.leaderboard.tracks.base import Answers, Progress, TrackRules, no_progress
 from ves_gym.leaderboard.tracks.damping import GainTrack, Tuner
 from ves_gym.leaderboard.tracks.paths import PathTrack
 from ves_gym.leaderboard.tracks.tasks import DampTrack, TaskTrack
@@ -87,7 +87,7 @@ def make_entry(
     return entry
 
 
-def track_of(problem: Problem, workers: int = 1) -> Track:
+def track_of(problem: Problem, workers: int = 1) -> TrackRules:
     """The track of a problem; `workers` are processes that plan."""
     if problem.track == "paths":
         return PathTrack(workers)
@@ -97,7 +97,7 @@ def track_of(problem: Problem, workers: int = 1) -> Track:
 
 
 def results_of(
-    rules: Track, problem: Problem, seeds: Seeds, method: Method, answers: Answers
+    rules: TrackRules, problem: Problem, seeds: Seeds, method: Method, answers: Answers
 ) -> Results:
     """Results of answers, with the seconds that they took."""
     results = rules.replay(problem, seeds, method, answers.recording)

@@ -26,7 +26,7 @@ from ves_gym.leaderboard.problems import Problem, get_problem
 from ves_gym.leaderboard.run import results_of, track_of
 from ves_gym.leaderboard.seeds import PUBLIC, Seeds, seeds_of
 from ves_gym.leaderboard.statistics import repeated
-from ves_gym.leaderboard.tracks.base import Answers, Progress, Track, no_progress
+from ves_gym.leaderboard.tracks.base import Answers, Progress, TrackRules, no_progress
 from ves_gym.leaderboard.tracks.settings import require_settings
 
 _ABSOLUTE = 1e-9
@@ -176,7 +176,9 @@ def _recorded(method: Method, problem: Problem) -> Method:
     return method
 
 
-def _from_recording(rules: Track, problem: Problem, claimed: Entry, data: bytes) -> Answers:
+def _from_recording(
+    rules: TrackRules, problem: Problem, claimed: Entry, data: bytes
+) -> Answers:
     """Recorded answers; the seconds they took are taken over as they are told."""
     groups, shape = len(claimed.method.seeds), rules.shape(problem, claimed.method)
     recording = unpack(data, groups, problem.count, shape)

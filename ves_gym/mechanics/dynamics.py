@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.joints import Joint, Mechanism, Turn, turn_by
+from ves_gym.mechanics.joints import JointFrame, Mechanism, Turn, turn_by
 from ves_gym.mechanics.serial_chain import SerialChain
 from ves_gym.mechanics.spatial import cross, numbers, room
 
@@ -105,7 +105,7 @@ def frames(arm: Mechanism, q: npt.ArrayLike) -> Frames:
     return Frames(rotations, positions, ways)
 
 
-def _swings(joints: tuple[Joint, ...], q: Array) -> tuple[Array, Array]:
+def _swings(joints: tuple[JointFrame, ...], q: Array) -> tuple[Array, Array]:
     """What x and y of a frame are multiplied with, and y and x, to be the next one's.
 
     x' = c x + s y and y' = c y - s x, of the angles of the DH table; where alpha is a right

@@ -39,7 +39,7 @@ class Springs(NamedTuple):
     loose: list[int]  # those that have one
 
 
-class Modes(NamedTuple):
+class InnerModes(NamedTuple):
     """Inner modes of the base (`vehicle.InternalModes`)."""
 
     coupling: Array  # (6, m)
@@ -67,7 +67,7 @@ class Model:
     limit: Array  # (n,) N m
     gain: Array  # (n,) of the commands
     laws: tuple[Law, ...]
-    modes: Modes | None
+    modes: InnerModes | None
     carried: tuple[Any, ...]  # wheels and appendages
     jets: Array | None  # (6,) their wrench, platform axes
     emulated: bool  # on a platform that goes where it is told, under gravity
@@ -98,7 +98,7 @@ class Model:
         return hidden[..., :p], hidden[..., p:k], hidden[..., k:]
 
 
-class Motion(NamedTuple):
+class StateRate(NamedTuple):
     """What follows from a state and what is put in."""
 
     rate: Array  # (..., 2 (6 + n + h)) of the state
@@ -107,7 +107,7 @@ class Motion(NamedTuple):
     wrench: Array  # (..., 6) of the arm on its platform; (..., 0) in space
 
 
-def motion(model: Model, x: Array, u: Array, step: float | None = None) -> Motion:
+def motion(model: Model, x: Array, u: Array, step: float | None = None) -> StateRate:
     """Return the rate of a state.
 
     Args:
@@ -143,7 +143,7 @@ def motion(model: Model, x: Array, u: Array, step: float | None = None) -> Motio
         joint[..., model.passive],
     )
     rate = np.concatenate([x[..., half:], zdd, ddd, cdd, sdd], axis=-1)
-    return Motion(rate, zdd, drive, wrench)
+    return StateRate(rate, zdd, drive, wrench)
 
 
 def along_the_chain(model: Model, z: Array, d: Array) -> Array:

@@ -17,7 +17,7 @@ from ves_gym._util.params import Array
 Turn = tuple[float, float]  # cosine and sine, to 15 digits: a right angle is exact
 
 
-class Joint(NamedTuple):
+class JointFrame(NamedTuple):
     """Where a link's frame lies beyond its joint, as in `Link`."""
 
     d: float  # m
@@ -28,17 +28,17 @@ class Joint(NamedTuple):
     slides: bool
 
     @staticmethod
-    def of(link: Any) -> Joint:
+    def of(link: Any) -> JointFrame:
         """The joint of a `Link`."""
         beta = turn_by(link.beta) if link.beta else None
         offset, slides = link.offset, bool(link.slides)
-        return Joint(link.d, link.a, turn_by(link.alpha), beta, offset, slides)
+        return JointFrame(link.d, link.a, turn_by(link.alpha), beta, offset, slides)
 
 
-STILL = Joint(0.0, 0.0, (1.0, 0.0), None, 0.0, False)  # its link's frame stays where it is
+STILL = JointFrame(0.0, 0.0, (1.0, 0.0), None, 0.0, False)  # its link's frame stays where it is
 
 
-class Bodies(NamedTuple):
+class LinkBodies(NamedTuple):
     """Mass properties of the base link, then of the n links, each in its own frame."""
 
     mass: Array  # (..., n + 1) kg
@@ -47,10 +47,10 @@ class Bodies(NamedTuple):
     rotor: Array  # (..., n) kg m^2
 
     @staticmethod
-    def of(base: Any, links: Any) -> Bodies:
+    def of(base: Any, links: Any) -> LinkBodies:
         """The bodies of a base link's `Inertial` and of `Link`s."""
         parts = [base, *(link.inertial for link in links)]
-        return Bodies(
+        return LinkBodies(
             np.array([k.mass for k in parts]),
             np.array([k.com for k in parts]),
             np.array([k.inertia for k in parts]),
@@ -62,7 +62,7 @@ class Mechanism(Protocol):
     """Joints and bodies: an arm, or a `Chain`."""
 
     @property
-    def joints(self) -> tuple[Joint, ...]:
+    def joints(self) -> tuple[JointFrame, ...]:
         """The n joints, first one first."""
 
     @property
@@ -70,16 +70,16 @@ class Mechanism(Protocol):
         """Rotation and position of the first joint's frame in the platform-top frame."""
 
     @property
-    def bodies(self) -> Bodies:
+    def bodies(self) -> LinkBodies:
         """What they weigh."""
 
 
 class Chain(NamedTuple):
     """A `Mechanism` of its parts."""
 
-    joints: tuple[Joint, ...]
+    joints: tuple[JointFrame, ...]
     start: tuple[Array, Array]
-    bodies: Bodies
+    bodies: LinkBodies
 
 
 def turn_by(angle: float) -> Turn:

@@ -19,7 +19,7 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
-from ves_gym.mechanics.joints import Bodies, Joint
+from ves_gym.mechanics.joints import JointFrame, LinkBodies
 
 # Hz, of an arm that states none; the thesis's high gains: 2.2 to 3.4 (this project)
 BANDWIDTH = 2.0
@@ -257,9 +257,9 @@ class SerialChain:
         return len(self.links)
 
     @cached_property
-    def joints(self) -> tuple[Joint, ...]:
+    def joints(self) -> tuple[JointFrame, ...]:
         """Lengths and angles of the links as `dynamics` takes them."""
-        return tuple(map(Joint.of, self.links))
+        return tuple(map(JointFrame.of, self.links))
 
     @cached_property
     def start(self) -> tuple[Array, Array]:
@@ -269,9 +269,9 @@ class SerialChain:
         return self.mount.rotation, np.array(self.mount.position)
 
     @cached_property
-    def bodies(self) -> Bodies:
+    def bodies(self) -> LinkBodies:
         """Base link and links as arrays."""
-        return Bodies.of(self.base, self.links)
+        return LinkBodies.of(self.base, self.links)
 
     @property
     def tool_rotation(self) -> Array:

@@ -86,7 +86,7 @@ class HotSpot:
 # ------------------------------------------------------------------------- networks
 
 
-class Network:
+class SpotNetwork:
     """Joint space as points, with the coupling lengths of straight ways between neighbours.
 
     Args:
@@ -144,7 +144,7 @@ class Network:
         return np.vstack([self.points, start, goal])[nodes[::-1]]
 
 
-def lattice(system: System, duration: float | None) -> Network:
+def lattice(system: System, duration: float | None) -> SpotNetwork:
     """A regular lattice of `_PITCH`, every point joined to all around it.
 
     Args:
@@ -175,10 +175,10 @@ def lattice(system: System, duration: float | None) -> Network:
         return np.flatnonzero((np.abs(points - q) <= 1.5 * _PITCH).all(axis=1))
 
     costs = size(points[b] - points[a], Q)
-    return Network("lattice", points, (a, b), costs, lengths, near, joins_ends=False)
+    return SpotNetwork("lattice", points, (a, b), costs, lengths, near, joins_ends=False)
 
 
-def roadmap(system: System, duration: float | None) -> Network:
+def roadmap(system: System, duration: float | None) -> SpotNetwork:
     """Halton's points in joint space of any dimension, joined to their neighbours.
 
     As many as in PRM* (Karaman and Frazzoli 2011).
@@ -201,7 +201,7 @@ def roadmap(system: System, duration: float | None) -> Network:
         return np.asarray(tree.query(q, count)[1])
 
     costs = lengths(points[edges[0]], points[edges[1]])
-    return Network("roadmap", points, edges, costs, lengths, near, joins_ends=True)
+    return SpotNetwork("roadmap", points, edges, costs, lengths, near, joins_ends=True)
 
 
 def _axes(arm: Arm) -> list[Array]:
@@ -213,7 +213,7 @@ def _axes(arm: Arm) -> list[Array]:
 
 
 @lru_cache(maxsize=16)
-def _network(system: System, duration: float | None) -> Network:
+def _network(system: System, duration: float | None) -> SpotNetwork:
     """A lattice where it is small enough."""
     nodes = int(np.prod([len(axis) for axis in _axes(system.arm)]))
     small = nodes * (3**system.arm.n - 1) // 2 <= _LARGEST

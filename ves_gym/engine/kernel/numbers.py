@@ -21,9 +21,9 @@ from ves_gym._util.params import Array
 from ves_gym.engine.kernel.symbolic import Traced, column, expressions, symbols, traced
 from ves_gym.mechanics import dynamics
 from ves_gym.mechanics.carried import ReactionWheel
-from ves_gym.mechanics.equations import Model, Modes, Springs, merged
+from ves_gym.mechanics.equations import InnerModes, Model, Springs, merged
 from ves_gym.mechanics.flexure import unfold
-from ves_gym.mechanics.joints import STILL, Bodies, Chain, Joint
+from ves_gym.mechanics.joints import STILL, Chain, JointFrame, LinkBodies
 from ves_gym.mechanics.vehicle import blows
 from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.system import PRESCRIBED_INERTIA
@@ -100,14 +100,14 @@ class _Reader:
             out[field.name] = self.vector(label, value) if many else self.number(label, value)
         return out
 
-    def modes(self, internal: InternalModes) -> Modes:
+    def modes(self, internal: InternalModes) -> InnerModes:
         """Inner modes of the base."""
         coupling = [
             self(f"coupling{k}.{i}", c)
             for k, column in enumerate(internal.coupling.T, start=1)
             for i, c in enumerate(column, start=1)
         ]
-        return Modes(
+        return InnerModes(
             self.array(coupling, internal.coupling.shape[::-1]).T,
             self.vector("internal_stiffness", internal.omega**2),
             self.matrix("internal_damping.", internal.damping),
@@ -218,7 +218,7 @@ _SPRING = ("stiffness", "damping", "gap")
 class _Joints:
     """The joints of an arm and what they carry, from which a chain is made."""
 
-    joints: Sequence[Joint]
+    joints: Sequence[JointFrame]
     start: tuple[Array, Array]
     base: Body
     links: Sequence[Body]
@@ -229,7 +229,7 @@ class _Joints:
         """They as they are."""
         bodies = [self.base, *self.links]
         mass, com, inertia = (np.stack([body[k] for body in bodies]) for k in range(3))
-        numbers = Bodies(mass, com, inertia, np.stack(self.rotors))
+        numbers = LinkBodies(mass, com, inertia, np.stack(self.rotors))
         return Chain(tuple(self.joints), self.start, numbers)
 
     def unfolded(self, geared: set[int]) -> tuple[Chain, list[int], list[int]]:
@@ -242,7 +242,7 @@ class _Joints:
             The chain, places of the n joints in it, and of the springs: gears, then flexures.
         """
         nothing = (np.zeros(()), np.zeros(3), np.zeros((3, 3)))
-        joints: list[Joint] = []
+        joints: list[JointFrame] = []
         links: list[Body] = []
         rotors: list[Array] = []
         driven: list[int] = []

@@ -27,7 +27,7 @@ from ves_gym.mechanics.equations import (
     residual,
     spring_torque,
 )
-from ves_gym.mechanics.joints import Bodies, Chain
+from ves_gym.mechanics.joints import Chain, LinkBodies
 from ves_gym.mechanics.spatial import solve_symmetric
 
 if TYPE_CHECKING:
@@ -239,7 +239,7 @@ def regressor(arm: Arm, moving: bool) -> casadi.Function:
     n = arm.n
     bodies, rotors = symbols("body", (n + 1, 10)), symbols("rotor", (n,))
     square = bodies[:, [[4, 5, 7], [5, 6, 8], [7, 8, 9]]]
-    masses = Bodies(bodies[:, 0], bodies[:, 1:4], square, rotors)
+    masses = LinkBodies(bodies[:, 0], bodies[:, 1:4], square, rotors)
     chain = Chain(arm.joints, arm.start, masses)
     x = symbols("x", (3 * n + 9 if moving else n + 3,))
     if moving:

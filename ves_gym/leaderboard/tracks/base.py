@@ -25,7 +25,7 @@ class Answers(NamedTuple):
     seconds: Array | None = None  # (groups, episodes)
 
 
-class Track(Protocol):
+class TrackRules(Protocol):
     """A track of the leaderboard: problems that are answered and replayed in one way."""
 
     def shape(self, problem: Problem, method: Method) -> tuple[int, ...]:

@@ -37,10 +37,10 @@ Tuner = Callable[[System, Array, Array, int], GainMatrices]
 
 
 class GainTrack:
-    """Gains for every release; see `base.Track`."""
+    """Gains for every release; see `base.TrackRules`."""
 
     def shape(self, problem: Problem, method: Method) -> tuple[int, ...]:
-        """See `Track`: an answer is the matrices K and B."""
+        """See `TrackRules`: an answer is the matrices K and B."""
         n = _system().arm.n
         return (n, n)
 
@@ -52,7 +52,7 @@ class GainTrack:
         agents: Sequence[Tuner],
         progress: Progress = no_progress,
     ) -> Answers:
-        """See `Track`."""
+        """See `TrackRules`."""
         questions = releases(problem, seeds)
         out: list[list[Array]] = []
         for find, seed in zip(agents, method.seeds, strict=True):
@@ -65,7 +65,7 @@ class GainTrack:
     def replay(
         self, problem: Problem, seeds: Seeds, method: Method, recording: Recording
     ) -> Results:
-        """See `Track`."""
+        """See `TrackRules`."""
         questions = releases(problem, seeds)
         for group in recording:
             for gains in group:

@@ -44,12 +44,12 @@ _MEASURES = ("E_mean", "E_peak", "E_res")
 
 @dataclass(frozen=True)
 class PathTrack:
-    """Planners on queries of one vehicle and duration; see `base.Track`."""
+    """Planners on queries of one vehicle and duration; see `base.TrackRules`."""
 
     workers: int = 1  # processes that plan
 
     def shape(self, problem: Problem, method: Method) -> tuple[int, ...]:
-        """See `Track`: control points of a motion, none where there is no motion."""
+        """See `TrackRules`: control points of a motion, none where there is no motion."""
         return (System().arm.n,)
 
     def answer(
@@ -60,7 +60,7 @@ class PathTrack:
         agents: Sequence[Planner],
         progress: Progress = no_progress,
     ) -> Answers:
-        """See `Track`."""
+        """See `TrackRules`."""
         queries = path_queries(problem, seeds)
         jobs = [
             (planner, query, seed)
@@ -86,7 +86,7 @@ class PathTrack:
     def replay(
         self, problem: Problem, seeds: Seeds, method: Method, recording: Recording
     ) -> Results:
-        """See `Track`."""
+        """See `TrackRules`."""
         queries = path_queries(problem, seeds)
         lines = _lines(problem, seeds)
         parts = []

@@ -30,10 +30,10 @@ _SLACK = 1e-12  # of an action's bound
 
 
 class TaskTrack:
-    """Policies and controllers on a registered environment; see `base.Track`."""
+    """Policies and controllers on a registered environment; see `base.TrackRules`."""
 
     def shape(self, problem: Problem, method: Method) -> tuple[int, ...]:
-        """See `Track`."""
+        """See `TrackRules`."""
         return (task_of(_id(problem), method.settings).action_width,)
 
     def answer(
@@ -44,7 +44,7 @@ class TaskTrack:
         agents: Sequence[Controller],
         progress: Progress = no_progress,
     ) -> Answers:
-        """See `Track`."""
+        """See `TrackRules`."""
         out = []
         for group, agent in enumerate(agents):
             recorder = Recorded(agent)
@@ -59,7 +59,7 @@ class TaskTrack:
     def replay(
         self, problem: Problem, seeds: Seeds, method: Method, recording: Recording
     ) -> Results:
-        """See `Track`."""
+        """See `TrackRules`."""
         parts = []
         for group in recording:
             for k, actions in enumerate(group):
