@@ -45,7 +45,8 @@ def pytest_runtest_protocol(item):
 def pytest_runtest_makereport(item, call):
     """Where every program is there, a test that is skipped for want of one has failed."""
     report = yield
-    if COMPLETE and report.skipped and "needs " in str(report.longrepr):
+    skipped = report.skipped and not hasattr(report, "wasxfail")
+    if COMPLETE and skipped and "needs " in str(report.longrepr):
         report.outcome = "failed"
     return report
 
