@@ -23,7 +23,7 @@ from ves_gym.diagnosis.data.quality import Fault, faults
 from ves_gym.diagnosis.inference.cache import AnswerCache, CachedResiduals
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.dependence import Dependence, dependences
-from ves_gym.diagnosis.inference.earned import without_unearned
+from ves_gym.diagnosis.inference.earned import drop_beaten_by_splines
 from ves_gym.diagnosis.inference.explanations import (
     Experiment,
     RankedCandidate,
@@ -34,17 +34,22 @@ from ves_gym.diagnosis.inference.explanations import (
     residual_over_time,
 )
 from ves_gym.diagnosis.inference.fit import Fit
-from ves_gym.diagnosis.inference.held_back import CLEAR, gaps, unexplained_there, withdrawn
+from ves_gym.diagnosis.inference.held_back import (
+    CLEAR,
+    drop_refuted_by_holdout,
+    gaps,
+    unexplained_there,
+)
 from ves_gym.diagnosis.inference.held_back import Gap as Gap
 from ves_gym.diagnosis.inference.model_selection import (
     Rival,
     Selection,
     Thresholds,
     allowed,
+    drop_unidentified,
     is_computed,
     select,
     unexplained,
-    without_untold,
 )
 from ves_gym.diagnosis.inference.reliability import (
     COMPUTED,
@@ -56,9 +61,9 @@ from ves_gym.diagnosis.inference.reliability import (
 )
 from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.slow_noise import slow_shares
-from ves_gym.diagnosis.inference.steadiness import without_unsteady
+from ves_gym.diagnosis.inference.steadiness import drop_nonstationary
 from ves_gym.diagnosis.inference.tolerance_scale import (
-    Off,
+    ToleranceExcess,
     errors_told,
     selected_with_tolerances,
 )
@@ -74,7 +79,7 @@ from ves_gym.diagnosis.inference.unknown import (
 from ves_gym.diagnosis.inference.unknown import NOTHING as DESCRIBED
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.base import Machine, untestable
-from ves_gym.diagnosis.machines.causes import apart
+from ves_gym.diagnosis.machines.causes import split
 from ves_gym.diagnosis.machines.drift import SlowPath
 from ves_gym.effects import BaseUnknown, JointMemory
 from ves_gym.system.system import System
@@ -177,7 +182,7 @@ class Diagnosis(Viewable):
         return 1.0 if first is None else self.selection.law.chance(first[1], first[0])
 
     @property
-    def off(self) -> tuple[Off, ...]:
+    def off(self) -> tuple[ToleranceExcess, ...]:
         """Errors of the description that are larger than it says."""
         if self.tolerances == 1.0:
             return ()
@@ -228,13 +233,13 @@ def _named(explanation: Explanation) -> str:
     path = c.effect(explanation.values)
     if isinstance(path, SlowPath):
         return f"{c.name} (root mean square {path.size:.3g} {c.units[0]})"
-    shown = np.abs(explanation.values) > _CLEAR * explanation.std
-    if not (c.sparse and shown.any()):  # of coordinates those that are not about zero
-        shown = np.ones(c.k, bool)
+    certain = np.abs(explanation.values) > _CLEAR * explanation.std
+    if not (c.sparse and certain.any()):  # of coordinates those that are not about zero
+        certain = np.ones(c.k, bool)
     values = ", ".join(
         f"{name} {value:.4g}{'' if unit == '1' else ' ' + unit}"
         for name, value, unit, clear in zip(
-            c.names, explanation.values, c.units, shown, strict=True
+            c.names, explanation.values, c.units, certain, strict=True
         )
         if clear
     )
@@ -310,7 +315,7 @@ def diagnose(
         residuals, candidates, lambda done: progress(0.1 + 0.5 * done, "signatures")
     )
     lap("screen")
-    answered = selected_with_tolerances(
+    judged = selected_with_tolerances(
         residuals,
         signatures,
         lambda r, s: select(r, s, stated, lambda text: progress(0.7, text)),
@@ -321,12 +326,12 @@ def diagnose(
         ),
     )
     selection, residuals, signatures = (
-        answered.selection,
-        answered.residuals,
-        answered.signatures,
+        judged.selection,
+        judged.residuals,
+        judged.signatures,
     )
     # what errors far off leave of a linear law grows with their square
-    square = answered.factor**2
+    square = judged.factor**2
     limits = dataclasses.replace(
         stated, remains=stated.remains * square, sensed=stated.sensed * square
     )
@@ -334,35 +339,33 @@ def diagnose(
     progress(0.9, "runs held back")
     last = None
     if final:
-        last = WhitenedResiduals(machine, final, seed + 1, slow).with_tolerances(
-            answered.factor
-        )
+        last = WhitenedResiduals(machine, final, seed + 1, slow).with_tolerances(judged.factor)
     before_gate = selection.fit.deviance
-    selection = without_unsteady(selection, residuals)
+    selection = drop_nonstationary(selection, residuals)
     if last is not None:
-        selection = withdrawn(selection, residuals, last)
-    selection = without_untold(selection, residuals)
+        selection = drop_refuted_by_holdout(selection, residuals, last)
+    selection = drop_unidentified(selection, residuals)
     # deviance that withdrawn names had explained on the runs fitted
     doubted = selection.fit.deviance - before_gate
     unearned: tuple[str, ...] = ()  # names that curves of no shape beat
     if last is not None:
-        selection, unearned = without_unearned(selection, residuals, last)
+        selection, unearned = drop_beaten_by_splines(selection, residuals, last)
     explained = [
         _explanation(selection, i, residuals, limits) for i in range(len(selection.rivals))
     ]
-    right = [f.reliability for f in explained]
-    doubtful = [i for i, p in enumerate(right) if p < DOUBT]
+    trust = [f.reliability for f in explained]
+    doubtful = [i for i, p in enumerate(trust) if p < DOUBT]
     withheld = tuple(
-        dataclasses.replace(explained[i], probability=explained[i].probability * right[i])
+        dataclasses.replace(explained[i], probability=explained[i].probability * trust[i])
         for i in doubtful
     )
     before_doubt = selection.fit.deviance
-    selection = without(selection, residuals, doubtful, right)
+    selection = without(selection, residuals, doubtful, trust)
     doubted += selection.fit.deviance - before_doubt
-    kept = [f for f in explained if f.reliability >= DOUBT]
+    reliable = [f for f in explained if f.reliability >= DOUBT]
     explanations = tuple(
         dataclasses.replace(f, values=x, std=limits.spread * std)
-        for f, x, std in zip(kept, selection.fit.values, selection.fit.std, strict=True)
+        for f, x, std in zip(reliable, selection.fit.values, selection.fit.std, strict=True)
     )
     remaining = unexplained(selection.fit, residuals, limits.imperfect)
     limits = dataclasses.replace(limits, remains=allowed(selection.fit, residuals, limits))
@@ -391,7 +394,7 @@ def diagnose(
     after: tuple[Gap, ...] = ()
     if last is not None:
         after = gaps(last, chosen, selection.null, False)
-        much = verdict == MORE and remaining > limits.more  # not but a tone beside
+        much = verdict == MORE and remaining > limits.unexplained_named  # not but a tone beside
         if much and _remaining_share(after) > limits.held_back:  # names that do not hold
             verdict, chosen = UNKNOWN, selection.null
             after = gaps(last, chosen, selection.null, False)
@@ -435,7 +438,7 @@ def diagnose(
         depends=depends,
         beliefs=believed,
         unnamed=regressed,
-        tolerances=answered.factor,
+        tolerances=judged.factor,
         withheld=withheld,
     )
 
@@ -450,9 +453,9 @@ def _explanation(
     std = limits.spread * selection.fit.std[i]
     gained = gain(residuals, selection.fit, i)
     strained = strain(residuals, selection.fit)
-    right = COMPUTED if is_computed(first.candidate) else reliability(gained, strained)
+    trust = COMPUTED if is_computed(first.candidate) else reliability(gained, strained)
     values = selection.fit.values[i]
-    return Explanation(first.candidate, values, std, gained, strained, right, p, near)
+    return Explanation(first.candidate, values, std, gained, strained, trust, p, near)
 
 
 def _verdict(
@@ -469,7 +472,7 @@ def _verdict(
         return UNKNOWN
     if not explanations:
         return WEAK if weak else NOTHING
-    if remaining > limits.more:
+    if remaining > limits.unexplained_named:
         return MORE
     return ONE_OF if any(len(f.kinds) > 1 for f in explanations) else NAMED
 
@@ -538,7 +541,7 @@ def added(diagnosis: Diagnosis) -> tuple[Any, ...]:
         return ()
     return tuple(
         e.effect if isinstance(e, SlowPath) else e
-        for e in apart(diagnosis.selection.fit.effects)
+        for e in split(diagnosis.selection.fit.effects)
     )
 
 

@@ -13,7 +13,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym.diagnosis.inference.cache import source_digest
 from ves_gym.diagnosis.inference.candidates import left_out, library
 from ves_gym.diagnosis.inference.fit import Fit
-from ves_gym.diagnosis.machines.causes import FRICTION, apart
+from ves_gym.diagnosis.machines.causes import FRICTION, split
 from ves_gym.diagnosis.machines.drift import SlowPath
 from ves_gym.diagnosis.machines.joint_library import MjcfJoint
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
@@ -111,8 +111,8 @@ def test_a_candidate_at_its_starts_is_an_effect_of_its_kind():
             made = c.effect(np.array(start))
             kinds = {k for k, _ in c.parts} or {c.kind}
             drifts = isinstance(made, SlowPath)
-            assert {"sensor/drift" if drifts else e.kind for e in apart([made])} == kinds
-        for part in () if drifts else apart([made]):
+            assert {"sensor/drift" if drifts else e.kind for e in split([made])} == kinds
+        for part in () if drifts else split([made]):
             part.check(EMULATED)
             assert not part.is_null
         assert set(c.ports) <= set(PORTS)

@@ -13,7 +13,7 @@ from ves_gym.diagnosis.excitation import excitation_motions
 from ves_gym.diagnosis.inference import held_back
 from ves_gym.diagnosis.inference.fit import fit, fit_residual
 from ves_gym.diagnosis.inference.held_back import gaps, losses
-from ves_gym.diagnosis.inference.model_selection import Selection, without_untold
+from ves_gym.diagnosis.inference.model_selection import Selection, drop_unidentified
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.mechanics.vehicle import DECOUPLED, MatrixVehicle
@@ -63,7 +63,7 @@ def test_what_repeats_is_named_after_two_thirds_of_a_period(logs, turns, kept):
     repeats = replace(coulomb, periods=lambda x: turns)
     f = fit(residuals, [repeats], [np.array([10.0])])
     assert f.is_told(0) == kept
-    chosen = without_untold(Selection(fit(residuals, (), ()), f, ((),)), residuals)
+    chosen = drop_unidentified(Selection(fit(residuals, (), ()), f, ((),)), residuals)
     assert len(chosen.fit.candidates) == kept
     assert ("edge of what can be told" in "".join(chosen.steps)) != kept
 

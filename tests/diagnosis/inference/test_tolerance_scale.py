@@ -12,7 +12,7 @@ import pytest
 import ves_gym.effects as E
 from ves_gym.diagnosis.diagnose import NOTHING, WEAK, diagnose
 from ves_gym.diagnosis.excitation import excitation_motions
-from ves_gym.diagnosis.inference.tolerance_scale import Off, sentence
+from ves_gym.diagnosis.inference.tolerance_scale import ToleranceExcess, sentence
 from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.playback import play_motions
@@ -74,7 +74,10 @@ def test_a_single_number_far_off_is_named_beside_tolerances_as_stated(errors):
 
 
 def test_what_is_far_off_is_said_in_a_sentence():
-    off = (Off("rotor of joint 2", -0.32, -11.0), Off("mass of link 3", 0.008, 9.0))
+    off = (
+        ToleranceExcess("rotor of joint 2", -0.32, -11.0),
+        ToleranceExcess("mass of link 3", 0.008, 9.0),
+    )
     assert sentence(1.0, ()) == ""
     assert sentence(10.0, off) == (
         " The description's errors are about 10 times as large as it says"

@@ -12,7 +12,7 @@ from tests.diagnosis.machines.noisy_arm import RIGID, logged
 from ves_gym.diagnosis.inference.candidates import library
 from ves_gym.diagnosis.inference.fit import fit
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
-from ves_gym.diagnosis.machines.servo import share_of_the_asked
+from ves_gym.diagnosis.machines.servo import commanded_torque_weight
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.diagnosis.machines.tolerances import StatedErrors
 from ves_gym.mechanics.servo import JointServo
@@ -42,7 +42,7 @@ def noise_of(run, port):
 
 
 def test_a_soft_joint_is_told_by_what_was_asked(run):
-    share = share_of_the_asked(run)
+    share = commanded_torque_weight(run)
     assert share[2] > 0.99  # 100 N m/rad times 0.1 mrad against 0.4 N m
     assert (share[:2] > 0.3).all() and (share[:2] < 0.8).all()
 

@@ -35,7 +35,7 @@ def test_a_soft_gear_leaves_the_torque_s_own_noise(run):
     machine = SystemMachine(RIGID.replace(effects=(SOFT,)))
     (gear,) = windings(machine.system.actual.arm, run)
     f = np.fft.rfftfreq(2 * run.length, run.dt)
-    assert np.abs(gear.shown[np.searchsorted(f, 12.0)]) > 9
+    assert np.abs(gear.visible[np.searchsorted(f, 12.0)]) > 9
     left = machine.residuals(run, [machine.nominal], ["joint"])["joint"][0]
     power = np.square(np.abs(run.window.spectrum(left))).mean(axis=0)
     assert (power < 1.6 * NOISE["tau"] ** 2).all()

@@ -33,13 +33,13 @@ def with_drive_gains(
     Raises:
         ParameterError: a joint whose load does not show in its signal, or no model.
     """
-    wanted = [i for i, joint in enumerate(machine.joints) if joint.gain_unknown]
-    if not wanted:
+    unknown = [i for i, joint in enumerate(machine.joints) if joint.gain_unknown]
+    if not unknown:
         return list(runs), []
     if machine.bodies is None or any("tau" not in run for run in runs):
         raise ParameterError("gain_unknown needs a model and forces in every run")
     gains, notes = np.ones(len(machine.joints)), []
-    for i in wanted:
+    for i in unknown:
         gains[i], std = _gain(machine, [runs[k] for k in fitted], i)
         joint = machine.joints[i]
         notes.append(
@@ -63,9 +63,9 @@ def _gain(machine: MjcfMachine, runs: Sequence[Run], i: int) -> tuple[float, flo
     X, y = np.concatenate(rows), np.concatenate(logged)
     size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
     slope = np.linalg.lstsq(X / size, y, rcond=None)[0] / size
-    left = y - X @ slope
+    misfit = y - X @ slope
     inverse = np.linalg.pinv((X / size).T @ (X / size))
-    std = float(np.sqrt(left @ left / max(len(y) - 4, 1) * inverse[0, 0])) / size[0]
+    std = float(np.sqrt(misfit @ misfit / max(len(y) - 4, 1) * inverse[0, 0])) / size[0]
     if not abs(slope[0]) > _CLEAR * std:
         raise ParameterError(
             f"the drive gain of {machine.joints[i].name} cannot be told from these runs: its"

@@ -57,7 +57,7 @@ def forget(remembered: dict[Any, Any], most: int = REMEMBERED) -> None:
         del remembered[list(remembered)[1]]
 
 
-def kept(memory: dict[Any, Any], kind: str, key: Any, make: Callable[[], Any]) -> Any:
+def cached(memory: dict[Any, Any], kind: str, key: Any, make: Callable[[], Any]) -> Any:
     """Return what is remembered for a key, computed once while among the latest of its kind.
 
     Args:
@@ -66,11 +66,11 @@ def kept(memory: dict[Any, Any], kind: str, key: Any, make: Callable[[], Any]) -
         key: that it depends on.
         make: computes it.
     """
-    known = memory.setdefault(kind, {})
-    if key not in known:
-        known[key] = make()
-        forget(known)
-    return known[key]
+    entries = memory.setdefault(kind, {})
+    if key not in entries:
+        entries[key] = make()
+        forget(entries)
+    return entries[key]
 
 
 class Kinematics(NamedTuple):
@@ -258,8 +258,8 @@ def _crossover(run: Run) -> Array | None:
     angles, rates = run.noise["q"], run.noise["v"]
     if not rates.std.all() or angles.std.min() * np.sqrt(2) / run.dt < _STILL:
         return None
-    found = rate_crossover(run["q"], run["v"], angles, rates, run.window)
-    return found if np.isfinite(found).any() else None
+    crossings = rate_crossover(run["q"], run["v"], angles, rates, run.window)
+    return crossings if np.isfinite(crossings).any() else None
 
 
 def run_of_signals(
@@ -321,9 +321,9 @@ def with_shared_colour(runs: Sequence[Run], like: Sequence[Run]) -> list[Run]:
         noise = dict(run.noise)
         others = [k for k in like if abs(k.dt / run.dt - 1) < _SAME_CLOCK]
         for name in set(noise) & set(run.meta.get("noise_std", {})):
-            told = [k.noise[name].correlation for k in others if name in k.noise]
-            if told:
-                noise[name] = SensorNoiseModel(noise[name].std, np.max(told, axis=0))
+            correlations = [k.noise[name].correlation for k in others if name in k.noise]
+            if correlations:
+                noise[name] = SensorNoiseModel(noise[name].std, np.max(correlations, axis=0))
         out.append(replace(run, noise=noise, memory={}))
     return out
 

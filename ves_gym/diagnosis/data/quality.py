@@ -52,10 +52,10 @@ def faults(runs: Sequence[Run]) -> tuple[Fault, ...]:
     out = [Fault(k, "repeats", share, None) for k, share in lost.items() if share > _SHARE]
     spectra = {name: _tones(runs, name) for name in names}
     commands = [k for k in COMMANDED if all(k in run for run in runs)]
-    told = np.max([_tones(runs, k) for k in commands], axis=0) if commands else 0 * _GRID
+    commanded = np.max([_tones(runs, k) for k in commands], axis=0) if commands else 0 * _GRID
     for name, heights in spectra.items():
         at = int(np.argmax(heights))
-        if heights[at] > _TONE and told[at] < _SEEN:  # what joints are told is motion
+        if heights[at] > _TONE and commanded[at] < _SEEN:  # what joints are told is motion
             elsewhere = max((x[at] for k, x in spectra.items() if k != name), default=0.0)
             hertz = float(_GRID[at] / runs[0].dt)
             out.append(Fault(name, "tone", float(heights[at]), hertz, bool(elsewhere > _SEEN)))

@@ -167,12 +167,12 @@ def _sizes(
     a channel does not tell anything."""
     # a torque logged in another unit must not be told by what the controller asked
     residuals = machine.residuals(replace(run, by_log=True), [machine.nominal], ports)
-    seen = {p.name: p.signal or _SEEN.get(p.name, "") for p in machine.ports}
+    logged_as = {p.name: p.signal or _SEEN.get(p.name, "") for p in machine.ports}
     out = {}
     for name in ports:
         residual_size, signal_size = (
             np.linalg.norm(run.window.spectrum(x)[1:], axis=0)
-            for x in (residuals[name][0], _logged(run, seen[name]))
+            for x in (residuals[name][0], _logged(run, logged_as[name]))
         )
         size = np.where(np.isfinite(residual_size), residual_size, np.inf) / np.maximum(
             signal_size, 1e-300

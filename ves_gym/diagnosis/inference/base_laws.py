@@ -35,9 +35,9 @@ def base_regressions(system: System) -> list[Candidate]:
         return []
     base = system.base
     mass = np.diag(base.M)
-    own = np.maximum(np.diag(base.K), mass * (2 * np.pi * _SLOW) ** 2) / 100
-    critical = 2 * np.sqrt(own * mass / 100)
-    sizes = {"stiffness": own, "damping": critical}
+    springs = np.maximum(np.diag(base.K), mass * (2 * np.pi * _SLOW) ** 2) / 100
+    critical = 2 * np.sqrt(springs * mass / 100)
+    sizes = {"stiffness": springs, "damping": critical}
     out = []
     for (name, size), (i, axis) in itertools.product(sizes.items(), enumerate(AXES)):
 

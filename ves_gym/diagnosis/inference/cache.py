@@ -130,9 +130,11 @@ def source_digest() -> str:
     for name in _SOURCES:
         package = Path(str(files("ves_gym"))) / name
         paths += sorted(package.rglob("*.py"))
-    own = [cls for cls in EFFECTS.values() if not cls.__module__.startswith("ves_gym.")]
+    user_defined = [
+        cls for cls in EFFECTS.values() if not cls.__module__.startswith("ves_gym.")
+    ]
     with contextlib.suppress(OSError, TypeError):  # of an effect typed in a console
-        paths += sorted({Path(inspect.getfile(cls)) for cls in own})
+        paths += sorted({Path(inspect.getfile(cls)) for cls in user_defined})
     for path in paths:
         sha.update(path.read_bytes())
     return sha.hexdigest()

@@ -14,7 +14,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.diagnosis.machines.causes import apart, arm_friction
+from ves_gym.diagnosis.machines.causes import arm_friction, split
 from ves_gym.diagnosis.machines.drift import WAVES, SlowPath
 from ves_gym.diagnosis.machines.presliding import FORMS
 from ves_gym.system.candidate import Candidate as Candidate
@@ -106,7 +106,7 @@ def _acts_in(candidate: Candidate, system: System | None) -> bool:
     if system is None:
         return True
     try:
-        for effect in apart([candidate.effect(np.array(candidate.starts[0]))]):
+        for effect in split([candidate.effect(np.array(candidate.starts[0]))]):
             effect.check(system)
     except ParameterError:
         return False

@@ -51,7 +51,7 @@ LEAST = 20.0  # deviance that curves must explain beyond a name: exp(-10) by cha
 BEYOND = 0.5  # of what the names of the joint explain there
 
 
-def without_unearned(
+def drop_beaten_by_splines(
     selection: Selection, residuals: WhitenedResiduals, last: WhitenedResiduals
 ) -> tuple[Selection, tuple[str, ...]]:
     """Return the selection less joint names that are not earned, and those names.
@@ -86,8 +86,8 @@ def _unearned(f: Fit, residuals: WhitenedResiduals, last: WhitenedResiduals) -> 
         if not mine:
             continue
         named = losses(last, reduced_fit(residuals, f, mine), f)
-        more = explained_beyond(f, joint, residuals, last)
-        if more > max(LEAST, BEYOND * named):
+        beyond = explained_beyond(f, joint, residuals, last)
+        if beyond > max(LEAST, BEYOND * named):
             poor += mine
     return tuple(sorted(poor))
 
@@ -107,15 +107,15 @@ def explained_beyond(
     parts, p = curves.columns(residuals), len(residuals.nuisances)
     inner = products(residuals, f.residual, np.hstack([*parts, f.tangents]))
     widths = [x.shape[1] for x in parts]
-    x, left = np.zeros(0), f.size
+    x, freedom = np.zeros(0), f.size
     for _ in range(_ROUNDS):  # what curves explain gives more weight to its groups
-        sizes = likeliest_sizes(inner, left, widths, p, _SIZES)
+        sizes = likeliest_sizes(inner, freedom, widths, p, _SIZES)
         if not any(sizes):
             return 0.0
         scale = np.concatenate([np.full(w, s) for w, s in zip(widths, sizes, strict=True)])
         every = np.concatenate([np.ones(p), scale, np.ones(f.tangents.shape[1])])
         solution = solve(_scaled(inner, every), p + len(scale) + len(f.forms))
-        x, left = every * solution.x, solution.size
+        x, freedom = every * solution.x, solution.size
     z, tangents = linearised(last, f.candidates, f.values)
     moved = z + np.hstack([*curves.columns(last), tangents]) @ x[p:]
     before = fit_residual(last, f, False)
@@ -134,8 +134,8 @@ class _Curves:
     def __init__(self, residuals: WhitenedResiduals, joint: int) -> None:
         self._joint, runs = joint, residuals.runs
         self._angles, self._rates = (
-            (min(float(x.min()) for x in seen), max(float(x.max()) for x in seen))
-            for seen in (
+            (min(float(x.min()) for x in samples), max(float(x.max()) for x in samples))
+            for samples in (
                 [run.joints.x[:, joint] for run in runs],
                 [run.joints.v[:, joint] for run in runs],
             )

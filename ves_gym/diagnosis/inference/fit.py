@@ -88,8 +88,8 @@ class Fit:
         No size ended at the edge of its range, and what repeats has been through so much of a
         period that it is not a part of any curve.
         """
-        seen = self.candidates[i].periods
-        return not self.on_bound(i) and (seen is None or seen(self.values[i]) >= _PERIODS)
+        periods = self.candidates[i].periods
+        return not self.on_bound(i) and (periods is None or periods(self.values[i]) >= _PERIODS)
 
     def is_usual(self, i: int) -> bool:
         """Return True if the effect in place i has its law's usual form, or nearly so."""
@@ -247,10 +247,10 @@ def _feasible(candidates: Sequence[Candidate], x: Array, covariance: Array) -> A
     """
     out, at = x.copy(), 0
     for c in candidates:
-        here = slice(at, at + c.k)
+        block = slice(at, at + c.k)
         if c.feasible is not None:
-            precision = np.asarray(np.linalg.pinv(covariance[here, here]), float)
-            out[here] = np.clip(c.feasible(x[here], precision), c.low, c.high)
+            precision = np.asarray(np.linalg.pinv(covariance[block, block]), float)
+            out[block] = np.clip(c.feasible(x[block], precision), c.low, c.high)
         at += c.k
     return out
 

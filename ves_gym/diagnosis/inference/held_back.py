@@ -88,7 +88,7 @@ def gaps(
     return tuple(out)
 
 
-def withdrawn(
+def drop_refuted_by_holdout(
     selection: Selection, residuals: WhitenedResiduals, last: WhitenedResiduals
 ) -> Selection:
     """Return the selection less the names that runs held back contradict.
@@ -131,8 +131,8 @@ def unexplained_there(last: WhitenedResiduals, fit: Fit, imperfect: float) -> fl
         fit: found on others.
         imperfect: mean square that is still taken for noise.
     """
-    n, *rest = group_squares(last, fit_residual(last, fit, False))
-    size = sizes(n, *rest)
+    n, *others = group_squares(last, fit_residual(last, fit, False))
+    size = sizes(n, *others)
     return float((n * np.log(np.maximum(size / imperfect, 1.0))).sum())
 
 
@@ -183,8 +183,8 @@ def _contradiction(last: WhitenedResiduals, full: Fit, reduced: Fit) -> float:
         parts.append(
             [deviances(n, likely_sizes(n, squares, k, most, least)) for k in (noise, n)]
         )
-    each = np.subtract(parts[0], parts[1])
-    return float(each.min(axis=0).sum())
+    differences = np.subtract(parts[0], parts[1])
+    return float(differences.min(axis=0).sum())
 
 
 def likeliness(last: WhitenedResiduals, remainders: Array) -> float:

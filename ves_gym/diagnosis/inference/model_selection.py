@@ -39,11 +39,11 @@ class Thresholds:
     echo: float = 0.1  # least gain beside another that may echo there, in parts of its own
     onset: float = 0.5  # the same of one that sets in by a torque
     most: int | None = None  # effects; None: as many as the evidence bears
-    few: int = 3  # effects that are named on the usual evidence
+    usual_count: int = 3  # effects that are named on the usual evidence
     alike: float = 6.0  # difference in cost below which two candidates are one class
     remains: float = 400.0  # unexplained deviance that is more than noise
     sensed: float = 120.0  # the same of ports where no computer's law is compared
-    more: float = 1000.0  # and beside a name
+    unexplained_named: float = 1000.0  # and beside a name
     held_back: float = 0.5  # of the gap on runs held back, its mean square, that names leave
     explained: float = 0.6  # share left of what was unexplained: more, and no name is given
     imperfect: float = 1.7  # mean square that residuals of a good description may have
@@ -96,7 +96,7 @@ def select(
         limits: thresholds.
         report: called with each step in words.
     """
-    null = current = few = fit(residuals, (), ())
+    null = current = usual = fit(residuals, (), ())
     law = null_law(signatures, null.size)
     first: tuple[Candidate, float] | None = None
     steps: list[str] = []
@@ -128,14 +128,16 @@ def select(
         current = best
         for i in range(at):  # what came in before may now be another
             current = _alternatives(residuals, signatures, limits, current, i, _OTHERS)[0]
-        if len(current.candidates) <= limits.few:
-            few = current
-    many = len(current.candidates) > limits.few
-    if many and unexplained(current, residuals, limits.imperfect) > limits.more:
+        if len(current.candidates) <= limits.usual_count:
+            usual = current
+    many = len(current.candidates) > limits.usual_count
+    if many and unexplained(current, residuals, limits.imperfect) > limits.unexplained_named:
         # so many names that do not suffice are a library that imitates something else
-        steps.append(f"{len(current.candidates)} names leave more: those after {limits.few} go")
+        steps.append(
+            f"{len(current.candidates)} names leave more: those after {limits.usual_count} go"
+        )
         report(steps[-1])
-        current = few
+        current = usual
     current = single_parts(residuals, signatures.candidates, current, limits.most)
     for i in reversed(range(len(current.candidates))):  # or none at all
         reduced = _without(residuals, current, i)
@@ -205,7 +207,11 @@ def _required_of_many(
         came: names so far, with what each gained.
     """
     gains = [gained for c, gained in came if set(c.ports) & set(candidate.ports)]
-    return limits.echo * sum(gains) / len(gains) if gains and len(came) >= limits.few else 0.0
+    return (
+        limits.echo * sum(gains) / len(gains)
+        if gains and len(came) >= limits.usual_count
+        else 0.0
+    )
 
 
 def unexplained(
@@ -255,8 +261,10 @@ def reduced_fit(residuals: WhitenedResiduals, full: Fit, places: Sequence[int]) 
         full: fit.
         places: of effects that go.
     """
-    rest = [j for j in range(len(full.candidates)) if j not in places]
-    return fit(residuals, [full.candidates[j] for j in rest], [full.values[j] for j in rest])
+    remaining = [j for j in range(len(full.candidates)) if j not in places]
+    return fit(
+        residuals, [full.candidates[j] for j in remaining], [full.values[j] for j in remaining]
+    )
 
 
 def reduced_selection(
@@ -281,7 +289,7 @@ def reduced_selection(
     )
 
 
-def without_untold(selection: Selection, residuals: WhitenedResiduals) -> Selection:
+def drop_unidentified(selection: Selection, residuals: WhitenedResiduals) -> Selection:
     """Return the selection less the names whose numbers the runs cannot tell.
 
     One that came in with others may have other numbers once those are withdrawn.
@@ -329,24 +337,24 @@ def _candidate_fits(
         start = (*reduced.values[:i], begin, *reduced.values[i:])
         tried = fit(residuals, extended, start)
         for other in _other_valleys(candidate, tried.values[i]):
-            again = fit(residuals, extended, (*tried.values[:i], other, *tried.values[i + 1 :]))
-            tried = min(tried, again, key=lambda f: f.deviance)
+            refit = fit(residuals, extended, (*tried.values[:i], other, *tried.values[i + 1 :]))
+            tried = min(tried, refit, key=lambda f: f.deviance)
         if _is_told(residuals, tried, i) and _acts_long_enough(residuals, tried, i):
             out.append(tried)
 
-    seen = 0
+    attempts = 0
     for j in free[:count]:
         if out and costs[j] > min(cost(f, residuals) for f in out) + _HOPELESS:
             break
         try_out(j, scores[j].values)
-        seen += 1
+        attempts += 1
     if out:
         best = min(out, key=lambda f: cost(f, residuals))
-        for j in free[seen:]:
-            other, found = signatures.candidates[j], best.candidates[i]
-            if _is_case_of(found, other) or _is_case_of(other, found):
+        for j in free[attempts:]:
+            other, winner = signatures.candidates[j], best.candidates[i]
+            if _is_case_of(winner, other) or _is_case_of(other, winner):
                 begin = scores[j].values.copy()
-                begin[other.factors[0]] = best.values[i][found.factors[0]]
+                begin[other.factors[0]] = best.values[i][winner.factors[0]]
                 try_out(j, begin)
     return [f for f in out if not _is_strange_case(f, out, i)]
 

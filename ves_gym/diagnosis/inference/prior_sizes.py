@@ -18,7 +18,11 @@ _SWEEPS = 2  # over the regressions
 
 
 def likeliest_sizes(
-    inner: InnerProducts, left: Array, widths: Sequence[int], p: int, choices: Sequence[float]
+    inner: InnerProducts,
+    freedom: Array,
+    widths: Sequence[int],
+    p: int,
+    choices: Sequence[float],
 ) -> list[float]:
     """Return the size of each regression with the largest marginal likelihood, 0 for none.
 
@@ -31,7 +35,7 @@ def likeliest_sizes(
         p: tolerances.
         choices: sizes to choose from, in the unit of the weights; 0 among them.
     """
-    weight = 1 / np.maximum(left, 1.0)
+    weight = 1 / np.maximum(freedom, 1.0)
     A = np.einsum("g,gij->ij", weight, inner.xx)
     b = -weight @ inner.xz
     n = sum(widths)

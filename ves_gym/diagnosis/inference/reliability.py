@@ -68,7 +68,7 @@ def without(
     selection: Selection,
     residuals: WhitenedResiduals,
     places: Sequence[int],
-    right: Sequence[float],
+    trust: Sequence[float],
 ) -> Selection:
     """Return the selection less the names in some places, and why in its steps.
 
@@ -80,6 +80,6 @@ def without(
     """
     for i in sorted(places, reverse=True):
         name = selection.fit.candidates[i].name
-        why = f"{name}: withheld, of names with such evidence {100 * right[i]:.0f} % are right"
+        why = f"{name}: withheld, of names with such evidence {100 * trust[i]:.0f} % are right"
         selection = reduced_selection(residuals, selection, i, why)
     return selection

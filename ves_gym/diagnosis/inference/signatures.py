@@ -116,8 +116,8 @@ class Signatures:
         self.inner = everything[S, S] - everything[S, J] @ np.linalg.solve(
             inside, everything[J, S]
         )
-        left = np.diag(self.inner) < _DELICATE * np.diag(everything)[p:]
-        self._delicate = [bool(left[list(block.columns)].any()) for block in self.blocks]
+        delicate = np.diag(self.inner) < _DELICATE * np.diag(everything)[p:]
+        self._delicate = [bool(delicate[list(block.columns)].any()) for block in self.blocks]
         self._exact: dict[int, Array] = {}  # block -> (G, p + k, k) products of its columns
 
     def with_tolerances(self, residuals: WhitenedResiduals) -> Signatures:

@@ -36,8 +36,10 @@ def slow_shares(residuals: WhitenedResiduals) -> Mapping[str, float]:
         if len(port.channels) < _FEWEST:
             out[port.name] = 0.0
             continue
-        power, shown = residuals.wander_shown(port.name, z)
-        share = float(np.median([_share(p, w) for p, w in zip(power.T, shown.T, strict=True)]))
+        power, visible = residuals.wander_shown(port.name, z)
+        share = float(
+            np.median([_share(p, w) for p, w in zip(power.T, visible.T, strict=True)])
+        )
         out[port.name] = share
     for port in residuals.ports:  # what one of them lacks is no wander of the same readings
         alike = [k.name for k in residuals.ports if _reads_as(port, k)]
@@ -51,7 +53,7 @@ def _reads_as(a: Port, b: Port) -> bool:
     return a.channels == b.channels and signal in a.needs and signal in b.needs
 
 
-def _share(power: Array, shown: Array) -> float:
+def _share(power: Array, visible: Array) -> float:
     """Return the most probable share of a channel, its level in this range of frequencies free.
 
     Whittle's likelihood: power v (1 + share * shown), v at least that of noise.
@@ -60,7 +62,7 @@ def _share(power: Array, shown: Array) -> float:
         power: (m,) in mean squares of the noise.
         shown: (m,) what slow noise of the same variance has.
     """
-    model = 1 + _GRID[:, None] * shown
+    model = 1 + _GRID[:, None] * visible
     level = np.maximum((power / model).mean(axis=1), 1.0)
     misfit = np.log(level) + (np.log(model) + power / model / level[:, None]).mean(axis=1)
     return float(_GRID[np.argmin(misfit)])

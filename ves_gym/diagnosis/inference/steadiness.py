@@ -28,7 +28,7 @@ _SHARE_SETS_IN = 0.35  # and when play closes or a limit is reached a log tells 
 _ABSENT = 1e-9  # of a whitened residual
 
 
-def without_unsteady(selection: Selection, residuals: WhitenedResiduals) -> Selection:
+def drop_nonstationary(selection: Selection, residuals: WhitenedResiduals) -> Selection:
     """Return the selection less the names whose numbers change from run to run or within one.
 
     Args:
@@ -39,12 +39,12 @@ def without_unsteady(selection: Selection, residuals: WhitenedResiduals) -> Sele
         candidate = selection.fit.candidates[i]
         if candidate.counts is not None:  # a course of its own in every run
             continue
-        more, count = unsteadiness(selection.fit, i, residuals)
+        excess, count = unsteadiness(selection.fit, i, residuals)
         needed = float(scipy.stats.chi2.isf(_CHANCE, max(count, 1)))
         share = _SHARE_SETS_IN if candidate.sets_in else _SHARE
         needed += share * gain(residuals, selection.fit, i)
-        if more > needed:
-            why = f"{more:.1f} of deviance likelier with other numbers in each run and third"
+        if excess > needed:
+            why = f"{excess:.1f} of deviance likelier with other numbers in each run and third"
             selection = reduced_selection(
                 residuals, selection, i, f"{candidate.name}: withdrawn, {why}"
             )
@@ -113,9 +113,9 @@ def in_third(residuals: WhitenedResiduals, x: Array, third: int) -> Array:
                 course = np.fft.ifft(spectrum, _FINER * count, axis=0)
                 cuts = np.linspace(0, len(course), _THIRDS + 1).round().astype(int)
                 course[: cuts[third]] = course[cuts[third + 1] :] = 0.0
-                kept = np.fft.fft(course, axis=0)[:count]
+                low_terms = np.fft.fft(course, axis=0)[:count]
                 ends = np.cumsum([len(real) for real, _ in pairs])[:-1]
-                for p, part in zip(places, np.split(kept, ends), strict=True):
+                for p, part in zip(places, np.split(low_terms, ends), strict=True):
                     out[p] = np.concatenate([part.real, part.imag])
     return out
 

@@ -28,7 +28,7 @@ _TOLD = 4  # errors in a sentence
 
 
 @dataclass(frozen=True)
-class Off:
+class ToleranceExcess:
     """An error of the description larger than it says."""
 
     name: str
@@ -37,7 +37,7 @@ class Off:
 
 
 @dataclass(frozen=True)
-class Weighed:
+class ToleranceFit:
     """The answer under the most probable size of the tolerances."""
 
     selection: Selection
@@ -52,7 +52,7 @@ def selected_with_tolerances(
     signatures: Signatures,
     select: Callable[[WhitenedResiduals, Signatures], Selection],
     doubtful: Callable[[Selection], bool],
-) -> Weighed:
+) -> ToleranceFit:
     """Return the most probable answer over sizes of the tolerances.
 
     Args:
@@ -65,7 +65,7 @@ def selected_with_tolerances(
     first = select(residuals, signatures)
     library = len(signatures.candidates)
     stated = unlikeliness(first.fit, residuals, library)
-    best = Weighed(first, residuals, signatures, 1.0, 0.0)
+    best = ToleranceFit(first, residuals, signatures, 1.0, 0.0)
     if not doubtful(first):
         return best
     names = len(first.fit.candidates)
@@ -76,11 +76,11 @@ def selected_with_tolerances(
         near = min(unlikeliness(k, wide, library) for k in (same, fit(wide, (), ())))
         if near - prices > stated - max(best.gained, MARGIN):
             continue
-        seen = signatures.with_tolerances(wide)
-        answer = select(wide, seen)
+        widened = signatures.with_tolerances(wide)
+        answer = select(wide, widened)
         gained = stated - unlikeliness(answer.fit, wide, library)
         if gained > max(best.gained, MARGIN):
-            best = Weighed(answer, wide, seen, factor, gained)
+            best = ToleranceFit(answer, wide, widened, factor, gained)
     return best
 
 
@@ -103,7 +103,9 @@ def _choice(names: int, library: int) -> float:
     return 2 * names * float(np.log(max(library, 1)))
 
 
-def errors_told(f: Fit, residuals: WhitenedResiduals, factor: float) -> tuple[Off, ...]:
+def errors_told(
+    f: Fit, residuals: WhitenedResiduals, factor: float
+) -> tuple[ToleranceExcess, ...]:
     """Return the errors that are larger than the description says, the farthest first.
 
     Args:
@@ -113,19 +115,19 @@ def errors_told(f: Fit, residuals: WhitenedResiduals, factor: float) -> tuple[Of
     """
     shared = residuals.nuisances[: residuals.shared]
     every = (
-        Off(k.name, float(x * k.std), float(x * factor))
+        ToleranceExcess(k.name, float(x * k.std), float(x * factor))
         for k, x in zip(shared, f.nuisances, strict=False)
     )
     return tuple(sorted((e for e in every if abs(e.sigma) > _OFF), key=lambda e: -abs(e.sigma)))
 
 
-def sentence(factor: float, off: tuple[Off, ...]) -> str:
+def sentence(factor: float, off: tuple[ToleranceExcess, ...]) -> str:
     """Return in words that errors are larger than the description says."""
     if factor == 1.0:
         return ""
-    told = ", ".join(f"{e.name} {e.size:+.2g}" for e in off[:_TOLD])
+    listing = ", ".join(f"{e.name} {e.size:+.2g}" for e in off[:_TOLD])
     return (
         f" The description's errors are about {factor:g} times as large as it says"
-        + (f" ({told})" if told else "")
+        + (f" ({listing})" if listing else "")
         + "."
     )

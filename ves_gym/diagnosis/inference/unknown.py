@@ -166,8 +166,8 @@ class _Evidence:
 
     def _solve(self, sizes: Sequence[float]) -> Solution:
         """Fit with weights in units of their sizes, those of size zero left out."""
-        each = [np.full(c.k, s) for c, s in zip(self._candidates, sizes, strict=True)]
-        scale = np.concatenate([np.ones(self._p), *each])
+        per_number = [np.full(c.k, s) for c, s in zip(self._candidates, sizes, strict=True)]
+        scale = np.concatenate([np.ones(self._p), *per_number])
         at = np.flatnonzero(scale)
         scale = scale[at]
         inner = self._inner
@@ -191,8 +191,8 @@ class _Evidence:
         """The prior size of each regression's weights [N m], 0 where it has none."""
         widths, out = [c.k for c in self._candidates], [0.0] * len(self._candidates)
         for _ in range(_ROUNDS):  # what they explain gives more weight to its groups
-            left = self._solve(out).size
-            out = likeliest_sizes(self._inner, left, widths, self._p, _SIZES)
+            freedom = self._solve(out).size
+            out = likeliest_sizes(self._inner, freedom, widths, self._p, _SIZES)
         return out
 
     def fit(self, sizes: Sequence[float]) -> Fit:
@@ -281,7 +281,7 @@ def beliefs(
     }
 
 
-def doubting(believed: Mapping[str, float], right: float) -> dict[str, float]:
+def doubting(believed: Mapping[str, float], trust: float) -> dict[str, float]:
     """Return probabilities that leave what the library's names are not trusted with to others.
 
     Args:
@@ -289,7 +289,7 @@ def doubting(believed: Mapping[str, float], right: float) -> dict[str, float]:
         right: share of such names that are right.
     """
     ends = (NOTHING, NONE_OF_THESE)
-    out = {k: p if k in ends else p * right for k, p in believed.items()}
+    out = {k: p if k in ends else p * trust for k, p in believed.items()}
     out[NONE_OF_THESE] += sum(believed.values()) - sum(out.values())
     return out
 

@@ -132,7 +132,7 @@ class WhitenedResiduals:
         self.shared = len(shared)  # nuisances of the machine; the others are of single runs
         self.nuisances = [
             *shared,
-            *(k for k, shown in zip(per_run, shows, strict=True) if shown),
+            *(k for k, visible in zip(per_run, shows, strict=True) if visible),
         ]
         self.slopes = np.concatenate([self._slopes_of(shared), own_slopes[:, shows]], axis=1)
         parts = [self.slopes[g.part] for g in self.groups]
@@ -252,7 +252,7 @@ class WhitenedResiduals:
             (m, c) over all runs, both in mean squares of the noise: what z has, and what it
             would have if all of the noise wandered.
         """
-        power, shown = [], []
+        power, visible = [], []
         for rows, whiten, wander in zip(self._rows, self._whiten, self._wander, strict=True):
             lowest = {c: (take, part) for take, part, c in reversed(rows[port])}
             take = lowest[0][0]
@@ -262,8 +262,8 @@ class WhitenedResiduals:
             noise = np.einsum("kij,kij->ki", root, root.conj()).real
             x = np.einsum("kij,kj->ki", root, both)
             power.append(np.abs(x) ** 2 / noise)
-            shown.append(np.einsum("kii->ki", wander[port][take]).real / noise)
-        return np.concatenate(power), np.concatenate(shown)
+            visible.append(np.einsum("kii->ki", wander[port][take]).real / noise)
+        return np.concatenate(power), np.concatenate(visible)
 
     def part(self, port: str) -> slice:
         """Return the place of a port's numbers in the long vector."""
@@ -307,8 +307,8 @@ class WhitenedResiduals:
             (m, n), n that of the port's `span`.
         """
         by_run = [self.machine.residuals(run, models, [port]) for run in self.runs]
-        here = next(p for p in self.ports if p.name == port)
-        return self._with_copies(here, [k[port] for k in by_run], models)
+        chosen_port = next(p for p in self.ports if p.name == port)
+        return self._with_copies(chosen_port, [k[port] for k in by_run], models)
 
     def _with_copies(
         self, port: Port, by_run: Sequence[Array], models: Sequence[Model]
@@ -321,8 +321,10 @@ class WhitenedResiduals:
             of = [ways.index(k) for k in passing]
             plain = out[0]
             if ways != list(models):
-                own = (self.machine.residuals(run, ways, [port.name]) for run in self.runs)
-                plain = self.whitened(port.name, [k[port.name] for k in own])[of]
+                unwhitened = (
+                    self.machine.residuals(run, ways, [port.name]) for run in self.runs
+                )
+                plain = self.whitened(port.name, [k[port.name] for k in unwhitened])[of]
             noisy = [
                 self.machine.residuals(copy, ways, [port.name])[port.name]
                 for copy in (self._copy(i, port.exact) for i in range(len(self.runs)))

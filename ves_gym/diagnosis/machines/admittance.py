@@ -16,7 +16,7 @@ from ves_gym._util.params import Array, Index
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.machines.compensated import compensated_gap, reference
 from ves_gym.diagnosis.machines.controller_signals import (
-    Taken,
+    ControllerSignals,
     extended,
     on_log_clock,
     taken_in,
@@ -64,7 +64,7 @@ def sent_rates(run: Run, described: System) -> Array:
     return np.asarray(np.broadcast_to(rates[0], run["y_cmd"].shape))
 
 
-def _plain_gap(taken: Taken, system: System) -> Array:
+def _plain_gap(taken: ControllerSignals, system: System) -> Array:
     """(k, N, 6) of a loop without payload compensation."""
     late = system.emulator_settings.delay
     y = taken.pose[:, late:]  # the vehicle's own state, sent `late` periods later

@@ -119,7 +119,7 @@ class MeasuredMotion:
         tau, wrench = motion_load(arm, self.joints, self.base)
         return tau, wrench + weight_wrench(arm, self._moments[key], self.fall)
 
-    def load_of_last(self, arm: Arm, more: Array) -> Load:
+    def load_of_last(self, arm: Arm, beyond: Array) -> Load:
         """Return what more of the last link's body takes.
 
         Args:
@@ -139,7 +139,7 @@ class MeasuredMotion:
             ]
             numbers = np.stack([numbers_of_body(point) for point in _POINTS])
             self._last[key] = np.tensordot(np.linalg.inv(numbers), np.stack(loads), 1)
-        both = np.tensordot(more, self._last[key], 1)
+        both = np.tensordot(beyond, self._last[key], 1)
         return both[..., : arm.n], both[..., arm.n :]
 
 

@@ -51,8 +51,8 @@ class BetweenSamples:
             return self
         path = path_of(run, system)
         smooth = _smooth(path.x[:, -1], run, path.x.shape[1])
-        slow, whole = self.joints
-        wrench = _load(system, whole, path)[1] - _load(system, slow, smooth)[1]
+        slow, swinging = self.joints
+        wrench = _load(system, swinging, path)[1] - _load(system, slow, smooth)[1]
         return replace(self, wrench=wrench)
 
     def reading(self, cutoff: float) -> Array:
@@ -84,10 +84,10 @@ def between_samples(run: Run, described: System) -> BetweenSamples:
         torque, swing = _giving_way(run, described, joints, path, still[0])
         if np.abs(swing.v).max() > _STEADY:
             swings = tuple(swing.v[:, :-1:_EVERY].swapaxes(0, 1))
-    whole = Kinematics(*(x + y for x, y in zip(joints, swing, strict=True)))
-    wrench = _load(described, whole, path)[1] - still[1]
+    swinging = Kinematics(*(x + y for x, y in zip(joints, swing, strict=True)))
+    wrench = _load(described, swinging, path)[1] - still[1]
     step = described.physics_dt
-    return BetweenSamples(torque, swing.v[:, -1], wrench, step, swings, (joints, whole))
+    return BetweenSamples(torque, swing.v[:, -1], wrench, step, swings, (joints, swinging))
 
 
 def _giving_way(
@@ -110,15 +110,15 @@ def _giving_way(
         kp, kd = (np.array(run.meta["controller"][k], float) for k in ("kp", "kd"))
     inner = inertia(described.arm, joints.x)[..., 6:, 6:]
     mean = inner.mean(axis=1)
-    moved, rest = joints, np.zeros(())
+    moved, remainder = joints, np.zeros(())
     for _ in range(_ROUNDS):
-        push = _load(described, moved, path)[0] - still + rest
-        given = _driven(mean, kp, kd, push, described.physics_dt)
-        slow = _smooth(given.x[:, -1], run, nodes)
-        swing = Kinematics(*(x - y for x, y in zip(given, slow, strict=True)))
+        push = _load(described, moved, path)[0] - still + remainder
+        response = _driven(mean, kp, kd, push, described.physics_dt)
+        slow = _smooth(response.x[:, -1], run, nodes)
+        swing = Kinematics(*(x - y for x, y in zip(response, slow, strict=True)))
         moved = Kinematics(joints.x + swing.x, joints.v + swing.v, joints.a)
-        rest = matvec(inner - mean[:, None], given.a)
-    torque = -kp * given.x[:, -1] - kd * given.v[:, -1] - matvec(inner, slow.a)[:, -1]
+        remainder = matvec(inner - mean[:, None], response.a)
+    torque = -kp * response.x[:, -1] - kd * response.v[:, -1] - matvec(inner, slow.a)[:, -1]
     return torque, swing
 
 

@@ -30,17 +30,17 @@ _USUAL = {"coulomb": 2.0, "viscous": 1.0}
 
 
 @dataclass(frozen=True)
-class Together:
+class CompositeCause:
     """Effects that are one physical cause."""
 
     effects: tuple[Any, ...]
 
 
-def apart(effects: Any) -> tuple[Any, ...]:
-    """Return effects with those inside `Together` one by one."""
+def split(effects: Any) -> tuple[Any, ...]:
+    """Return effects with those inside `CompositeCause` one by one."""
     out: list[Any] = []
     for effect in effects:
-        out += apart(effect.effects) if isinstance(effect, Together) else [effect]
+        out += split(effect.effects) if isinstance(effect, CompositeCause) else [effect]
     return tuple(out)
 
 
@@ -61,9 +61,9 @@ def arm_friction(
     viscous_units = tuple("N m s/rad" if k == 1.0 else "N s/m" for k in r)
     coulomb_units = tuple("N m" if k == 1.0 else "N" for k in r)
 
-    def make(x: Array) -> Together:
+    def make(x: Array) -> CompositeCause:
         viscous, coulomb = np.split(np.asarray(x), 2)
-        return Together(
+        return CompositeCause(
             (
                 JointViscous(damping=tuple((viscous * r**2).tolist())),
                 JointCoulomb(torque=tuple((coulomb * r).tolist())),
@@ -90,7 +90,7 @@ def arm_friction(
     )
 
 
-def _building_up(form: Callable[[Effect], Presliding], cause: Together) -> Together:
+def _building_up(form: Callable[[Effect], Presliding], cause: CompositeCause) -> CompositeCause:
     """Return a friction whose Coulomb part builds up over a distance."""
     grown = (form(e) if isinstance(e, JointCoulomb) else e for e in cause.effects)
     return dataclasses.replace(cause, effects=tuple(grown))

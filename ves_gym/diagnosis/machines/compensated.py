@@ -18,7 +18,7 @@ import scipy
 
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import NEAR, Run
-from ves_gym.diagnosis.machines.controller_signals import Taken, extended
+from ves_gym.diagnosis.machines.controller_signals import ControllerSignals, extended
 from ves_gym.diagnosis.machines.platform_response import Platforms
 from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.hardware.admittance import implicit_step
@@ -92,7 +92,7 @@ class _Ways:
 
 
 def compensated_gap(
-    run: Run, taken: Taken, systems: Sequence[System], described: System
+    run: Run, taken: ControllerSignals, systems: Sequence[System], described: System
 ) -> Array:
     """Return the force taken in less what moves vehicle and arm together, along the rates.
 
@@ -119,7 +119,7 @@ def compensated_gap(
     return np.stack(gaps)
 
 
-def reference(run: Run, taken: Taken, described: System) -> Trajectory:
+def reference(run: Run, taken: ControllerSignals, described: System) -> Trajectory:
     """Return the trajectory of the description (one row), linearised about itself.
 
     Args:
@@ -129,7 +129,7 @@ def reference(run: Run, taken: Taken, described: System) -> Trajectory:
     """
     memory = _memory(run)
     if "controller" not in memory:
-        first = Taken(taken.force[:1], taken.pose[:1], taken.rate[:1], taken.q)
+        first = ControllerSignals(taken.force[:1], taken.pose[:1], taken.rate[:1], taken.q)
         y = first.pose
         size = 6 + _moving(described) + described.actual.base.m
         state = np.zeros((1, y.shape[1], 2 * size))
@@ -163,7 +163,9 @@ def _shape(system: System) -> LoopShape:
     return LoopShape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
 
 
-def _signals(run: Run, taken: Taken, system: System, described: System) -> dict[str, Array]:
+def _signals(
+    run: Run, taken: ControllerSignals, system: System, described: System
+) -> dict[str, Array]:
     """Inertia (N, 6 + n, 6 + n) of the arm and gains (1, m) that the compensation knows."""
     memory = _memory(run)
     if "inertia" not in memory:
@@ -174,7 +176,7 @@ def _signals(run: Run, taken: Taken, system: System, described: System) -> dict[
 
 
 def _inverse(
-    run: Run, taken: Taken, system: System, described: System, near: Trajectory
+    run: Run, taken: ControllerSignals, system: System, described: System, near: Trajectory
 ) -> Trajectory:
     """Wrenches that make the commands of the log, linearised about a trajectory near it."""
     from ves_gym.diagnosis.machines.recursions import wrenches  # numba takes a second to load
@@ -245,7 +247,7 @@ def _ride(
 
 def _loaded(
     run: Run,
-    taken: Taken,
+    taken: ControllerSignals,
     paths: Sequence[Trajectory],
     systems: Sequence[System],
     described: System,

@@ -16,7 +16,7 @@ _SAME_CLOCK = 1e-3  # by which a log's step may differ from the control period, 
 
 
 @dataclass(frozen=True)
-class Taken:
+class ControllerSignals:
     """Inputs and outputs of the controller, N control periods, k copies."""
 
     force: Array  # (k, N, 6) reading less estimate, platform frame [N, N m]
@@ -59,7 +59,7 @@ def on_log_clock(x: Array, run: Run, system: System) -> Array:
     return np.asarray(scipy.interpolate.CubicSpline(t, x, axis=-2)(instants))
 
 
-def taken_in(run: Run, system: System) -> Taken:
+def taken_in(run: Run, system: System) -> ControllerSignals:
     """Return the controller's inputs and outputs of a log with w, weight, y_cmd (and q).
 
     Args:
@@ -77,10 +77,12 @@ def taken_in(run: Run, system: System) -> Taken:
     if system.emulator_settings.payload_compensation:
         angles = np.reshape(run["q"], (-1, run.length, system.arm.n))[0]
         q = _on_control_clock(angles, run, dt)
-    return Taken(_on_control_clock(force, run, dt), _on_control_clock(pose, run, dt), rate, q)
+    return ControllerSignals(
+        _on_control_clock(force, run, dt), _on_control_clock(pose, run, dt), rate, q
+    )
 
 
 def extended(gap: Array, length: int) -> Array:
     """Return residuals of the first periods (..., n, 6), the last one held up to a length."""
-    more = np.repeat(gap[..., -1:, :], length - gap.shape[-2], axis=-2)
-    return np.concatenate([gap, more], axis=-2)
+    tail = np.repeat(gap[..., -1:, :], length - gap.shape[-2], axis=-2)
+    return np.concatenate([gap, tail], axis=-2)

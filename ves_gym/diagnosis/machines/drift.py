@@ -63,9 +63,9 @@ def courses(run: Run, drift: Array, time: float) -> list[tuple[SlowPath, float]]
     """
     t = (np.arange(_INSTANTS) + 0.5) / _INSTANTS
     waves = np.cos(np.pi * np.arange(WAVES) * t[:, None])
-    apart = run.length * run.dt * np.abs(t[:, None] - t)
+    distance = run.length * run.dt * np.abs(t[:, None] - t)
     back = np.linalg.pinv(waves)
-    variance, axes = np.linalg.eigh(back @ np.exp(-apart / time) @ back.T)
+    variance, axes = np.linalg.eigh(back @ np.exp(-distance / time) @ back.T)
     return [
         (SlowPath(channel, ((run.name, tuple(axis)),)), float(drift[channel] * size))
         for channel in np.flatnonzero(drift).tolist()

@@ -244,12 +244,12 @@ class ForcePlateArm(PlantMachine):
 
     def residual(self, run: Run, port: str, effects: Effects) -> Array:
         """Return the reading less what it should have been, (..., T, 6)."""
-        given = self._needed(run, effects) if port == "plate" else self._sprung(run, effects)
+        modelled = self._needed(run, effects) if port == "plate" else self._sprung(run, effects)
         for e in of_kind(effects, WrenchGain):
-            given = given * (1 + e.error * np.eye(6)[e.axis])
+            modelled = modelled * (1 + e.error * np.eye(6)[e.axis])
         for e in of_kind(effects, WrenchBias):
-            given = given + np.array(e.bias)
-        return np.asarray(run["plate"] - given)
+            modelled = modelled + np.array(e.bias)
+        return np.asarray(run["plate"] - modelled)
 
     def _sprung(self, run: Run, effects: Effects) -> Array:
         """Wrench (..., T, 6) on the base by springs and dampers, in the axes of the world."""
@@ -273,8 +273,8 @@ class ForcePlateArm(PlantMachine):
         out = self._columns(run, None)
         for e in of_kind(effects, HeavierLink):
             link = self._columns(run, e.link)
-            own = self._model.inertias[e.link].toDynamicParameters()
-            out = out + e.error * (link @ own)
+            link_parameters = self._model.inertias[e.link].toDynamicParameters()
+            out = out + e.error * (link @ link_parameters)
         carried = [e.parameters for e in of_kind(effects, PlatePayload)]
         if carried:
             out = out + self._columns(run, self._last) @ sum(carried)

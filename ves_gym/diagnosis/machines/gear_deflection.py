@@ -11,7 +11,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym._util.signals import differentiated, noise_power
-from ves_gym.diagnosis.data.measured_run import Run, kept
+from ves_gym.diagnosis.data.measured_run import Run, cached
 from ves_gym.diagnosis.machines.arm_load import bodies_of
 from ves_gym.diagnosis.machines.torque_balance import filtered, winding_noise
 from ves_gym.effects.joint_drive import HARD
@@ -82,14 +82,16 @@ def _between_teeth(arm: Arm, i: int, torque: Array, taken: Array, run: Run) -> A
     weight = _flight(gear.gap, i, run)
     if weight < _NARROW:
         return at_once
-    known = _beyond(slow, _TELLS * noise)
-    load = known * slow + (1 - known) * _low(taken, run, _CROSSES * run.band)
+    slow_share = _beyond(slow, _TELLS * noise)
+    load = slow_share * slow + (1 - slow_share) * _low(taken, run, _CROSSES * run.band)
     heavy = _inertias(arm, run)[:, 6 + i, 6 + i] - arm.links[i].rotor_inertia
     flown = crossing(load, heavy, gear.damping, half, run.dt) + sure * slow / stiffness
     return np.asarray((1 - weight) * at_once + weight * flown)
 
 
-def felt_of_flights(arm: Arm, left: Array, run: Run, noisy: Array) -> tuple[Array, Array]:
+def backlash_reaction(
+    arm: Arm, torque_gap: Array, run: Run, noisy: Array
+) -> tuple[Array, Array]:
     """Return what links in flight do elsewhere, beside what is foretold of them.
 
     When teeth part and meet is foretold roughly, and the balance of torques at the joint shows
@@ -106,7 +108,7 @@ def felt_of_flights(arm: Arm, left: Array, run: Run, noisy: Array) -> tuple[Arra
     Returns:
         Torques at other joints (..., T, n), and wrench of the arm on its base (..., T, 6).
     """
-    torques, wrench = np.zeros_like(left), np.zeros((*left.shape[:-1], 6))
+    torques, wrench = np.zeros_like(torque_gap), np.zeros((*torque_gap.shape[:-1], 6))
     f = np.asarray(np.fft.rfftfreq(2 * run.length, run.dt), float)
     w4 = (2 * np.pi * f) ** 4
     of_torque, of_angles = noise_power(run.noise["tau"], f, run.dt), run.noise_of_angles(f)
@@ -120,18 +122,18 @@ def felt_of_flights(arm: Arm, left: Array, run: Run, noisy: Array) -> tuple[Arra
         of_motion = mean[6 + j, 6 + j] ** 2 * of_angles[:, j] + of_pose @ of_base
         noise = noisy[j] * of_torque[:, j] + w4 * of_motion
         even = off**2 * f[-1] / run.band * (f <= run.band)  # as far as the band
-        told = (mean[6 + j, 6 + j] - rotor) ** 2 * w4 * even
-        share = 1 / (1 + (_CLEARLY * noise / np.maximum(told, _TINY)) ** 2)
+        information = (mean[6 + j, 6 + j] - rotor) ** 2 * w4 * even
+        share = 1 / (1 + (_CLEARLY * noise / np.maximum(information, _TINY)) ** 2)
         column = inertias[:, :, 6 + j]
-        sooner = filtered(left[..., j], share) / (column[:, 6 + j] - rotor)  # rad/s^2
-        felt = sooner[..., None] * column
-        felt[..., 6 + j] = 0.0
-        torques += felt[..., 6:]
-        wrench -= felt[..., :6]
+        sooner = filtered(torque_gap[..., j], share) / (column[:, 6 + j] - rotor)  # rad/s^2
+        reaction = sooner[..., None] * column
+        reaction[..., 6 + j] = 0.0
+        torques += reaction[..., 6:]
+        wrench -= reaction[..., :6]
     return torques, wrench
 
 
-def flies(arm: Arm, run: Run) -> bool:
+def has_free_play(arm: Arm, run: Run) -> bool:
     """Return True if a link of an arm flies across the gap of its gear."""
     return bool(_errors_of_flights(arm, run).any())
 
@@ -171,14 +173,14 @@ def _inertias(arm: Arm, run: Run) -> Array:
     def computed() -> Array:
         return inertia(arm, run["q"].reshape(-1, run.length, arm.n)[0])
 
-    return kept(run.memory, "inertias", key, computed)  # type: ignore[no-any-return]
+    return cached(run.memory, "inertias", key, computed)  # type: ignore[no-any-return]
 
 
 def _noise_through(arm: Arm, run: Run, top: float) -> Array:
     """Noise of the torques through gears up to `top` Hz (n,) [N m], computed once per arm."""
     rotors = arm.column("rotor_inertia")
     key = tuple(rotors.tolist()), top
-    noise = kept(
+    noise = cached(
         run.memory, "noise through gears", key, lambda: winding_noise(run, rotors, top)
     )
     return noise  # type: ignore[no-any-return]

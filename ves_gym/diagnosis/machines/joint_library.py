@@ -123,7 +123,7 @@ def coupled_shaft(joints: Sequence[MjcfJoint], ratio: Sequence[float]) -> Candid
     )
 
 
-def payload_candidate(visible: Sequence[int], seen: Array) -> Candidate:
+def payload_candidate(visible: Sequence[int], observable: Array) -> Candidate:
     """Return mass, centre and inertia of a payload as one cause.
 
     Args:
@@ -150,7 +150,7 @@ def payload_candidate(visible: Sequence[int], seen: Array) -> Candidate:
         make=make,
         factors=tuple(range(len(visible))),
         sparse=True,
-        feasible=lambda x, precision: nearest_body(x, precision, seen),
+        feasible=lambda x, precision: nearest_body(x, precision, observable),
     )
 
 

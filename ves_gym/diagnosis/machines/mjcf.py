@@ -22,7 +22,7 @@ from ves_gym._util.signals import differentiated
 from ves_gym.diagnosis.data.measured_run import Kinematics, Run
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.machines.base import Nuisance, Port
-from ves_gym.diagnosis.machines.causes import apart
+from ves_gym.diagnosis.machines.causes import split
 from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft
 from ves_gym.diagnosis.machines.joint_library import (
     MjcfJoint,
@@ -64,7 +64,7 @@ class MjcfVariant:
 
     def added(self, effects: Sequence[Any]) -> MjcfVariant:
         """Return the description with effects added."""
-        every = apart(effects)
+        every = split(effects)
         beside = (RateError, CarriedBody, Shaft)
         return dataclasses.replace(
             self,

@@ -310,8 +310,8 @@ def _listed(table: dict[str, Any]) -> dict[str, Any]:
     def listed(joint: Any) -> Any:
         if not isinstance(joint, dict):
             return joint
-        one = {k: [joint[k]] for k in _PARTS if isinstance(joint.get(k), dict)}
-        return {**joint, **one}
+        this_joint = {k: [joint[k]] for k in _PARTS if isinstance(joint.get(k), dict)}
+        return {**joint, **this_joint}
 
     return {**table, "joint": [listed(joint) for joint in joints]}
 

@@ -124,8 +124,8 @@ def _nuisances(system: System) -> Iterator[Nuisance | None]:
             name = f"inner mode along {axis} near {rate:g} Hz"
             tolerance = effect(name, _at_base(system), 1.0, _RESIDUAL, mode)
             if tolerance is not None and system.mode == "ideal":
-                own = altered(system.vehicle, mode.base(system.base))
-                tolerance = dataclasses.replace(tolerance, model=system.replace(vehicle=own))
+                inner = altered(system.vehicle, mode.base(system.base))
+                tolerance = dataclasses.replace(tolerance, model=system.replace(vehicle=inner))
             yield tolerance
     for what, kind in (
         ("stiffness", BaseStiffness),

@@ -35,8 +35,8 @@ def platform_gap(run: Run, systems: Sequence[System], described: System) -> Arra
     copies, length = run["y"].shape[:-2], run.length
     k, m = int(np.prod(copies, dtype=int)), len(systems)
     settings = described.emulator_settings
-    each = [LoopParameters.nominal(s.arm, settings, k).edited(s) for s in systems]
-    p = LoopParameters.stacked(each)
+    nominals = [LoopParameters.nominal(s.arm, settings, k).edited(s) for s in systems]
+    p = LoopParameters.stacked(nominals)
     y, command, begin = _start(run, p, described, m)
     out = y - platform_response(described, p, command, y[:, 0], begin)
     return out.reshape(m, *copies, length, 6)

@@ -89,8 +89,8 @@ class PoseNoise:
             H = inertia(arm, self._q)
             mass, push = H[:, :6, :6] @ self._turn, np.swapaxes(H[:, :6, 6:], -1, -2)
             middle = mass.mean(axis=0)  # e = n_w - w^2 mass n_y
-            shown = np.einsum("k,ij,kj,lj->kil", self._w**4, middle, self._pose, middle)
-            weights = self._low * shown @ np.linalg.inv(shown + _diagonal(self._wrench))
+            visible = np.einsum("k,ij,kj,lj->kil", self._w**4, middle, self._pose, middle)
+            weights = self._low * visible @ np.linalg.inv(visible + _diagonal(self._wrench))
             forget(self._arms)
             self._arms[key] = mass, push @ np.linalg.inv(H[:, :6, :6]), weights
         return self._arms[key]

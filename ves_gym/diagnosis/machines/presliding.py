@@ -70,8 +70,8 @@ def remembered_friction(run: Run, effects: Iterable[Effect]) -> Array | float:
     from angles up to the band smear it. A rate that noise may be is taken for rest, or it would
     bend bristles back and forth.
     """
-    found = [e.levels for e in effects if isinstance(e, JointMemory)]
-    if not found:
+    memories = [e.levels for e in effects if isinstance(e, JointMemory)]
+    if not memories:
         return 0.0
 
     def states() -> tuple[Array, Array]:
@@ -82,4 +82,4 @@ def remembered_friction(run: Run, effects: Iterable[Effect]) -> Array | float:
         return contacts(-v * np.expm1(-np.square(v / size)), run.dt)
 
     bristle, age = run.derived("contacts", frozenset({"q", "v"}), states)
-    return friction(np.sum(found, axis=0), bristle, age)
+    return friction(np.sum(memories, axis=0), bristle, age)

@@ -114,10 +114,10 @@ def _wound(torque: Array, k: float, c: float, hard: float) -> Array:
             push = torque[row, t] + thick * x
             for _ in range(_NEWTON):
                 square = (x / hard) ** 2
-                left = k * x * (1 + square) + thick * x - push
-                more = left / (k * (1 + 3 * square) + thick)
-                x -= more
-                if abs(more) < _NEAR:
+                imbalance = k * x * (1 + square) + thick * x - push
+                newton = imbalance / (k * (1 + 3 * square) + thick)
+                x -= newton
+                if abs(newton) < _NEAR:
                     break
             out[row, t] = x
     return out

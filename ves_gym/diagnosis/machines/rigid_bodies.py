@@ -212,9 +212,12 @@ class UrdfBodies:
         if changes:
             model = self._model.copy()
             for change in changes:
-                own = model.inertias[self._massive[change.body]]
-                own.mass, own.inertia = change.scale * own.mass, change.scale * own.inertia
-                own.lever = own.lever + np.array(change.shift)
+                inertial = model.inertias[self._massive[change.body]]
+                inertial.mass, inertial.inertia = (
+                    change.scale * inertial.mass,
+                    change.scale * inertial.inertia,
+                )
+                inertial.lever = inertial.lever + np.array(change.shift)
         Q, V, A = self._ordered(q, v, a)
         rnea, data = self._pin.rnea, self._data
         out = np.array([rnea(model, data, Q[k], V[k], A[k]) for k in range(len(Q))])
@@ -266,8 +269,8 @@ def visible_parameters(bodies: RigidBodies, n: int) -> tuple[list[int], Array]:
         trial = columns[:, [*taken, k]] / size[[*taken, k]]
         if np.linalg.svd(trial, compute_uv=False)[-1] > 1e-6:
             taken.append(k)
-    seen = np.linalg.lstsq(columns[:, taken], columns, rcond=None)[0]
-    return taken, np.asarray(seen, float)
+    projection = np.linalg.lstsq(columns[:, taken], columns, rcond=None)[0]
+    return taken, np.asarray(projection, float)
 
 
 def joint_property(model: mujoco.MjModel, name: str) -> Array:

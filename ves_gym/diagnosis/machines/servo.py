@@ -47,7 +47,7 @@ def servo_gap(
     return np.asarray(run["tau"] - np.clip(demand, -most, most))
 
 
-def share_of_the_asked(run: Run) -> Array:
+def commanded_torque_weight(run: Run) -> Array:
     """Return the share that what was asked has in the best estimate of a motor torque (n,).
 
     Both are the torque with noise of their own: the log's sensor, and the gains times the noise
@@ -62,7 +62,7 @@ def share_of_the_asked(run: Run) -> Array:
     f = np.asarray(np.fft.rfftfreq(run.length, run.dt), float)
     inside, w = f <= run.band, 2 * np.pi * f[:, None]
     of_angles = noise_power(run.noise["q"], f, run.dt)
-    asked = ((kp**2 + kd**2 * w**2) * of_angles)[inside].mean(axis=0)
+    of_commands = ((kp**2 + kd**2 * w**2) * of_angles)[inside].mean(axis=0)
     logged = noise_power(run.noise["tau"], f, run.dt)[inside].mean(axis=0)
-    total = asked + logged
+    total = of_commands + logged
     return np.asarray(np.where(total > 0, logged / np.where(total > 0, total, 1.0), 0.0))

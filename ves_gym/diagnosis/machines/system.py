@@ -22,8 +22,8 @@ from ves_gym.diagnosis.data.measured_run import (
     Derived,
     Kinematics,
     Run,
+    cached,
     forget,
-    kept,
 )
 from ves_gym.diagnosis.machines.admittance import force_gap
 from ves_gym.diagnosis.machines.arm_load import (
@@ -41,12 +41,12 @@ from ves_gym.diagnosis.machines.between_samples import (
     between_samples,
     butterworth,
 )
-from ves_gym.diagnosis.machines.causes import Together, apart
+from ves_gym.diagnosis.machines.causes import CompositeCause, split
 from ves_gym.diagnosis.machines.drift import SlowPath, courses
 from ves_gym.diagnosis.machines.gear_deflection import (
+    backlash_reaction,
     deflections,
-    felt_of_flights,
-    flies,
+    has_free_play,
 )
 from ves_gym.diagnosis.machines.nuisance_priors import GAIN, system_nuisances
 from ves_gym.diagnosis.machines.platform import followed, platform_gap
@@ -54,7 +54,7 @@ from ves_gym.diagnosis.machines.pose_noise import PoseNoise, pose_noise
 from ves_gym.diagnosis.machines.presliding import Presliding, remembered_friction
 from ves_gym.diagnosis.machines.rates import low_passed
 from ves_gym.diagnosis.machines.ringing import loop_rings
-from ves_gym.diagnosis.machines.servo import servo_gap, share_of_the_asked
+from ves_gym.diagnosis.machines.servo import commanded_torque_weight, servo_gap
 from ves_gym.diagnosis.machines.tolerances import StatedErrors, with_known
 from ves_gym.diagnosis.machines.torque_balance import (
     in_torque_logged,
@@ -206,10 +206,10 @@ class SystemMachine:
         self.ports = tuple(ports)
 
     def model(
-        self, effects: Sequence[Effect | SlowPath | Presliding | Together]
+        self, effects: Sequence[Effect | SlowPath | Presliding | CompositeCause]
     ) -> SystemVariant:
         """Return the description with effects added."""
-        effects = apart(effects)
+        effects = split(effects)
         paths = tuple(e for e in effects if isinstance(e, SlowPath))
         grown = tuple(e for e in effects if isinstance(e, Presliding))
         added = tuple(e for e in effects if isinstance(e, Effect))
@@ -220,10 +220,10 @@ class SystemMachine:
 
     def passing(self, model: SystemVariant) -> SystemVariant:
         """Return a model without what it adds to the torques at joints."""
-        kept = tuple(e for e in model.system.effects if not isinstance(e, _AT_REST))
-        if len(kept) == len(model.system.effects) and not model.presliding:
+        moving = tuple(e for e in model.system.effects if not isinstance(e, _AT_REST))
+        if len(moving) == len(model.system.effects) and not model.presliding:
             return model
-        system = model.system.replace(effects=kept)
+        system = model.system.replace(effects=moving)
         return dataclasses.replace(model, system=system, presliding=())
 
     def floor(self, run: Run, port: str) -> Array:
@@ -350,12 +350,12 @@ class SystemMachine:
                 direction = self._to_wrench[:, path.channel]
                 out["wrench"][k] -= path.of(run)[:, None] * direction
             for start in model.starts:
-                known = _without_new_modes(model.system)[0]
-                force = start.force(run, known.actual.base)
+                without_modes = _without_new_modes(model.system)[0]
+                force = start.force(run, without_modes.actual.base)
                 if "base" in ports:
                     out["base"][k] += force
                 if "wrench" in ports:
-                    out["wrench"][k] -= self._seen_in_wrench(run, known, force)
+                    out["wrench"][k] -= self._seen_in_wrench(run, without_modes, force)
         return out
 
     # ------------------------------------------------------------------- arm
@@ -390,35 +390,37 @@ class SystemMachine:
         most = self.system.arm.column("tau_max")
         # joints that swing within a period rub by the mean of it
         rates = [v + swing for swing in self._between(run).swings] or [v]
-        each = (joint_torque(effects, run.joints.x, rate, tau, most) for rate in rates)
-        return np.asarray(sum(each) / len(rates))
+        per_rate = (joint_torque(effects, run.joints.x, rate, tau, most) for rate in rates)
+        return np.asarray(sum(per_rate) / len(rates))
 
     def _added(self, run: Run, effects: Sequence[Effect], tau: Array) -> Array:
         """Return what effects add to the motors' torques (..., T, n)."""
-        told = self._law(run, effects, run.turning_rate, tau)
-        return np.asarray(told + remembered_friction(run, effects))
+        law_torque = self._law(run, effects, run.turning_rate, tau)
+        return np.asarray(law_torque + remembered_friction(run, effects))
 
     def _told_too_much(self, run: Run, model: SystemVariant) -> Array:
         """Return what a log's torques are above the best estimate of them (..., T, n) [N m].
 
         A controller that is known tells them, too.
         """
-        share = self._share_of_the_asked(run)
+        share = self._commanded_torque_weight(run)
         return share * self._servo(run, model) if share.any() else np.zeros(())
 
-    def _share_of_the_asked(self, run: Run) -> Array:
+    def _commanded_torque_weight(self, run: Run) -> Array:
         """Return (n,) what the asked counts for beside the log; none where it is not known."""
         if run.by_log or not all(k in run for k in _OF_THE_SERVO):
             return np.zeros(self.system.arm.n)
         key = Derived("share of the asked", frozenset[str]())
-        return run.derived(*key, lambda: share_of_the_asked(run))
+        return run.derived(*key, lambda: commanded_torque_weight(run))
 
     def _wrench(self, run: Run, system: System) -> Array:
         """Sensor reading less the arm's wrench (..., T, 6)."""
         wrench = self._load(run, system)[1]
         if system.mode == "ideal":
-            force, known = self._base(run, system)
-            return np.asarray(run["w"] - wrench - self._seen_in_wrench(run, known, force))
+            force, without_modes = self._base(run, system)
+            return np.asarray(
+                run["w"] - wrench - self._seen_in_wrench(run, without_modes, force)
+            )
         return np.asarray(run["w"] - self._sensed(system, wrench, run))
 
     def _seen_in_torque(self, run: Run, system: System) -> Array:
@@ -426,13 +428,13 @@ class SystemMachine:
         arm, noise = system.actual.arm, self._pose_noise(run)
         *how, geared = self._told_load(run, system, arm)
         key: tuple[Hashable, ...] = noise, arm if geared else bodies_of(arm), *how
-        if geared and flies(arm, run):  # what moves the wrench
+        if geared and has_free_play(arm, run):  # what moves the wrench
             key = *key, system.effects
 
-        def seen() -> Array:
+        def in_the_torque() -> Array:
             return noise.in_torque(arm, run["w"] - self._load(run, system)[1])
 
-        return kept(run.memory, "seen in torque", key, seen)  # type: ignore[no-any-return]
+        return cached(run.memory, "seen in torque", key, in_the_torque)  # type: ignore[no-any-return]
 
     def _base(self, run: Run, system: System) -> tuple[Array, System]:
         """Return the arm's wrench less what moves the vehicle (..., T, 6).
@@ -440,16 +442,18 @@ class SystemMachine:
         Modes that are no part of a vehicle's own model answer to the wrench; the rest moves as
         measured. That is returned, too: the pose's noise shows through it alone.
         """
-        known, new = _without_new_modes(system)
-        base = known.actual.base
-        gap = kept(run.memory, "vehicle's gaps", _moved(known), lambda: vehicle_gap(run, base))
+        without_modes, new = _without_new_modes(system)
+        base = without_modes.actual.base
+        gap = cached(
+            run.memory, "vehicle's gaps", _moved(without_modes), lambda: vehicle_gap(run, base)
+        )
         if new is None:
-            return gap, known
+            return gap, without_modes
 
-        def answered() -> Array:
+        def answer() -> Array:
             return gap + answering_force(run, system.actual.base, new)
 
-        return kept(run.memory, "beside new modes", _moved(system), answered), known
+        return cached(run.memory, "beside new modes", _moved(system), answer), without_modes
 
     def _seen_in_wrench(self, run: Run, system: System, force: Array) -> Array:
         """Return what the pose's noise does at port `wrench`, by a residual at port `base`."""
@@ -482,7 +486,7 @@ class SystemMachine:
                 between = between.on(run, system)
             return between.reading(cutoff)
 
-        return kept(run.memory, "swing", key, read)  # type: ignore[no-any-return]
+        return cached(run.memory, "swing", key, read)  # type: ignore[no-any-return]
 
     @cached_property
     def _platform(self) -> tuple[float, float]:
@@ -493,31 +497,33 @@ class SystemMachine:
         """Torque that the motors must give (..., T, n), and wrench of the arm (..., T, 6)."""
         arm = system.actual.arm
         tau, wrench = self._load_of(run, system, arm)
-        if "tau" not in run or not flies(arm, run):
+        if "tau" not in run or not has_free_play(arm, run):
             return tau, wrench
 
         def computed() -> Load:
             torque = run["tau"] - self._told_too_much(run, SystemVariant(system))
-            left = torque + self._added(run, system.effects, torque) - tau
-            return felt_of_flights(arm, left, run, 1 - self._share_of_the_asked(run))
+            imbalance = torque + self._added(run, system.effects, torque) - tau
+            return backlash_reaction(
+                arm, imbalance, run, 1 - self._commanded_torque_weight(run)
+            )
 
         key = arm, *self._told_load(run, system, arm), system.effects
-        felt = kept(run.memory, "felt of flights", key, computed)
-        return tau + felt[0], wrench + felt[1]
+        reactions = cached(run.memory, "felt of flights", key, computed)
+        return tau + reactions[0], wrench + reactions[1]
 
     def _told_load(self, run: Run, system: System, arm: Arm) -> tuple[Any, ...]:
         """Return all that a load depends on beside run and arm, last whether gears give."""
         delays = Delays.of(system)
         geared = any(link.gear is not None for link in arm.links)
-        asked: tuple[Any, ...] = ()  # what tells the torques that wind gears up
+        command_delay: tuple[Any, ...] = ()  # what tells the torques that wind gears up
         if geared and not run.by_log:
-            asked = float(delays.command[0]), tuple(delays.lag[0].tolist())
-        return float(delays.measurement[0]), asked, _hardening(system), geared
+            command_delay = float(delays.command[0]), tuple(delays.lag[0].tolist())
+        return float(delays.measurement[0]), command_delay, _hardening(system), geared
 
     def _load_of(self, run: Run, system: System, arm: Arm) -> Load:
         loads = _memoized(run, "loads", dict)
-        told = self._told_load(run, system, arm)
-        key, old, geared = (arm, *told), told[0], told[-1]
+        load_key = self._told_load(run, system, arm)
+        key, old, geared = (arm, *load_key), load_key[0], load_key[-1]
         if key not in loads:
             motions = _memoized(run, "motions", dict)
             if old not in motions:
@@ -530,9 +536,11 @@ class SystemMachine:
                 loads[key] = motions[old].load(arm)
             else:  # forces are linear in a body's numbers
                 plain = self._load_of(run, system, with_last(arm, described))
-                here, said = map(numbers_of_body, (arm.links[-1].inertial, described))
-                more = motions[old].load_of_last(arm, here - said)
-                loads[key] = plain[0] + more[0], plain[1] + more[1]
+                loaded_body, described_body = map(
+                    numbers_of_body, (arm.links[-1].inertial, described)
+                )
+                beyond = motions[old].load_of_last(arm, loaded_body - described_body)
+                loads[key] = plain[0] + beyond[0], plain[1] + beyond[1]
             forget(loads)
         return loads[key]  # type: ignore[no-any-return]
 
@@ -572,11 +580,11 @@ class SystemMachine:
         tau, wrench = lagging(winding)
         gears = windings(arm, run) if "tau" in run else []
         if gears:  # others feel what the link feels, not what else the torque logged has
-            own_share = 1 - self._share_of_the_asked(run)
+            own_share = 1 - self._commanded_torque_weight(run)
             through = through_gears(winding, torque - tau, gears, run, own_share)
             others, wrench = lagging(through)
-            own = [g.joint for g in gears]
-            others[..., own] = tau[..., own]
+            geared_joints = [g.joint for g in gears]
+            others[..., geared_joints] = tau[..., geared_joints]
             tau = others
         return tau, wrench
 
@@ -589,7 +597,7 @@ class SystemMachine:
             swing = self._between(run).rate
             return servo_gap(run, model.system, self.system.arm, model.gains, swing)
 
-        return kept(run.memory, "servo", key, gap)  # type: ignore[no-any-return]
+        return cached(run.memory, "servo", key, gap)  # type: ignore[no-any-return]
 
     def _velocity(self, run: Run, system: System) -> Array:
         """Rate logged less the rate of the angle logged (..., T, n) [rad/s]."""
@@ -654,8 +662,10 @@ def _without_new_modes(system: System) -> tuple[System, InternalModes | None]:
     new = [e for e in system.effects if isinstance(e, BaseExtraMode) and e.mass]
     if not new:
         return system, None
-    rest = tuple(e for e in system.effects if not isinstance(e, BaseExtraMode))
-    return system.replace(effects=rest), InternalModes.of(tuple(e.oscillator for e in new))
+    kept_effects = tuple(e for e in system.effects if not isinstance(e, BaseExtraMode))
+    return system.replace(effects=kept_effects), InternalModes.of(
+        tuple(e.oscillator for e in new)
+    )
 
 
 def _compensates(system: System) -> bool:
@@ -665,5 +675,5 @@ def _compensates(system: System) -> bool:
 
 def _hardening(system: System) -> tuple[int, ...]:
     """Return the joints whose springs harden."""
-    found = [e.compliance for e in system.effects if isinstance(e, Hardened)]
-    return tuple({i for soft in found for i, x in enumerate(soft) if x})
+    compliances = [e.compliance for e in system.effects if isinstance(e, Hardened)]
+    return tuple({i for soft in compliances for i, x in enumerate(soft) if x})

@@ -61,7 +61,7 @@ class Winding:
     """A gear that its torque winds up while its link lags: what of it a motion shows."""
 
     joint: int
-    shown: Array  # (K,) complex, 1 - H: of an error in the torque, what a balance shows
+    visible: Array  # (K,) complex, 1 - H: of an error in the torque, what a balance shows
     moved: Array  # (K,) power of the noise that the link's motion has in a balance [(N m)^2]
     turned: Array  # (K,) that the rotor's has in the torque through the gear
     both: Array  # (K,) of their product
@@ -90,12 +90,12 @@ def windings(arm: Arm, run: Run) -> list[Winding]:
     out = []
     for j, gear, rotor in geared:
         moved = inertias[6 + j, 6 + j] - rotor
-        shown = 1 - moved * w**2 / (gear.stiffness + 1j * w * gear.damping)
+        visible = 1 - moved * w**2 / (gear.stiffness + 1j * w * gear.damping)
         of_angle, of_base = w**4 * of_angles[:, j], w**4 * (of_pose @ inertias[:6, 6 + j] ** 2)
         out.append(
             Winding(
                 j,
-                shown,
+                visible,
                 moved**2 * of_angle + of_base,
                 rotor**2 * of_angle,
                 rotor * moved * of_angle,
@@ -147,7 +147,7 @@ def in_torque_logged(balance: Array, gears: Sequence[Winding]) -> Array:
     out = balance.copy() if gears else balance
     for g in gears:
         out[..., g.joint] = filtered(
-            balance[..., g.joint], 1 / np.maximum(np.abs(g.shown), _LEAST)
+            balance[..., g.joint], 1 / np.maximum(np.abs(g.visible), _LEAST)
         )
     return out
 
@@ -173,8 +173,8 @@ def through_gears(
     f = np.asarray(np.fft.rfftfreq(2 * run.length, run.dt), float)
     of_torque = noise_power(run.noise["tau"], f, run.dt)
     for g in gears:
-        own = noisy[g.joint] * of_torque[:, g.joint] + g.turned
-        total = np.abs(g.shown) ** 2 * own + g.moved + 2 * g.shown.real * g.both
-        share = (np.conj(g.shown) * own + g.both) / np.where(total > 0, total, 1.0)
+        noise_part = noisy[g.joint] * of_torque[:, g.joint] + g.turned
+        total = np.abs(g.visible) ** 2 * noise_part + g.moved + 2 * g.visible.real * g.both
+        share = (np.conj(g.visible) * noise_part + g.both) / np.where(total > 0, total, 1.0)
         out[..., g.joint] -= filtered(balance[..., g.joint], share)
     return out

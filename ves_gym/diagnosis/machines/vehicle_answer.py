@@ -23,7 +23,7 @@ _ORDER = 4  # coefficients of a cubic
 _SURE = 1e-9  # of a coordinate's size: noise is no less
 
 
-def answering_force(run: Run, whole: BaseModel, new: InternalModes) -> Array:
+def answering_force(run: Run, base: BaseModel, new: InternalModes) -> Array:
     """Return the force of unknown modes on a vehicle that answers the wrench (..., T, 6).
 
     Args:
@@ -33,22 +33,22 @@ def answering_force(run: Run, whole: BaseModel, new: InternalModes) -> Array:
         new: the modes.
     """
     _, force = along_rates(run)
-    states = _answer(run, whole, force)
+    states = _answer(run, base, force)
     n, m = states.shape[-1] // 2, new.m
     yd, way = states[..., n : n + 6], states[..., n - m : n] - states[..., :6] @ new.coupling
     rate = states[..., 2 * n - m :] - yd @ new.coupling
     return force_of_states(new, np.concatenate([way, rate], axis=-1), yd)
 
 
-def _answer(run: Run, whole: BaseModel, force: Array) -> Array:
+def _answer(run: Run, base: BaseModel, force: Array) -> Array:
     """Return the states (..., T, 2 n) of M x'' + D x' + K x = force on the first six.
 
     The vehicle begins as is nearest to the pose measured, its modes at rest beside it.
     """
     from ves_gym.diagnosis.machines.recursions import stepped  # numba takes a second to load
 
-    M, D, K = whole.full()
-    coupling = np.zeros((6, 0)) if whole.internal is None else whole.internal.coupling
+    M, D, K = base.full()
+    coupling = np.zeros((6, 0)) if base.internal is None else base.internal.coupling
     n, size = len(M), run.length
     inverse = np.linalg.inv(M)
     # exact for the spline through the force: its derivatives are states that nothing drives
@@ -68,11 +68,11 @@ def _answer(run: Run, whole: BaseModel, force: Array) -> Array:
     free = stepped(within, np.zeros((12, size, 2 * n)), carried.reshape(12, 2 * n))
     y = run["y"].reshape(-1, size, 6)
     weight = 1 / np.maximum(run.noise["y"].std, _SURE * np.abs(y).max(axis=(0, 1)) + 1e-12)
-    shown = (free[..., :6] * weight).reshape(12, -1)
-    left = ((y - forced[..., :6]) * weight).reshape(len(y), -1)
-    unit = np.linalg.norm(shown, axis=1)
-    shown = shown / unit[:, None]
-    begun = np.linalg.solve(shown @ shown.T, shown @ left.T).T / unit
+    modes = (free[..., :6] * weight).reshape(12, -1)
+    gap = ((y - forced[..., :6]) * weight).reshape(len(y), -1)
+    unit = np.linalg.norm(modes, axis=1)
+    modes = modes / unit[:, None]
+    begun = np.linalg.solve(modes @ modes.T, modes @ gap.T).T / unit
     out = forced + np.einsum("ci,itj->ctj", begun, free)
     return np.asarray(out).reshape(*force.shape[:-1], 2 * n)
 

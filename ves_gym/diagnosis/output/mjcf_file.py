@@ -31,7 +31,7 @@ from ves_gym._util.params import (
     write_text,
 )
 from ves_gym.diagnosis.data.measured_run import Run
-from ves_gym.diagnosis.machines.causes import apart
+from ves_gym.diagnosis.machines.causes import split
 from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
 from ves_gym.diagnosis.machines.mjcf_mapping import machine_of
@@ -85,8 +85,8 @@ def write_machine(
     for name, read in ((MAPPING, mapping), (MODEL, source)):
         if read is not None and (folder / name).resolve() == read.resolve():
             raise ParameterError(f"--out {folder} would overwrite {read}: take another folder")
-    changes = [e for e in apart(effects) if isinstance(e, (RateError, CarriedBody, Shaft))]
-    model_effects = [e for e in apart(effects) if e not in changes]
+    changes = [e for e in split(effects) if isinstance(e, (RateError, CarriedBody, Shaft))]
+    model_effects = [e for e in split(effects) if e not in changes]
     variant = machine.model(effects)
     inside = _split(source, machine, model_effects)
     beside = (
@@ -184,7 +184,7 @@ def _plain(source: Path, effects: Sequence[Effect]) -> _Split:
 def _kind(effect: Any) -> str:
     """Kind of an effect, or what a change of the machine is called."""
     return getattr(effect, "kind", "") or " and ".join(
-        str(getattr(e, "kind", _TABLES.get(type(e)))) for e in apart([effect])
+        str(getattr(e, "kind", _TABLES.get(type(e)))) for e in split([effect])
     )
 
 
