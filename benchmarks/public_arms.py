@@ -18,7 +18,8 @@ import numpy as np
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import get_arm
-from ves_gym.mechanics.dynamics import frames, inertia, inverse_dynamics
+from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
+from ves_gym.mechanics.kinematics import frames
 
 GRAVITY = (1.0, -2.0, -9.81)
 # file, tool; the packages that ship them: example-robot-data, robosuite, rtb-data
@@ -130,8 +131,7 @@ def main(folders: list[str]) -> int:
             print(f"{file}: not found")
             continue
         path, mjcf = paths[0], file.endswith(".xml")
-        read = Arm.from_mjcf if mjcf else Arm.from_urdf
-        arm = read(path, tip=tool, collision=False)
+        arm = Arm.from_file(path, tip=tool, collision=False)
         names = [str(link.name) for link in arm.links]
         theirs = (ByMujoco if mjcf else ByPinocchio)(path, tool, names)
         first = differences(lambda q, v, a=arm: of_arm(a, q, v), theirs, arm.n)

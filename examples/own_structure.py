@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 
 import ves_gym as vg
-from ves_gym.mechanics import FlexibleBase, Reduced, read_structure
+from ves_gym.mechanics import FlexibleBase, read_structure
 
 mast = read_structure(Path(__file__).with_name("mast.pch"), interface=4, units="m-kg-s")
 line = [[0.0, 0.0, -4.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.0]]  # m, nodes 2 to 4, to draw it
-reduced = Reduced.of(mast, modes=4, centreline=np.array(line), nodes=(2, 3, 4), diameter=0.12)
+reduced = mast.reduced(modes=4, centreline=np.array(line), nodes=(2, 3, 4), diameter=0.12)
 base = FlexibleBase(structure=reduced, modes=4, damping_ratio=0.02, source="examples/mast.pch")
 base.save("mast.toml")
 

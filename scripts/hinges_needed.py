@@ -16,10 +16,9 @@ import scipy
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Inertial, diagonal
-from ves_gym.mechanics.boom import NOTHING, Boom
-from ves_gym.mechanics.boom_member import BoomJoint, BoomMember
-from ves_gym.mechanics.flexure import unfold
-from ves_gym.mechanics.section import Material, Section
+from ves_gym.mechanics.beam import Material, Section
+from ves_gym.mechanics.boom import NO_ARM, Boom, BoomJoint, BoomMember
+from ves_gym.mechanics.dynamics import expand
 
 LENGTH, STIFFNESS, MASS = 10.0, 2e6, 80.0  # m, EI [N m^2], kg
 SLENDER = Section(area=1e-2, second_y=1e-6, second_z=1e-6, torsion=1e-6)
@@ -84,8 +83,8 @@ def by_hinges(hinges: int, tip: float, count: int = COUNT, pinned: bool = False)
     )
     ball = Inertial(mass=tip * MASS, com=(0.0,) * 3, inertia=diagonal(0.0, 0.0, 0.0))
     boom = Boom(name="beam", members=(member,), tip=ball if tip else None, source="made up")
-    arm = boom.braked([0.0] * len(boom.joints), NOTHING)
-    whole, flexures = unfold(arm), arm.base_flexures
+    arm = boom.braked([0.0] * len(boom.joints), NO_ARM)
+    whole, flexures = expand(arm), arm.base_flexures
     assert flexures is not None
     H = whole.inertia(np.zeros(1), np.zeros(len(flexures)))[6:-1, 6:-1]
     plane = np.array([k for k, f in enumerate(flexures) if abs(f.axis[1]) > 0.5])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipkinc
@@ -71,3 +73,26 @@ def free_attitude(inertia, w, q, time):
 
     run = solve_ivp(slope, (0, time[-1]), q, "DOP853", t_eval=time, rtol=1e-13, atol=1e-13)
     return run.y.T
+
+
+def rebound(mass: float, stiffness: float, damping: float) -> tuple[float, float]:
+    """Return duration [s] and coefficient of restitution of a central impact.
+
+    The force max(0, k d + c d') ends before the overlap does, where the acceleration is zero
+    (Schwager and Poeschel, Granular Matter 9, 2007, 465-469).
+
+    Args:
+        mass: reduced mass of the two bodies along the normal [kg].
+        stiffness: k [N/m].
+        damping: c [N s/m].
+    """
+    natural, decay = math.sqrt(stiffness / mass), damping / (2 * mass)
+    if decay < natural:
+        omega = math.sqrt(natural**2 - decay**2)
+        time = math.atan2(2 * decay * omega, decay**2 - omega**2) / omega
+    elif decay == natural:
+        time = 2 / decay
+    else:
+        omega = math.sqrt(decay**2 - natural**2)
+        time = math.log((decay + omega) / (decay - omega)) / omega
+    return time, math.exp(-decay * time)

@@ -92,8 +92,8 @@ if TYPE_CHECKING:
     from ves_gym.mechanics.arm import Arm as Arm
     from ves_gym.mechanics.arm import Inertial as Inertial
     from ves_gym.mechanics.arm import Link as Link
+    from ves_gym.mechanics.arm_library import PUMA_560 as PUMA_560
     from ves_gym.mechanics.motion import Motion as Motion
-    from ves_gym.mechanics.puma import PUMA_560 as PUMA_560
     from ves_gym.mechanics.servo import JointServo as JointServo
     from ves_gym.mechanics.vehicle import (
         Beam as Beam,
@@ -236,7 +236,7 @@ _HOMES = {
     "MjcfMachine": "diagnosis.machines.mjcf",
     "Motion": "mechanics.motion",
     "NoPlan": "planners.query",
-    "PUMA_560": "mechanics.puma",
+    "PUMA_560": "mechanics.arm_library",
     "ParameterError": "_util.params",
     "Plan": "planners.query",
     "Planner": "planners.query",

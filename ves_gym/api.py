@@ -17,9 +17,9 @@ import numpy.typing as npt
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError, Vector, finite
 from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.limits import require_limits
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.system.energy import TAIL, Energies, log_energies
 from ves_gym.system.runlog import RunLog

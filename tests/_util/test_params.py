@@ -29,7 +29,7 @@ from ves_gym._util.params import (
     write_text,
 )
 from ves_gym.mechanics.arm import Arm, Inertial, Link, diagonal, matrix, read_arm
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,
     VEHICLES,

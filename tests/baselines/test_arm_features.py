@@ -13,9 +13,8 @@ from ves_gym.baselines.policy import Network, Policy, load_policy, save_policy
 from ves_gym.baselines.ppo import flat
 from ves_gym.baselines.resolved import carried
 from ves_gym.envs.pose_reach import goal_pose
-from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.kinematics import joint_positions, tool_frame, tool_twists
 from ves_gym.mechanics.spatial import matvec, rotation, twist
-from ves_gym.mechanics.tool_pose import tool_frame, tool_twists
 
 
 def moving(id, n=12):

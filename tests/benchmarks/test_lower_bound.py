@@ -19,9 +19,9 @@ from benchmarks.lower_bound.potential import (
 )
 from tests.arms import planar_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.planners.direct import Direct, MotionProblem
 from ves_gym.planners.mean_energy import MeanEnergy

@@ -12,17 +12,15 @@ import numpy as np
 import pytest
 
 from tests import contact_mjcf
-from tests.free_bodies import NO_ARM
+from tests.free_bodies import NO_ARM, rebound
 from ves_gym.mechanics.arm import Inertial, Mount, diagonal
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.attitude import conjugate, from_angles, rotate
-from ves_gym.mechanics.contact import Contact, ContactShape, rebound
-from ves_gym.mechanics.kinematics import tool_jacobian
+from ves_gym.mechanics.kinematics import tool_frame, tool_jacobian
 from ves_gym.mechanics.latch import momentum_of, tool_motion
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.payload import Payload
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.payload import Contact, ContactShape, Payload
 from ves_gym.mechanics.spatial import twist
-from ves_gym.mechanics.tool_pose import tool_frame
 from ves_gym.mechanics.vehicle import FREE_FLOATING, Satellite
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator

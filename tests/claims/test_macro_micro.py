@@ -16,10 +16,9 @@ from ves_gym.engine.linear import linearise_ideal
 from ves_gym.engine.mjcf import TO_Y, pinocchio_model
 from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.arm_library import get_arm
-from ves_gym.mechanics.boom import Boom
-from ves_gym.mechanics.boom_library import REACHING_OUT, SHUTTLE_LIKE
-from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.flexure import unfold
+from ves_gym.mechanics.boom import REACHING_OUT, SHUTTLE_LIKE, Boom
+from ves_gym.mechanics.dynamics import expand
+from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS, JointServo, own_gains
 from ves_gym.mechanics.spatial import rate_matrix, rotation
@@ -82,7 +81,7 @@ def random_state(system: System, seed: int):
 def test_the_chain_is_pinocchios(name):
     """Inertia over (Y, chain), and the acceleration that the kernel finds."""
     system = SYSTEMS[name]
-    chain, n, p = unfold(system.arm), system.arm.n, system.arm.bends
+    chain, n, p = expand(system.arm), system.arm.n, system.arm.bends
     model = pinocchio_model(system.arm, system.base)
     data = model.createData()
     for seed in range(20):
@@ -130,7 +129,7 @@ def test_a_released_boom_keeps_its_energy():
     stiff = replace(SHUTTLE_LIKE, members=tuple(undamped(k) for k in SHUTTLE_LIKE.members))
     system = System(arm=stiff.braked(REACHING_OUT, PUMA), vehicle=HOST, drive="prescribed")
     system = system.replace(physics_dt=0.625e-3)
-    chain, q = unfold(system.arm), np.array([0.3, -0.5, 0.4])
+    chain, q = expand(system.arm), np.array([0.3, -0.5, 0.4])
     pull = np.array([300.0, -200.0, 400.0])  # N at the tool: deflects the slow modes
     ways = (chain.tool(q, 1e-6 * np.eye(13)) - chain.tool(q, np.zeros(13))) / 1e-6
     sim = Simulator(system)
@@ -215,8 +214,8 @@ def test_a_braked_boom_is_the_flexible_base_it_reduces_to(pace):
     base = SHUTTLE_LIKE.at(REACHING_OUT, modes=7)
     reduced = play_motions(System(arm=PUMA, vehicle=base), [motion], settle=3.0, servo=servo)
     flange = SHUTTLE_LIKE.reach(REACHING_OUT)
-    tool = unfold(BRAKED.arm).tool(whole.q[0], whole.u[0])
-    still = unfold(BRAKED.arm).tool(whole.q[0], 0 * whole.u[0])
+    tool = expand(BRAKED.arm).tool(whole.q[0], whole.u[0])
+    still = expand(BRAKED.arm).tool(whole.q[0], 0 * whole.u[0])
     carried = joint_positions(PUMA, reduced.q[0])[:, -1]
     pose = reduced.y[0]
     moved = pose[:, :3] + (rotation(pose) @ carried[..., None])[..., 0]

@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ves_gym.mechanics.dynamics import frames, joint_positions
+from ves_gym.mechanics.kinematics import frames, joint_positions
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.obstacles import RESOLUTION, Sphere, link_radius

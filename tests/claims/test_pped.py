@@ -20,7 +20,7 @@ from ves_gym.damping.free_vibration import simulate_free_vibration
 from ves_gym.damping.plant import GainMatrices, LinearPlant, plant_at, plants
 from ves_gym.damping.tuning import Tuned, tune
 from ves_gym.damping.virtual_manipulator import tune_virtual
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.coupling import coupling_matrix

@@ -19,6 +19,7 @@ from ves_gym.mechanics import attitude
 from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.payload import Payload
+from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import SERVICER, SERVICER_FLEXIBLE, Satellite, get_vehicle
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
@@ -144,7 +145,7 @@ def test_jets_change_momentum_by_their_impulse_and_the_account_closes():
     system = System(vehicle=SERVICER_FLEXIBLE)
     run = play_motions(system, [MOTION], settle=0.05, record_dt=1.25e-3, yd=TUMBLING / 3)
     h = momentum(system, run.q[0], run.v[0], run.y[0], run.yd[0], run.internal(0))
-    R = attitude.to_matrix(attitude.along(run.log(0).y[:, 3:]))
+    R = rotation(run.log(0).y)
     force = np.einsum("nij,nj->ni", R, run.jet[0, :, :3])
     arm = np.einsum("nij,nj->ni", R, run.jet[0, :, 3:]) + np.cross(run.y[0, :, :3], force)
     # turning wrenches, one period of 10 steps at a time: Simpson's rule would see their jumps

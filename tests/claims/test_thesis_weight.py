@@ -22,8 +22,8 @@ from examples.thesis_weight.diagnose import (
     write_logs,
 )
 from ves_gym.diagnosis.diagnose import MORE, UNKNOWN, added
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.gravity import GravityModel, minimal_model
-from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.simulation.gravity_calibration import calibration_poses
 
 FOLDER = Path(by_hand.__file__).parent

@@ -12,7 +12,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym.cli import flags
 from ves_gym.cli.effect_text import parse_effect
 from ves_gym.cli.flags import Flag, Place, radians_note, values
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.system.effect import EFFECTS
 
 PLACE = Place("--x", PUMA_560)

@@ -11,7 +11,7 @@ from ves_gym.damping.analysis import analyse
 from ves_gym.damping.configurations import best_configurations, damping_map, estimated_integral
 from ves_gym.damping.plant import GainMatrices, plant_at
 from ves_gym.damping.tuning import tune
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.coupling import coupling_matrix, modes

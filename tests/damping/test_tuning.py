@@ -13,7 +13,7 @@ from ves_gym.damping.plant import GainMatrices, plant_at, plants
 from ves_gym.damping.tuning import OBJECTIVES, Bounds, _Inside, objective_of, tune
 from ves_gym.engine.mjcf import TO_Y, pinocchio_model
 from ves_gym.mechanics.arm import Arm, matrix
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS, JointServo
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,

@@ -22,8 +22,7 @@ from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.hardware.leg_servo import FILTERED, leg_clock
 from ves_gym.hardware.platform import PoseServo
-from ves_gym.mechanics.arm_library import get_arm
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560, get_arm
 from ves_gym.mechanics.vehicle import (
     BENT,
     BENT_THESIS,

@@ -16,10 +16,10 @@ from ves_gym.effects import (
     PayloadMass,
 )
 from ves_gym.engine.linear import linearise_ideal
-from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.gravity import GRAVITY
+from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING, MatrixVehicle
 from ves_gym.simulation.playback import play_motions

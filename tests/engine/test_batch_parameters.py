@@ -38,7 +38,7 @@ from ves_gym.engine.batch_parameters import Laws
 from ves_gym.hardware.leg_servo import LOW_GAINS, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.arm import Inertial, diagonal, matrix
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.servo import PPED_GAINS, JointServo
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,

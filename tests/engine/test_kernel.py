@@ -18,7 +18,7 @@ from ves_gym.engine.kernel import build, emit, numbers, trace
 from ves_gym.engine.kernel.blocks import aligned
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.mechanics.arm import matrix
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,
     DECOUPLED,

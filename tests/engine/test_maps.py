@@ -7,9 +7,9 @@ from tests.arms import six_joint_arm
 from ves_gym.engine.kernel import build, maps, modes
 from ves_gym.engine.kernel.maps import WeightMap, coupling_matrices
 from ves_gym.engine.kernel.modes import ModeMap
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench, minimal_model
 from ves_gym.mechanics.modes import natural_modes
-from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.planners.coupling import coupling_matrix
 from ves_gym.system.system import System

@@ -14,9 +14,9 @@ from ves_gym.engine.regressors import (
     inertial_parameters,
     weight_parameters,
 )
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.gravity import GravityModel, gravity_vector, minimal_model
-from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT_THESIS
 
 ARMS = {

@@ -10,8 +10,7 @@ import ves_gym  # noqa: F401 - registers the environments
 from tests.envs.test_divergence import derail
 from ves_gym._util.params import ParameterError
 from ves_gym.envs.build import build_task
-from ves_gym.mechanics.arm_library import get_arm
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560, get_arm
 from ves_gym.mechanics.servo import own_gains
 from ves_gym.system.runlog import RunLog
 

@@ -9,7 +9,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym.envs.build import build_task
 from ves_gym.envs.env import VesEnv
 from ves_gym.envs.vector import VesVectorEnv
-from ves_gym.mechanics.jets import strongest
+from ves_gym.mechanics.pointing import strongest
 from ves_gym.mechanics.vehicle import FREE_FLYING, SERVICER, SERVICER_FLEXIBLE
 from ves_gym.simulation.simulator import Simulator
 

@@ -23,9 +23,9 @@ from ves_gym.envs.control import (
     get_control,
 )
 from ves_gym.envs.vector import VesVectorEnv
-from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.arm_library import PUMA_560
+from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.planners.benchmark import run_benchmark

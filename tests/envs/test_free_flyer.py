@@ -10,8 +10,8 @@ from ves_gym._util.params import ParameterError
 from ves_gym.baselines.registry import get_controller
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
-from ves_gym.mechanics.dynamics import inertia, joint_positions
-from ves_gym.mechanics.kinematics import tool_jacobian
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.kinematics import joint_positions, tool_jacobian
 from ves_gym.mechanics.spatial import matvec, rotation, twist
 
 

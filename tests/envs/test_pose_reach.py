@@ -13,15 +13,10 @@ from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.kinematics import pose_dexterity, tool_frame, tool_speeds, tool_twists
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 from ves_gym.mechanics.spatial import rotation, twist
-from ves_gym.mechanics.tool_pose import (
-    pose_dexterity,
-    tool_frame,
-    tool_pose,
-    tool_speeds,
-    tool_twists,
-)
+from ves_gym.mechanics.tool_pose import tool_pose
 
 SIX, SEVEN = "puma560-wrist", "iiwa14"
 

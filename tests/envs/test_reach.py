@@ -11,9 +11,9 @@ from ves_gym._util.params import ParameterError
 from ves_gym.baselines.resolved import Resolved
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
-from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.kinematics import dexterity, joints_for
+from ves_gym.mechanics.kinematics import dexterity, joint_positions
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
+from ves_gym.mechanics.tool_pose import joints_for
 
 IDS = ("ves/PumaReach-v0", "ves/PumaReachGoal-v0")
 

@@ -16,8 +16,8 @@ from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.base_model import BaseModel
-from ves_gym.mechanics.kinematics import joints_for
 from ves_gym.mechanics.spatial import quadratic
+from ves_gym.mechanics.tool_pose import joints_for
 from ves_gym.mechanics.vehicle import VEHICLES
 
 

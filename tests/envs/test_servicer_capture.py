@@ -14,8 +14,8 @@ from ves_gym.envs.servicer_capture import CLIENT, SERVICER, meeting
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.attitude import to_matrix
+from ves_gym.mechanics.kinematics import tool_frame
 from ves_gym.mechanics.latch import free_mass, to_point, tool_motion
-from ves_gym.mechanics.tool_pose import tool_frame
 from ves_gym.system.system import System
 
 TASK, ID = "servicer_capture", "ves/ServicerCapture-v0"

@@ -10,7 +10,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym.baselines.resolved import Resolved
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
-from ves_gym.mechanics.kinematics import joints_for
+from ves_gym.mechanics.tool_pose import joints_for
 
 
 @pytest.mark.parametrize("settings", [{}, EMULATED])

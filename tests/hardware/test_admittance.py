@@ -15,8 +15,8 @@ from ves_gym.hardware.admittance import (
     integrate,
     rigid_body,
 )
-from ves_gym.mechanics.arm import diagonal, skew
-from ves_gym.mechanics.spatial import matvec, rotation, twist
+from ves_gym.mechanics.arm import diagonal
+from ves_gym.mechanics.spatial import matvec, rotation, skew, twist
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,
     DECOUPLED,

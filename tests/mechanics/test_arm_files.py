@@ -8,9 +8,9 @@ import pytest
 from tests.mechanics.test_urdf import GRAVITY, chain, with_pinocchio
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Arm, Capsule, Gear
-from ves_gym.mechanics.arm_library import arm_names, get_arm
-from ves_gym.mechanics.dynamics import frames, inertia, inverse_dynamics
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560, arm_names, get_arm
+from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
+from ves_gym.mechanics.kinematics import frames
 
 
 @pytest.fixture
@@ -77,10 +77,10 @@ def require_same_shapes(one, other):
 
 
 @pytest.mark.parametrize("form", ["urdf", "mjcf"])
-@pytest.mark.parametrize("n", [1, 3, 6, 7, 9])
+@pytest.mark.parametrize("n", [1, 7])
 def test_an_arm_comes_back_from_the_file_it_is_written_to(write, tmp_path, form, n):
     """Tolerance: 1e-12, rounding; the issue asks for 1e-10."""
-    arm = furnished(Arm.from_urdf(write(chain(n, seed=n), "first.urdf")))
+    arm = furnished(Arm.from_file(write(chain(n, seed=n), "first.urdf")))
     path = tmp_path / f"again.{form}"
     getattr(arm, f"to_{form}")(path)
     again = get_arm(path)
@@ -107,11 +107,11 @@ def test_every_shipped_arm_comes_back(tmp_path, name, form):
         assert with_mujoco(path, arm).max() < 1e-12
 
 
-@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("n", [1, 3])
 def test_the_pinocchio_model_is_the_file_s(write, n):
     pin = pytest.importorskip("pinocchio")
     path = write(chain(n, seed=n), "arm.urdf")
-    arm = Arm.from_urdf(path)
+    arm = Arm.from_file(path)
     arm = dataclasses.replace(
         arm, links=tuple(dataclasses.replace(k, rotor_inertia=0.3) for k in arm.links)
     )
@@ -203,7 +203,7 @@ def with_mujoco(path, arm, tool="tool", hold=()):
 def test_an_mjcf_is_what_mujoco_makes_of_it(write):
     """Tolerance: 1e-12, rounding; the issue asks for 1e-10."""
     path = write(MODEL, "arm.xml")
-    arm = Arm.from_mjcf(path, tip="pen")
+    arm = Arm.from_file(path, tip="pen")
     assert [k.name for k in arm.links] == ["pan", "lift", "elbow"]
     assert with_mujoco(path, arm, "pen").max() < 1e-12
     pan, lift, elbow = arm.links
@@ -220,7 +220,7 @@ def test_a_massless_link_runs_on_both_engines(write):
     from ves_gym.simulation.simulator import Simulator
     from ves_gym.system.system import System
 
-    arm = Arm.from_mjcf(write(MODEL, "arm.xml"), tip="pen").without_friction()
+    arm = Arm.from_file(write(MODEL, "arm.xml"), tip="pen").without_friction()
     system = System(arm=arm)
     assert system.arm.links[0].inertial.mass == 0
     states = []
@@ -278,18 +278,18 @@ def test_a_bad_mjcf_is_named(write, case):
         text = MODEL.replace(old, "").replace('<geom type="sphere" size="0.03"/>', "")
         path, message = write(text, "arm.xml"), "cannot compile it"
     with pytest.raises(ParameterError, match=rf"arm\.xml: .*({message})"):
-        Arm.from_mjcf(path, tip="pen")
+        Arm.from_file(path, tip="pen")
 
 
 def test_several_ends_and_unknown_names(write):
     path = write(MODEL, "arm.xml")
     with pytest.raises(ParameterError, match="tip: no body 'hand'; there are world, stand"):
-        Arm.from_mjcf(path, tip="hand")
+        Arm.from_file(path, tip="hand")
     with pytest.raises(ParameterError, match=r"has 2 ends: finger, ball; name the body"):
-        Arm.from_mjcf(path)
+        Arm.from_file(path)
     with pytest.raises(ParameterError, match=r"joint 'grip' of body 'finger' is a slide"):
-        Arm.from_mjcf(path, root="stand")
-    held = Arm.from_mjcf(path, root="stand", locked={"grip": 0.01})
+        Arm.from_file(path, root="stand")
+    held = Arm.from_file(path, root="stand", locked={"grip": 0.01})
     assert held.n == 3 and "grip at 0.01" in held.source
 
 

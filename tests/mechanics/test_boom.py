@@ -11,14 +11,19 @@ import scipy
 from ves_gym._util.params import ParameterError, from_plain, to_plain
 from ves_gym.mechanics.arm import Arm, Inertial, diagonal
 from ves_gym.mechanics.arm_library import get_arm
-from ves_gym.mechanics.boom import NOTHING, Boom
-from ves_gym.mechanics.boom_library import QUASI_ISOTROPIC, REACHING_OUT, SHUTTLE_LIKE
-from ves_gym.mechanics.boom_member import BoomMember
-from ves_gym.mechanics.dynamics import inertia, joint_positions
+from ves_gym.mechanics.beam import Tube
+from ves_gym.mechanics.boom import (
+    NO_ARM,
+    QUASI_ISOTROPIC,
+    REACHING_OUT,
+    SHUTTLE_LIKE,
+    Boom,
+    BoomMember,
+)
+from ves_gym.mechanics.dynamics import expand, inertia
 from ves_gym.mechanics.flexible_base import FlexibleBase, Polyline, Strut, bent_line
-from ves_gym.mechanics.flexure import unfold
+from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.modes import natural_modes
-from ves_gym.mechanics.section import Tube
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.planners.coupling import coupling_matrix
 from ves_gym.planners.query import Query
@@ -36,7 +41,7 @@ def test_at_rest_a_chain_is_the_ordinary_arm(name):
     """Rigid limit: kinematics and inertia of n joints, driven boom and braked boom alike."""
     micro = get_arm(name)
     arm = SHUTTLE_LIKE.carry(micro)
-    chain, p = unfold(arm), arm.bends
+    chain, p = expand(arm), arm.bends
     assert (arm.n, p) == (3 + micro.n, 10)
     q = np.random.default_rng(0).uniform(-1, 1, (4, arm.n))
     q[:, :3] = REACHING_OUT
@@ -50,7 +55,7 @@ def test_at_rest_a_chain_is_the_ordinary_arm(name):
     assert (braked.n, braked.bends) == (micro.n, 13)
     joints = np.r_[:6, 9 : 6 + arm.n]
     assert inertia(braked, q[:, 3:]) == pytest.approx(H[:, joints[:, None], joints], abs=1e-9)
-    tool = unfold(braked).tool(q[:, 3:], np.zeros((4, 13)))
+    tool = expand(braked).tool(q[:, 3:], np.zeros((4, 13)))
     assert tool == pytest.approx(joint_positions(arm, q)[:, -1], abs=1e-12)
 
 
@@ -60,11 +65,11 @@ def test_a_boom_bends_where_its_joints_stand():
     arm, away = SHUTTLE_LIKE.carry(micro), 0.2
     braked = SHUTTLE_LIKE.braked(REACHING_OUT, micro)
     d = np.zeros(13)
-    elbow = np.flatnonzero(np.isclose(unfold(braked).stiffness, 6e5))[0]
+    elbow = np.flatnonzero(np.isclose(expand(braked).stiffness, 6e5))[0]
     d[elbow] = away
     turned = [*REACHING_OUT[:2], REACHING_OUT[2] + away]
     expected = joint_positions(arm, [*turned, 0.1, 0.2, 0.3])[-1]
-    assert unfold(braked).tool([0.1, 0.2, 0.3], d) == pytest.approx(expected, abs=1e-12)
+    assert expand(braked).tool([0.1, 0.2, 0.3], d) == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("pinned", [False, True])
@@ -86,7 +91,7 @@ def test_a_tip_gives_in_statics_as_a_beam_does():
     """Force and moment at the tip, exactly: Gauss's rule integrates what they bend."""
     length, load = 6.0, Tube(outer_diameter=0.2, wall=0.004)
     member = BoomMember(vector=(length, 0, 0), section=load, material=QUASI_ISOTROPIC)
-    arm = Boom(name="rod", members=(member,), source="test").braked([], NOTHING)
+    arm = Boom(name="rod", members=(member,), source="test").braked([], NO_ARM)
     flexures = arm.base_flexures
     ways = np.array([np.cross(f.axis, np.array([length, 0, 0]) - f.origin) for f in flexures])
     turns = np.array([f.axis for f in flexures])
@@ -136,7 +141,7 @@ def test_a_reduction_is_the_linear_motion_of_the_chain():
     """All modes kept: frequencies of the braked boom with the locked arm, to rounding."""
     micro = get_arm("puma560-wrist")
     arm = SHUTTLE_LIKE.braked(REACHING_OUT, micro)
-    chain, q = unfold(arm), np.full(6, 0.3)
+    chain, q = expand(arm), np.full(6, 0.3)
     M = chain.inertia(q, np.zeros(13))[6:19, 6:19]
     squares = scipy.linalg.eigh(np.diag(chain.stiffness), M, eigvals_only=True)
     base = SHUTTLE_LIKE.at(REACHING_OUT, modes=7, fastest=1e9).base_model()
@@ -187,7 +192,7 @@ def test_bad_booms_are_refused():
     arm = SHUTTLE_LIKE.carry(get_arm("puma560"))
     light = replace(arm.links[1], inertial=get_arm("puma560").links[1].inertial)
     with pytest.raises(ParameterError, match="link 2: the parts beyond its flexures"):
-        unfold(replace(arm, links=(arm.links[0], light, *arm.links[2:])))
+        expand(replace(arm, links=(arm.links[0], light, *arm.links[2:])))
     with pytest.raises(ParameterError, match=r"the last of Arm\.links must not bend"):
         replace(arm, links=arm.links[:2])
 
@@ -206,7 +211,7 @@ def test_pictures_bend_as_the_boom_does(name):
         rng.uniform(-0.1, 0.1, p),
     )
     drawing.pose(y, q, d)
-    expected = y[:3] + rotation(y) @ unfold(system.arm).tool(q, d)
+    expected = y[:3] + rotation(y) @ expand(system.arm).tool(q, d)
     assert drawing.data.site("tool").xpos == pytest.approx(expected, abs=1e-9)
     drawing.pose(y, q)
     straight = y[:3] + rotation(y) @ joint_positions(system.arm, q)[-1]

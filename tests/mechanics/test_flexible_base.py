@@ -1,9 +1,6 @@
 """A flexible base: files, what it reduces to, what is refused, and how it bends."""
 
 import dataclasses
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -11,17 +8,16 @@ import scipy.linalg
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Inertial, diagonal, matrix
+from ves_gym.mechanics.beam import Section, Tube
 from ves_gym.mechanics.flexible_base import (
     ELEMENTS,
     CornerBody,
     FlexibleBase,
     Polyline,
-    Reduced,
     Strut,
     stress,
 )
 from ves_gym.mechanics.modes import natural_modes
-from ves_gym.mechanics.section import Section, Tube
 from ves_gym.mechanics.structure import Structure
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,
@@ -74,7 +70,7 @@ def drawn(axes=None):
     line = FLEXIBLE.structure.frame().nodes
     at = line if axes is None else line @ axes
     nodes = tuple(range(101, 101 + len(line)))
-    return Reduced.of(users(), 6, axes=axes, centreline=at, nodes=nodes, diameter=0.18)
+    return users().reduced(6, axes=axes, centreline=at, nodes=nodes, diameter=0.18)
 
 
 @pytest.mark.parametrize(
@@ -124,7 +120,7 @@ def test_what_a_vehicle_has_counts_its_modes():
     """Stiffness of a free structure is that of its modes; without damping there is none."""
     M, K = FLEXIBLE.structure.frame(4).matrices()
     free = Structure(M, K, None, tuple(range(12, 18)), rigid_modes=6)
-    floating = FlexibleBase(structure=Reduced.of(free, 3), modes=3, damping_ratio=0.01)
+    floating = FlexibleBase(structure=free.reduced(3), modes=3, damping_ratio=0.01)
     assert not floating.base_model().K.any()
     assert has(floating, "K") and has(floating, "D")
     assert not has(dataclasses.replace(floating, damping_ratio=0.0), "D")
@@ -201,19 +197,12 @@ def test_a_mode_bends_it_between_its_ends():
     assert np.abs(bent[:, 1]).max() == pytest.approx(np.abs(bent).max())
 
 
-def test_a_structure_without_a_line_is_not_drawn():
-    reduced = Reduced.of(users(), 2)
-    base = FlexibleBase(structure=reduced, modes=2)
-    assert beam_line(base, np.zeros((1, 6))) is None
-    assert base.nodes is None
-
-
 def test_stress_under_a_load_on_the_flange():
     """100 N across the bent beam's upper half: F L c / I at the elbow and along the lower."""
     force = np.array([100.0, 0, 0, 0, 0, 0])
     y = np.linalg.solve(BENT_THESIS.stiffness(), force)[None]
     found = stress(FLEXIBLE, y, FLEXIBLE.base_model().attached(y))[0]
-    area, second, _ = BENT_THESIS.section
+    area, second = BENT_THESIS.section.area, BENT_THESIS.section.second_y
     bending = 100.0 * 8.0 * 0.09 / second
     assert found[1] == pytest.approx([bending, 0.0], abs=1e-3 * bending)
     assert found[0] == pytest.approx([bending + 100.0 / area] * 2, rel=1e-3)
@@ -234,64 +223,7 @@ def test_stress_of_a_mode_is_that_of_its_inertia():
         stress(FlexibleBase(structure=drawn(), modes=2), np.zeros((1, 6)))
 
 
-def test_the_picture_bends_as_the_run_says(tmp_path):
-    """What `render` draws: the log's internal modes are in the clip, drawn as beam_line's."""
-    import ves_gym as vg
-    from ves_gym.rendering.render import View, _clip
-
-    system = System(vehicle=FLEXIBLE)
-    motion = vg.Motion.straight(np.zeros(3), np.array([1.0, 0.5, -0.5]), 0.3)
-    log = vg.simulate(motion, system, settle=0.1)
-    clip = _clip(log, View(magnify=10.0))
-    assert clip["u"].shape == (len(clip["t"]), 6)
-    np.savez(tmp_path / "clip.npz", y=clip["y"], u=clip["u"])
-    system.save(tmp_path / "system.json")
-    code = (
-        "import numpy as np\n"
-        "from ves_gym.rendering.drawing import Drawing\n"
-        "from ves_gym.system.system import System\n"
-        "clip = np.load('clip.npz')\n"
-        "drawing = Drawing(System.load('system.json'), 64, 48)\n"
-        "drawing.pose(clip['y'][0], np.zeros(3))\n"
-        "np.save('line.npy', drawing.beam(clip['y'], clip['u']))\n"
-    )
-    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
-    found = np.load(tmp_path / "line.npy")
-    assert found == pytest.approx(beam_line(FLEXIBLE, clip["y"], clip["u"]), abs=1e-9)
-    static = beam_line(FLEXIBLE, clip["y"])
-    assert np.abs(found - static).max() > 1e-4
-
-
-BITS = """
-import numpy as np
-import threadpoolctl
-from ves_gym.mechanics.vehicle import BENT, STRAIGHT_VERTICAL
-threads = [k["num_threads"] for k in threadpoolctl.threadpool_info() if k["user_api"] == "blas"]
-print(max(threads), end=" ")
-for base in (BENT, STRAIGHT_VERTICAL):
-    model = base.base_model()
-    arrays = model.M, model.K, model.internal.coupling, model.internal.damping
-    print(np.concatenate([a.ravel() for a in arrays]).tobytes().hex(), end=" ")
-"""
-
-
-def test_a_beam_has_the_same_bits_on_any_number_of_threads():
-    """Split among two, sums ended otherwise, and a machine had another hash (NumPy's BLAS)."""
-    found = []
-    for threads in ("1", "2"):
-        names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-        env = {**os.environ, **dict.fromkeys(names, threads)}
-        done = subprocess.run(
-            [sys.executable, "-c", BITS], env=env, check=True, capture_output=True, text=True
-        )
-        used, *bits = done.stdout.split()
-        found.append(bits)
-    if used == "1":
-        pytest.skip("this machine has one core")
-    assert found[0] == found[1]
-
-
-REDUCED = Reduced.of(users(damped=False), 2)
+REDUCED = users(damped=False).reduced(2)
 
 
 @pytest.mark.parametrize(
@@ -320,7 +252,7 @@ REDUCED = Reduced.of(users(damped=False), 2)
             lambda: dataclasses.replace(REDUCED, coupling=matrix(50 * np.ones((6, 2)))),
             "must be positive definite, got an eigenvalue -",
         ),
-        (lambda: Reduced.of(users(), 2, axes=2 * np.eye(3)), "axes must be a rotation"),
+        (lambda: users().reduced(2, axes=2 * np.eye(3)), "axes must be a rotation"),
     ],
 )
 def test_what_cannot_be_is_refused(make, message):

@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.arms import planar_arm, six_joint_arm
-from ves_gym._util.params import ParameterError, from_plain, to_plain
+from ves_gym._util.params import ParameterError
 from ves_gym.engine.mjcf import TO_Y, pinocchio_model
 from ves_gym.mechanics.arm import Arm, Inertial, Link, diagonal
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.gravity import (
     GRAVITY,
@@ -21,7 +22,6 @@ from ves_gym.mechanics.gravity import (
     minimal_model,
     moment_regressor,
 )
-from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import VEHICLES
 from ves_gym.system.system import System
@@ -166,16 +166,6 @@ def test_minimal_parameters_lose_nothing(seed):
     np.testing.assert_allclose(wrench[:, 3:], model.G(q, g) @ P, rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("shape", [(), (5,), (2, 3), (0,)])
-def test_batch_shapes(shape):
-    q, y = draw(PUMA_560, shape)
-    model = minimal_model(PUMA_560)
-    assert gravity_vector(y).shape == (*shape, 3)
-    assert moment_regressor(PUMA_560, q).shape == (*shape, 3, 15)
-    assert model.regressor(q).shape == model.G(q, gravity_vector(y)).shape == (*shape, 3, 9)
-    assert GravityModel.of(PUMA_560).wrench(PUMA_560, q, y).shape == (*shape, 6)
-
-
 def test_every_simulation_may_have_its_own_model():
     q, y = draw(PUMA_560, (4,))
     g, rng = gravity_vector(y), np.random.default_rng(2)
@@ -185,12 +175,6 @@ def test_every_simulation_may_have_its_own_model():
         one = GravityModel(mass=mass[k], P=tuple(P[k])).wrench(PUMA_560, q[k], y[k])
         np.testing.assert_allclose(found[k], one, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(gravity_wrench(PUMA_560, q[0], g[0], mass, P)[0], found[0])
-
-
-def test_model_is_data():
-    model = GravityModel.of(PUMA_560)
-    assert from_plain(GravityModel, to_plain(model)) == model
-    assert hash(model) == hash(GravityModel.of(PUMA_560))
 
 
 def test_bad_input_is_named():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.jets import Jet, allocated, propellant, pulses, wrench_matrix
+from ves_gym.mechanics.pointing import Jet, allocated, pulses, wrench_matrix
 from ves_gym.mechanics.vehicle import SERVICER, Satellite
 
 JETS = SERVICER.jets
@@ -76,15 +76,6 @@ def test_a_pulse_longer_than_a_period_goes_on():
     assert given.sum() == pytest.approx(jet.min_impulse, rel=0.05)
     np.testing.assert_allclose(given[:2], THRUST * dt)
     assert not given[3:].any()
-
-
-def test_without_a_minimum_impulses_are_as_asked():
-    jet = replace(JETS[0], min_impulse=0.0)
-    np.testing.assert_allclose(run(jet, [3.0, 0.0, 1e-3], 0.01), [0.03, 0.0, 1e-5])
-
-
-def test_propellant_is_impulse_over_exhaust_speed():
-    assert propellant(JETS[:2], np.array([290.0, 0.0])) == pytest.approx(1 / 9.80665)
 
 
 @pytest.mark.parametrize(

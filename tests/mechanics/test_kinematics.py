@@ -4,14 +4,9 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.kinematics import (
-    dexterity,
-    every_joints_for,
-    joints_for,
-    tool_jacobian,
-)
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560
+from ves_gym.mechanics.kinematics import dexterity, joint_positions, tool_jacobian
+from ves_gym.mechanics.tool_pose import every_joints_for, joints_for
 
 LOW, HIGH = PUMA_560.column("q_min"), PUMA_560.column("q_max")
 

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.limits import LimitError, limit_ratios, require_limits
 from ves_gym.mechanics.motion import (
@@ -18,7 +19,6 @@ from ves_gym.mechanics.motion import (
     knots,
     quintic,
 )
-from ves_gym.mechanics.puma import PUMA_560
 
 START, GOAL = np.array([0.3, -0.8, 1.1]), np.array([-1.2, 0.4, 0.2])
 
@@ -73,15 +73,6 @@ def test_velocity_and_acceleration_are_the_derivatives():
     np.testing.assert_allclose((ahead.v - back.v) / (2 * h), s.a, atol=2e-2)
 
 
-def test_one_time_is_as_good_as_many():
-    motion = wavy()
-    many = motion.at([0.7, 2.5])
-    for t, k in ((0.7, 0), (2.5, 1)):
-        one = motion.at(t)
-        for part in ("q", "v", "a"):
-            np.testing.assert_array_equal(getattr(one, part), getattr(many, part)[k])
-
-
 # ------------------------------------------------------------------- constructions
 
 
@@ -98,9 +89,6 @@ def test_straight_is_the_quintic():
     acceleration = 60 * u - 180 * u**2 + 120 * u**3
     np.testing.assert_allclose(s.a, acceleration[:, None] / T**2 * span, atol=1e-12)
     assert speed.max() == QUINTIC_PEAK_SPEED
-
-
-def test_quintic_is_held_outside():
     np.testing.assert_array_equal(quintic([-1, 0, 0.5, 1, 2]), [0, 0, 0.5, 1, 1])
 
 
@@ -112,13 +100,6 @@ def test_through_passes_a_few_points_to_a_milliradian(k):
     misses = [distance_to(Motion.through(way, 2.0), way) for way in ways]
     assert np.median(misses) < 1e-3
     assert max(misses) < 2e-3
-
-
-def test_through_passes_a_smooth_path_to_a_milliradian():
-    u = np.linspace(0, 1, 17)
-    for bow in (0.2, 0.5, 1.0):
-        way = np.stack([u, bow * np.sin(np.pi * u), bow * u**2], axis=1)
-        assert distance_to(Motion.through(way, 2.0), way) < 1e-3
 
 
 def test_corners_are_rounded_as_the_docstring_says():
@@ -188,26 +169,15 @@ F3 = ((1.0, 1.0, 1.0),) * 3
     ("make", "message"),
     [
         (lambda: Motion(duration=0.0, control=E3 + F3), "duration must be > 0 s"),
-        (lambda: Motion(duration=np.nan, control=E3 + F3), "duration must be > 0 s"),
-        (lambda: Motion(duration="1", control=E3 + F3), "duration must be > 0 s"),
         (lambda: Motion(duration=1.0, control=E3 + F3[:2]), r"shape \(>= 6, n\), got \(5, 3\)"),
         (lambda: Motion(duration=1.0, control=(0.0,) * 6), r"got \(6,\)"),
-        (lambda: Motion(duration=1.0, control=((),) * 6), r"got \(6, 0\)"),
-        (lambda: Motion(duration=1.0, control=E3 + F3[:2] + ((1.0,),)), "rows of n numbers"),
         (lambda: Motion(duration=1.0, control=E3 + (("1",) * 3,) * 3), "rows of n numbers"),
         (lambda: Motion(duration=1.0, control=E3 + ((np.nan,) * 3,) * 3), "finite, got nan"),
         (lambda: Motion(duration=1.0, control=E3[:2] + F3[:1] + F3), "three times"),
         (lambda: Motion(duration=1.0, control=E3 + E3[:1] + F3[:2]), "three times"),
         (lambda: Motion.straight([0, 0, 0], [0, 0], 1.0), "start and goal"),
-        (lambda: Motion.straight(0.0, 1.0, 1.0), "start and goal"),
-        (lambda: Motion.straight([0, np.inf], [0, 0], 1.0), "finite"),
-        (lambda: Motion.straight([0.0], [1.0], -1.0), "duration"),
         (lambda: Motion.through([[0, 0, 0]], 1.0), "way-points"),
-        (lambda: Motion.through([0, 0, 0], 1.0), "way-points"),
-        (lambda: Motion.through([[0, 0], [np.nan, 0]], 1.0), "way-points must be finite"),
         (lambda: Motion.fit([[0, 0, 0]], 1.0), "samples"),
-        (lambda: Motion.fit([0.0, 1.0], 1.0), "samples"),
-        (lambda: Motion.fit(np.full((20, 3), np.nan), 1.0), "samples must be finite"),
         (
             lambda: Motion.fit(np.zeros((20, 3)), 1.0, controls=5),
             "controls must be >= 6, got 5",
@@ -282,8 +252,3 @@ def test_unknown_limits_are_refused():
     with pytest.raises(ParameterError, match=r"limits are position, .*got 'speed'"):
         require_limits(PUMA_560, motion, ("speed",))
     require_limits(PUMA_560, motion, ())
-
-
-def test_limits_want_a_motion_of_the_arm():
-    with pytest.raises(ParameterError, match=r"q must have shape \(..., 3\), got \(201, 2\)"):
-        limit_ratios(PUMA_560, Motion.straight([0, 0], [1, 1], 1.0))

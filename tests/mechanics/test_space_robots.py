@@ -1,7 +1,6 @@
 """Free-floating robots against SPARTpy: recorded figures, and SPARTpy where it is installed."""
 
 import dataclasses
-from importlib import metadata
 
 import numpy as np
 import pytest
@@ -14,17 +13,16 @@ from tests.space_robots import (
     PLANAR,
     PLANAR_Q,
     RATE,
-    STEPS,
     TURN,
     Q,
     Robot,
-    Spart,
     planar_motion,
     possible,
 )
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Arm, Inertial, diagonal
-from ves_gym.mechanics.dynamics import frames, inertia, newton_euler
+from ves_gym.mechanics.dynamics import inertia, newton_euler
+from ves_gym.mechanics.kinematics import frames
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import Satellite
@@ -88,20 +86,9 @@ def arm(tmp_path):
     def read(robot: Robot) -> Arm:
         path = tmp_path / "robot.urdf"
         path.write_text(robot.urdf())
-        return Arm.from_urdf(path)
+        return Arm.from_file(path)
 
     return read
-
-
-@pytest.fixture(scope="module")
-def spart():
-    """Make SPARTpy's account of a robot."""
-    pytest.importorskip("SPARTpy", reason="spartpy is not installed")
-    try:
-        Spart(PLANAR.urdf())
-    except OSError as error:  # without OpenMP, or a compiler to do without Intel's
-        pytest.skip(f"spartpy does not load: {error}")
-    return Spart
 
 
 def order(n, R):
@@ -212,31 +199,3 @@ def test_zero_reaction_manoeuvre_of_ets_vii(arm):
 def test_inertias_of_ets_vii_as_transcribed_are_refused(arm):
     with pytest.raises(ParameterError, match=r"'body1'.*rigid body.*1\.69"):
         arm(ETS_VII)
-
-
-def test_spartpy(spart, arm):
-    """Everything again, entry by entry and in other configurations, from SPARTpy itself."""
-    rng = np.random.default_rng(0)
-    for robot in (CHASER, PLANAR, possible(ETS_VII)):
-        ours, theirs = arm(robot), spart(robot.merged().urdf())
-        whole = spart(robot.urdf())  # the end body on its fixed joint
-        without = arm(dataclasses.replace(robot, end=None))
-        for _ in range(5):
-            q = rng.uniform(-np.pi, np.pi, robot.n)
-            R = rotation(np.concatenate([np.zeros(3), rng.uniform(-1, 1, 3)]))
-            u, udot = rng.normal(size=(2, 6 + robot.n))
-            close(generalised_inertia(ours, q, np.eye(3)), theirs.inertia(q), 9)
-            close(generalised_inertia(ours, q, np.eye(3)), whole.inertia(q), 9)
-            close(response(ours, q, R), whole.response(q, R), 9)
-            close(jacobian(ours, q, R), whole.jacobian(q, R), 9)
-            close(forces(ours, R, q, u, udot), theirs.forces(R, q, u, udot), 11)
-            if metadata.version("spartpy") == "1.1.3":
-                close(forces(without, R, q, u, udot), whole.forces(R, q, u, udot), 11)
-            close(accelerations(ours, R, q, u, udot), theirs.accelerations(R, q, u, udot), 8)
-    theirs = spart(CHASER.merged().urdf())
-    close(np.diag(theirs.inertia(Q)), INERTIA, 11)
-    close(theirs.forces(TURN, Q, U, U / 10), FORCES, 11)
-    close(theirs.accelerations(TURN, Q, U, 10 * U), ACCELERATIONS, 9)
-    planar = spart(PLANAR.urdf())
-    close(planar.jacobian(PLANAR_Q)[[3, 4, 2]], JACOBIAN, 12)
-    close(planar_motion(planar.jacobian, planar.response)[STEPS], RESOLVED, 9)

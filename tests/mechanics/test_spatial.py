@@ -5,13 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ves_gym.mechanics.arm import Inertial, matrix, skew
+from ves_gym.mechanics.arm import Inertial, matrix
 from ves_gym.mechanics.spatial import (
     body_wrench,
     matvec,
     quadratic,
     rate_matrix,
     rotation,
+    skew,
     twist,
     twist_rate,
 )

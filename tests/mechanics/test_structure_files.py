@@ -8,10 +8,10 @@ import scipy.io
 import scipy.sparse
 
 from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.beam import ALUMINIUM, Tube
 from ves_gym.mechanics.craig_bampton import reduce
 from ves_gym.mechanics.finite_elements import polyline
 from ves_gym.mechanics.matrix_files import read_matrices
-from ves_gym.mechanics.section import ALUMINIUM, Tube
 from ves_gym.mechanics.structure import UNITS, Structure, read_structure
 from ves_gym.mechanics.vehicle import BENT_THESIS
 

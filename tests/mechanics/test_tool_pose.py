@@ -6,16 +6,14 @@ import pytest
 
 from tests.arms import planar_arm, seven_joint_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560
+from ves_gym.mechanics.kinematics import joint_positions, tool_frame, tool_twists
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.tool_pose import (
     ToolPose,
     configurations_at,
     pose_error,
-    tool_frame,
     tool_pose,
-    tool_twists,
     towards_pose,
 )
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from ves_gym._util.params import ParameterError, write_table
 from ves_gym.mechanics.arm import diagonal, matrix
+from ves_gym.mechanics.modes import modal_damping
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,
     FREE_FLOATING,
@@ -18,12 +19,8 @@ from ves_gym.mechanics.vehicle import (
     STRAIGHT_VERTICAL_THESIS,
     VEHICLES,
     Beam,
-    Material,
     MatrixVehicle,
-    elementwise_damping,
     get_vehicle,
-    modal_damping,
-    vehicle_from_plain,
 )
 
 BEAMS = {
@@ -77,13 +74,9 @@ def test_an_unknown_vehicle_is_an_error_that_lists_the_known(tmp_path):
         ({"segments": ()}, "at least one vector"),
         ({"segments": ((0.0, 0.0, 1.0), (0.0, 0.0, 0.0))}, r"segments\[1\] .*zero length"),
         ({"segments": ((0.0, 1.0),)}, r"segments\[0\] must have shape \(3,\)"),
-        ({"segments": ((0.0, 1.0, np.nan),)}, r"segments\[0\] must be finite"),
         ({"outer_diameter": 0.0}, "outer_diameter must be > 0 m"),
-        ({"outer_diameter": -0.1}, "outer_diameter must be > 0 m"),
-        ({"wall": 0.0}, "wall must be > 0 m"),
         ({"wall": 0.09}, "wall must be < half the outer diameter 0.18 m, got 0.09 m"),
         ({"damping_ratio": -0.01}, "damping_ratio must be >= 0"),
-        ({"damping_ratio": np.nan}, "damping_ratio"),
         (
             {"mass_model": "lumped"},
             "mass_model must be one of thesis, consistent, got 'lumped'",
@@ -94,18 +87,6 @@ def test_an_unknown_vehicle_is_an_error_that_lists_the_known(tmp_path):
 def test_a_beam_that_cannot_be_built_is_refused(changes, message):
     with pytest.raises(ParameterError, match=message):
         dataclasses.replace(BENT_THESIS, **changes)
-
-
-def test_a_material_has_positive_properties():
-    with pytest.raises(ParameterError, match="density must be > 0 kg/m"):
-        Material(youngs_modulus=1e9, shear_modulus=1e9, density=0.0, source="test")
-
-
-def test_flexibility_at_the_tip_is_the_inverse_of_stiffness(beam):
-    last = len(beam.segments) - 1
-    tip = beam.flexibility(last, float(np.linalg.norm(beam.segments[last])))
-    np.testing.assert_allclose(tip, tip.T, atol=1e-12 * tip.max())
-    np.testing.assert_allclose(tip @ beam.stiffness(), np.eye(6), atol=1e-10)
 
 
 def test_flexibility_is_continuous_along_the_beam_and_zero_at_the_clamp(beam):
@@ -128,7 +109,8 @@ def test_a_beam_cut_into_pieces_is_the_same_beam(beam):
 
 def test_a_straight_tube_has_the_textbook_stiffness():
     """K of a cantilever: 3EI/L^3 for a free, 12EI/L^3 for a guided tip; EA/L; GJ/L."""
-    area, second, polar = STRAIGHT_VERTICAL_THESIS.section
+    section = STRAIGHT_VERTICAL_THESIS.section
+    area, second, polar = section.area, section.second_y, section.torsion
     E, G, L = 72e9, 27e9, 12.0
     K = STRAIGHT_VERTICAL_THESIS.stiffness()
     want = [12 * E * second / L**3] * 2 + [E * area / L] + [4 * E * second / L] * 2
@@ -148,10 +130,9 @@ def test_matrices_are_exactly_symmetric_and_definite(beam, mass_model, damping_m
 
 
 def test_mass_models_differ_and_say_which(beam):
-    thesis = dataclasses.replace(beam, mass_model="thesis").base_model()
-    consistent = dataclasses.replace(beam, mass_model="consistent").base_model()
-    np.testing.assert_array_equal(thesis.M, beam.thesis_mass())
-    np.testing.assert_array_equal(consistent.M, beam.consistent_mass())
+    thesis, consistent = (
+        dataclasses.replace(beam, mass_model=k).base_model() for k in MASS_MODELS
+    )
     np.testing.assert_array_equal(thesis.K, consistent.K)
     assert np.count_nonzero(thesis.M - np.diag(np.diag(thesis.M))) == 0
     assert (np.diag(thesis.M)[:3] == beam.mass / 2).all()
@@ -203,21 +184,6 @@ def test_a_tip_at_the_clamp_has_no_mass_of_the_thesis(shape):
     assert np.linalg.eigvalsh(base.M)[0] > 0
 
 
-def test_modal_damping_shows_as_decay_of_the_poles():
-    """Poles of M x'' + D x' + K x = 0 are -zeta omega +- j omega sqrt(1 - zeta^2)."""
-    base = dataclasses.replace(
-        BENT_THESIS, damping_ratio=0.07, mass_model="consistent"
-    ).base_model()
-    A = np.block(
-        [
-            [np.zeros((6, 6)), np.eye(6)],
-            [-np.linalg.solve(base.M, base.K), -np.linalg.solve(base.M, base.D)],
-        ]
-    )
-    poles = np.linalg.eigvals(A)
-    np.testing.assert_allclose(-poles.real / np.abs(poles), 0.07, rtol=1e-6)
-
-
 def test_free_directions_stay_undamped():
     """A rigid-body mode has omega = 0, so no damping."""
     K = np.diag([0.0, 10, 20, 30, 40, 50])
@@ -226,9 +192,7 @@ def test_free_directions_stay_undamped():
 
 
 def test_elementwise_damping_is_the_printed_formula():
-    beam = dataclasses.replace(BENT_THESIS, damping_model="elementwise")
-    base = beam.base_model()
-    np.testing.assert_array_equal(base.D, elementwise_damping(base.M, base.K, 0.05))
+    base = dataclasses.replace(BENT_THESIS, damping_model="elementwise").base_model()
     want = 2 * 0.05 * np.sqrt(np.diag(base.K) * np.diag(base.M))
     np.testing.assert_allclose(np.diag(base.D), want, rtol=1e-15)
     assert np.count_nonzero(base.D) == 6
@@ -244,50 +208,26 @@ def test_user_matrices_are_checked_by_name(name):
     good = {"M": EYE, "D": EYE, "K": EYE}
     crooked = np.eye(6)
     crooked[2, 3] = 0.5
-    with pytest.raises(
-        ParameterError, match=rf"MatrixVehicle.{name} must be symmetric.*\[3,4\] = 0.5"
+    for bad, what in (
+        (matrix(crooked), r"symmetric.*\[3,4\] = 0.5"),
+        (diagonal(1, 1, 1, 1, 1, -2), "positive semidefinite.*-2"),
     ):
-        MatrixVehicle(**{**good, name: matrix(crooked)})
-    with pytest.raises(
-        ParameterError, match=rf"MatrixVehicle.{name} must be positive semidefinite.*-2"
-    ):
-        MatrixVehicle(**{**good, name: diagonal(1, 1, 1, 1, 1, -2)})
-    with pytest.raises(ParameterError, match=rf"MatrixVehicle.{name} must have shape \(6, 6\)"):
-        MatrixVehicle(**{**good, name: diagonal(1, 1, 1)})
-    with pytest.raises(ParameterError, match=rf"MatrixVehicle.{name} must be finite"):
-        MatrixVehicle(**{**good, name: diagonal(1, 1, 1, 1, 1, np.inf)})
+        with pytest.raises(ParameterError, match=f"MatrixVehicle.{name} must be {what}"):
+            MatrixVehicle(**{**good, name: bad})
 
 
-def test_rounding_is_no_asymmetry():
-    """What a file with ten digits holds is taken and made symmetric."""
-    K = BENT_THESIS.stiffness()
+def test_matrices_are_taken_as_they_are_but_for_rounding():
+    """What a file with ten digits holds is made symmetric; zeros are a vehicle."""
+    K, zero = BENT_THESIS.stiffness(), matrix(np.zeros((6, 6)))
     K[0, 4] *= 1 + 1e-10
-    base = MatrixVehicle(M=EYE, D=EYE, K=matrix(K)).base_model()
-    assert (base.K == base.K.T).all()
+    base = MatrixVehicle(M=EYE, D=zero, K=matrix(K)).base_model()
+    assert (base.K == base.K.T).all() and not base.D.any() and base.body is None
 
 
-def test_zero_stiffness_and_damping_are_a_vehicle():
-    free = MatrixVehicle(
-        M=diagonal(*[500.0] * 6), D=matrix(np.zeros((6, 6))), K=diagonal(*[0.0] * 6)
-    )
-    assert (free.base_model().K == 0).all()
-    assert free.base_model().body is None
-
-
-def test_satellites_float():
-    for satellite in (FREE_FLOATING, FREE_FLYING):
-        base = satellite.base_model()
-        assert not base.M.any()
-        assert not base.D.any()
-        assert not base.K.any()
-        np.testing.assert_array_equal(base.mass_matrix, satellite.body.spatial())
-        assert base.mass_matrix[0, 0] == 500.0
-    assert FREE_FLYING.thrusters
-    assert not FREE_FLOATING.thrusters
-
-
-def test_a_vehicle_from_plain_data_is_named_in_errors():
-    with pytest.raises(
-        ParameterError, match=r"mine.kind must be one of beam, flexible, matrices, satell"
-    ):
-        vehicle_from_plain({"kind": "ship"}, "mine")
+@pytest.mark.parametrize("satellite", [FREE_FLOATING, FREE_FLYING], ids=["floating", "flying"])
+def test_satellites_float(satellite):
+    base = satellite.base_model()
+    assert not (base.M.any() or base.D.any() or base.K.any())
+    np.testing.assert_array_equal(base.mass_matrix, satellite.body.spatial())
+    assert base.mass_matrix[0, 0] == 500.0
+    assert satellite.thrusters is (satellite is FREE_FLYING)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tests.arms import planar_arm, six_joint_arm
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
-from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.planners.momentum import momentum, torque
 
 ARMS = {"puma": PUMA_560, "planar": planar_arm(), "six joints": six_joint_arm()}

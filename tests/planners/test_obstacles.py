@@ -5,7 +5,7 @@ import pytest
 
 from tests.arms import six_joint_arm
 from ves_gym._util.params import ParameterError, write_table
-from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, STRAIGHT_HORIZONTAL_THESIS
 from ves_gym.planners.obstacles import (
     Box,
@@ -66,7 +66,7 @@ def test_distance_from_a_ball_is_that_of_capsules():
 
 
 def axis(arm, q, i):
-    from ves_gym.mechanics.dynamics import frames
+    from ves_gym.mechanics.kinematics import frames
 
     return frames(arm, q).axis[i]
 

@@ -10,7 +10,7 @@ import pytest
 
 from tests.arms import WRIST_GAINS, six_joint_arm
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.dynamics import frames
+from ves_gym.mechanics.kinematics import frames
 from ves_gym.mechanics.motion import quintic
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners import ompl_search

@@ -7,9 +7,9 @@ import pytest
 
 from tests.arms import seven_joint_arm
 from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
 from ves_gym.planners.coupling import coupling_matrix, disturbance_matrix

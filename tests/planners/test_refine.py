@@ -9,7 +9,7 @@ import pytest
 
 from tests.arms import WRIST_GAINS, seven_joint_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.dynamics import frames
+from ves_gym.mechanics.kinematics import frames
 from ves_gym.mechanics.limits import limit_ratios
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING

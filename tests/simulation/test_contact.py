@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.free_bodies import rebound
 from ves_gym._util.params import ParameterError
 from ves_gym.effects.payload import PayloadMass
 from ves_gym.mechanics.arm import Inertial, diagonal
-from ves_gym.mechanics.boom_library import get_boom
-from ves_gym.mechanics.contact import Contact, ContactShape, rebound
+from ves_gym.mechanics.arm_library import PUMA_560
+from ves_gym.mechanics.boom import get_boom
+from ves_gym.mechanics.kinematics import tool_frame
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.payload import Payload
-from ves_gym.mechanics.puma import PUMA_560
-from ves_gym.mechanics.tool_pose import tool_frame
+from ves_gym.mechanics.payload import Contact, ContactShape, Payload
 from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, FREE_FLOATING
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator

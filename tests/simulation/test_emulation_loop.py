@@ -15,10 +15,9 @@ from ves_gym.hardware.leg_servo import FILTERED, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.hardware.stewart import VES
 from ves_gym.mechanics.arm import diagonal
-from ves_gym.mechanics.arm_library import get_arm
+from ves_gym.mechanics.arm_library import PUMA_560, get_arm
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.gravity import GRAVITY, GravityModel, gravity_vector
-from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.spatial import matvec, rate_matrix, rotation
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING, MatrixVehicle
 from ves_gym.simulation.simulator import Simulator

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from tests.arms import planar_arm, six_joint_arm
 from ves_gym._util.params import ParameterError, write_table
-from ves_gym.mechanics.arm import skew
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.gravity import GravityModel, minimal_model
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.spatial import skew
 from ves_gym.simulation.gravity_calibration import (
     calibration_poses,
     fit,

@@ -8,9 +8,9 @@ import pytest
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import LABORATORY_ERRORS, GravityMass, SensorNoise
 from ves_gym.hardware.stewart import VES
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.gravity import GravityModel
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation import gravity_learning
 from ves_gym.simulation.gravity_learning import Iteration, Learning, learn_gravity

@@ -10,7 +10,7 @@ import pytest
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Inertial, diagonal
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS, JointServo
 from ves_gym.mechanics.spatial import twist
 from ves_gym.mechanics.vehicle import (

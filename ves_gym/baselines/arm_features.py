@@ -16,8 +16,7 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.envs.task import Task
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import arm_names, get_arm
-from ves_gym.mechanics.dynamics import Frames, frames
-from ves_gym.mechanics.kinematics import tool_motions
+from ves_gym.mechanics.kinematics import Frames, frames, tool_motions
 from ves_gym.mechanics.spatial import (
     cross,
     matvec,

@@ -16,11 +16,10 @@ from ves_gym.envs.reach import Reach
 from ves_gym.envs.track import Track
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.kinematics import every_joints_for, tool_jacobian
+from ves_gym.mechanics.kinematics import joint_positions, tool_frame, tool_jacobian
 from ves_gym.mechanics.spatial import matvec, rotation, twist
 from ves_gym.mechanics.spherical_wrist import has_spherical_wrist, shortest_way
-from ves_gym.mechanics.tool_pose import tool_frame
+from ves_gym.mechanics.tool_pose import every_joints_for
 
 _MOST_SHARE = 8.0  # 1/s: largest share of the way left that is gone per second
 _ROUNDS = 2  # of Newton's method for the joint angles on the base as measured

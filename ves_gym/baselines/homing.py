@@ -10,9 +10,9 @@ from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.baselines.resolved import carried, damped_inverse, seen_from_base
 from ves_gym.envs.reach import Reach
 from ves_gym.envs.vector import VesVectorEnv
-from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.kinematics import joints_for, tool_jacobian
+from ves_gym.mechanics.kinematics import joint_positions, tool_jacobian
 from ves_gym.mechanics.spatial import matvec, twist
+from ves_gym.mechanics.tool_pose import joints_for
 
 _MOVE = 0.75  # share of an episode that the way takes
 _LEAST = 0.35  # s that there are left to go at any time

@@ -13,10 +13,10 @@ from ves_gym.envs.payload_transfer import PayloadTransfer
 from ves_gym.envs.reach import Reach
 from ves_gym.envs.track import Track
 from ves_gym.envs.vector import VesVectorEnv
-from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.kinematics import joints_for, tool_jacobian
+from ves_gym.mechanics.kinematics import joint_positions, tool_jacobian
 from ves_gym.mechanics.motion import quintic
 from ves_gym.mechanics.spatial import matvec, rotation, twist
+from ves_gym.mechanics.tool_pose import joints_for
 
 _MOVE = 0.7  # share of an episode that the way to a target takes
 _LEGS = ((0.0, 0.37), (0.45, 0.8))  # the same of the two legs of payload_transfer

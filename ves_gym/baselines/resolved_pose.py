@@ -15,14 +15,10 @@ from ves_gym.envs.scales import straight_energy, straight_motion
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.kinematics import pose_dexterity, tool_frame, tool_twists
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED, quintic
 from ves_gym.mechanics.spatial import matvec, rotation, twist
-from ves_gym.mechanics.tool_pose import (
-    configurations_at_each,
-    pose_dexterity,
-    tool_frame,
-    tool_twists,
-)
+from ves_gym.mechanics.tool_pose import configurations_at_each
 
 _MOVE = 0.8  # share of an episode that the way to the pose takes
 STARTS = 32  # of the inverse kinematics

@@ -21,10 +21,10 @@ from ves_gym.mechanics.attitude import (
     torque_free_step,
 )
 from ves_gym.mechanics.dynamics import inverse_dynamics
+from ves_gym.mechanics.kinematics import tool_frame, tool_twists
 from ves_gym.mechanics.latch import free_mass, to_point, tool_motion
 from ves_gym.mechanics.pointing import AttitudeControl, wheel_axes, wheel_torques, within_limits
 from ves_gym.mechanics.spatial import matvec, rotation, twist
-from ves_gym.mechanics.tool_pose import tool_frame, tool_twists
 
 _HORIZON = 0.6  # s: how far ahead a fixture is aimed at when its meeting is due
 _FLIGHT = 2.0  # s, step of the target's flight that is foreseen

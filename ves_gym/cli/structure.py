@@ -11,10 +11,9 @@ from ves_gym.cli.files import FORMAT, NO_FIGURES
 from ves_gym.cli.flags import Answer, Flag, Place, number, path, text, whole, wholes
 from ves_gym.cli.machine import arm_flag
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.modes_needed import BAND, ERROR
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.structure import UNITS, read_structure
-from ves_gym.mechanics.structure_summary import vehicle_of
+from ves_gym.mechanics.structure_summary import BAND, ERROR, vehicle_of
 
 _PARTS = ("M", "K", "D")
 

@@ -18,8 +18,9 @@ from ves_gym._util.params import Array
 from ves_gym.damping.analysis import THESIS_DISPLACEMENT
 from ves_gym.damping.plant import GainMatrices, LinearPlant, plant_at
 from ves_gym.damping.tuning import WIDE, Bounds, Tuned, tune
-from ves_gym.mechanics.arm import Arm, skew
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.spatial import skew
 from ves_gym.system.system import System
 
 # of the Cartesian spring and damper, far wider than what any joint gives

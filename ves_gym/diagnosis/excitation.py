@@ -14,9 +14,9 @@ import numpy as np
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.regressors import inertia_regressor
 from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.limits import limit_ratios
 from ves_gym.mechanics.motion import Motion, quintic
-from ves_gym.mechanics.puma import PUMA_560
 
 _DRAWN = 6  # motions for each that is chosen
 _MARGIN = 0.9  # of every limit

@@ -16,8 +16,7 @@ from ves_gym._util.mujoco_loader import mujoco
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.mechanics.arm import Arm, Inertial, matrix
-from ves_gym.mechanics.flexure import unfold
-from ves_gym.mechanics.serial_chain import SerialChain
+from ves_gym.mechanics.dynamics import expand
 from ves_gym.mechanics.vehicle import BaseModel, InternalModes
 
 if TYPE_CHECKING:
@@ -60,7 +59,7 @@ def build_spec(
         physics_dt: [s].
     """
     spec, platform = _empty_spec(arm.name, gravity, integrator, physics_dt)
-    set_inertial(platform, of_some_mass(unfold(arm).arm.base))
+    set_inertial(platform, of_some_mass(expand(arm).arm.base))
     if base.body is not None:
         set_inertial(platform.add_body(name="satellite"), base.body)
     for what, values in (("armature", base.M), ("damping", base.D), ("stiffness", base.K)):
@@ -88,7 +87,7 @@ def add_hidden(spec: mujoco.MjSpec, arm: Arm, base: BaseModel | None) -> None:
         tendon.wrap_joint(f"d_{i + 1}", 1.0)
         tendon.springlength = [-gear.gap / 2, gear.gap / 2]  # none within
         tendon.stiffness, tendon.damping = [gear.stiffness, 0, 0], [gear.damping, 0, 0]
-    chain = unfold(arm)
+    chain = expand(arm)
     for k, (stiffness, loss) in enumerate(zip(chain.stiffness, chain.damping, strict=True), 1):
         tendon = spec.add_tendon(name=f"flexure_{k}")
         tendon.wrap_joint(f"f_{k}", 1.0)
@@ -98,7 +97,7 @@ def add_hidden(spec: mujoco.MjSpec, arm: Arm, base: BaseModel | None) -> None:
 
 def places(arm: Arm) -> tuple[Index, Index]:
     """Return the engine's coordinates of the motors, and of the gears and then the flexures."""
-    chain = unfold(arm)
+    chain = expand(arm)
     motors, gears, flexures, at = [], [], [], 6
     for link in range(chain.arm.n):
         if link not in chain.driven:
@@ -183,7 +182,7 @@ def build_laboratory_spec(
         spec.joint(name).armature = PLATFORM_INERTIA
         _add_drive(spec, f"platform_{name}", name, PLATFORM_INERTIA)
     mount = platform.add_body(name="arm_base")
-    set_inertial(mount, of_some_mass(unfold(arm).arm.base))
+    set_inertial(mount, of_some_mass(expand(arm).arm.base))
     mount.add_site(name="mount")
     for name, kind in (
         ("force", mujoco.mjtSensor.mjSENS_FORCE),
@@ -223,7 +222,7 @@ def _empty_spec(
 
 def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
     """The arm's links, joints and drives on a body at the platform-top frame."""
-    chain = unfold(arm)
+    chain = expand(arm)
     body, (position, rotation) = root, _mount(chain.arm)
     bent = 0
     for place, link in enumerate(chain.arm.links):
@@ -258,7 +257,7 @@ def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
     body.add_site(name="tool", pos=position.tolist(), quat=_quaternion(rotation @ turn))
 
 
-def _mount(arm: SerialChain) -> tuple[Array, Array]:
+def _mount(arm: Arm) -> tuple[Array, Array]:
     """Position (3,) and rotation (3, 3) of the first joint's frame."""
     if arm.mount is None:
         return np.zeros(3), np.eye(3)
@@ -375,7 +374,7 @@ def pinocchio_model(arm: Arm, base: BaseModel) -> pinocchio.Model:
     joint = 0
     for name in BASE_JOINTS:
         joint = model.addJoint(joint, kinds[name](), pin.SE3.Identity(), name)
-    chain = unfold(arm)
+    chain = expand(arm)
     model.appendBodyToJoint(joint, _pin_inertia(chain.arm.base), pin.SE3.Identity())
     if base.body is not None:
         model.appendBodyToJoint(joint, _pin_inertia(base.body), pin.SE3.Identity())

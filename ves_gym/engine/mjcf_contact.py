@@ -16,9 +16,8 @@ import numpy as np
 from ves_gym._util.mujoco_loader import mujoco
 from ves_gym._util.params import Array
 from ves_gym.engine.mjcf import set_inertial
-from ves_gym.mechanics.contact import Contact, ContactShape
-from ves_gym.mechanics.payload import Payload
-from ves_gym.mechanics.serial_chain import SerialChain
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.payload import Contact, ContactShape, Payload
 
 IMPEDANCE = 1e-4  # mjMINIMP
 FRICTION_RATIO = 1e5  # of normal to tangential regularisation: it lifts the force by 1e-4
@@ -46,7 +45,7 @@ _DATA = sum(
 
 
 def add_contact(
-    spec: mujoco.MjSpec, arm: SerialChain, contact: Contact, payload: Payload | None
+    spec: mujoco.MjSpec, arm: Arm, contact: Contact, payload: Payload | None
 ) -> None:
     """Add the body that the tool meets, last of all bodies, and what happens where they touch.
 
@@ -98,7 +97,7 @@ def add_contact(
         pair.solreffriction = [-1e-12, -IMPEDANCE / contact.slip_time]
 
 
-def tool_in_link(arm: SerialChain) -> tuple[Array, Array]:
+def tool_in_link(arm: Arm) -> tuple[Array, Array]:
     """Return place (3,) and axes (3, 3) of the tool in the engine's frame of the last link."""
     rotation, place = arm.links[-1].far_end
     return place, rotation @ arm.tool_rotation

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
-from ves_gym.mechanics.jets import strongest
+from ves_gym.mechanics.pointing import strongest
 from ves_gym.mechanics.vehicle import Satellite, blows
 from ves_gym.system.system import System
 

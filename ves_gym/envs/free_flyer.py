@@ -20,9 +20,9 @@ from ves_gym.envs.joints import (
     require_control,
 )
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
-from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.kinematics import joints_for
+from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.spatial import matvec, rotation
+from ves_gym.mechanics.tool_pose import joints_for
 from ves_gym.mechanics.vehicle import FREE_FLOATING
 from ves_gym.system.system import System
 

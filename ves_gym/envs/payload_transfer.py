@@ -32,7 +32,7 @@ from ves_gym.envs.scales import least_scale, straight_energy, straight_motion
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.attitude import to_matrix
-from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.spatial import matvec, rotation
 from ves_gym.mechanics.vehicle import BENT_THESIS

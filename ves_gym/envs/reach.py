@@ -30,8 +30,8 @@ from ves_gym.envs.joints import (
 from ves_gym.envs.scales import least_scale, straight_energy, straight_motion
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.kinematics import dexterity, joints_for
+from ves_gym.mechanics.kinematics import dexterity, joint_positions
+from ves_gym.mechanics.tool_pose import joints_for
 
 _TRIES = 16  # candidate targets per episode; the first that is near and dexterous counts
 _MISS = 1e-4  # m by which a chosen target may be out of reach

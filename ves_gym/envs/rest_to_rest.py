@@ -13,7 +13,7 @@ from ves_gym.envs.control import Control, Guided
 from ves_gym.envs.joints import drawn_joints, middle_and_half, straight_pace
 from ves_gym.envs.scales import straight_energy, straight_motion
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
-from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.kinematics import joint_positions
 
 _TRIES = 12  # candidate queries per episode; the first that respects the speed limits counts
 

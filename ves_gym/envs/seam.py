@@ -14,9 +14,8 @@ from ves_gym.envs.scales import motion_energy
 from ves_gym.envs.task import Start, register_task
 from ves_gym.envs.track import Track
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.boom_library import REACHING_OUT, SHUTTLE_LIKE
-from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.kinematics import dexterity, tool_jacobian
+from ves_gym.mechanics.boom import REACHING_OUT, SHUTTLE_LIKE
+from ves_gym.mechanics.kinematics import dexterity, joint_positions, tool_jacobian
 from ves_gym.mechanics.motion import quintic
 from ves_gym.mechanics.spatial import matvec, quadratic, rotation
 from ves_gym.system.system import System

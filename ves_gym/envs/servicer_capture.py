@@ -26,10 +26,9 @@ from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.attitude import from_matrix, rotate, to_matrix, torque_free_step
-from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.kinematics import joint_positions, pose_dexterity, tool_frame
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.spatial import matvec, rotation, twist
-from ves_gym.mechanics.tool_pose import pose_dexterity, tool_frame
 from ves_gym.mechanics.vehicle import SERVICER_FLEXIBLE, Satellite
 from ves_gym.system.system import System
 

@@ -29,8 +29,7 @@ from ves_gym.envs.joints import (
 )
 from ves_gym.envs.scales import BaseModes, motion_energy
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
-from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.kinematics import dexterity
+from ves_gym.mechanics.kinematics import dexterity, joint_positions
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED, quintic
 
 _TRIES = 6  # candidate paths per episode; the first that is dexterous all along counts

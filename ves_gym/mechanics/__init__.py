@@ -7,10 +7,13 @@ from ves_gym._util.lazy import lazily as _lazily
 if TYPE_CHECKING:
     from ves_gym.mechanics.arm_library import arm_names as arm_names
     from ves_gym.mechanics.arm_library import get_arm as get_arm
+    from ves_gym.mechanics.beam import Material as Material
+    from ves_gym.mechanics.beam import Section as Section
+    from ves_gym.mechanics.beam import Tube as Tube
     from ves_gym.mechanics.boom import Boom as Boom
-    from ves_gym.mechanics.boom_library import get_boom as get_boom
-    from ves_gym.mechanics.boom_member import BoomJoint as BoomJoint
-    from ves_gym.mechanics.boom_member import BoomMember as BoomMember
+    from ves_gym.mechanics.boom import BoomJoint as BoomJoint
+    from ves_gym.mechanics.boom import BoomMember as BoomMember
+    from ves_gym.mechanics.boom import get_boom as get_boom
     from ves_gym.mechanics.carried import Appendage as Appendage
     from ves_gym.mechanics.carried import ReactionWheel as ReactionWheel
     from ves_gym.mechanics.flexible_base import CornerBody as CornerBody
@@ -20,11 +23,8 @@ if TYPE_CHECKING:
     from ves_gym.mechanics.flexible_base import Strut as Strut
     from ves_gym.mechanics.gravity import GravityModel as GravityModel
     from ves_gym.mechanics.gravity import minimal_model as minimal_model
-    from ves_gym.mechanics.jets import Jet as Jet
     from ves_gym.mechanics.pointing import AttitudeControl as AttitudeControl
-    from ves_gym.mechanics.section import Material as Material
-    from ves_gym.mechanics.section import Section as Section
-    from ves_gym.mechanics.section import Tube as Tube
+    from ves_gym.mechanics.pointing import Jet as Jet
     from ves_gym.mechanics.structure import read_structure as read_structure
     from ves_gym.mechanics.vehicle import BENT as BENT
     from ves_gym.mechanics.vehicle import BENT_THESIS as BENT_THESIS
@@ -58,25 +58,25 @@ __all__ = [
 _HOMES = {
     "Appendage": "carried",
     "AttitudeControl": "pointing",
-    "Jet": "jets",
+    "Jet": "pointing",
     "ReactionWheel": "carried",
     "arm_names": "arm_library",
     "get_arm": "arm_library",
-    "get_boom": "boom_library",
+    "get_boom": "boom",
     "BENT": "vehicle",
     "BENT_THESIS": "vehicle",
     "Boom": "boom",
-    "BoomJoint": "boom_member",
-    "BoomMember": "boom_member",
+    "BoomJoint": "boom",
+    "BoomMember": "boom",
     "CornerBody": "flexible_base",
     "FlexibleBase": "flexible_base",
     "GravityModel": "gravity",
-    "Material": "section",
+    "Material": "beam",
     "Polyline": "flexible_base",
     "Reduced": "flexible_base",
-    "Section": "section",
+    "Section": "beam",
     "Strut": "flexible_base",
-    "Tube": "section",
+    "Tube": "beam",
     "minimal_model": "gravity",
     "read_structure": "structure",
 }

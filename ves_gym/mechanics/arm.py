@@ -1,60 +1,415 @@
-"""A serial arm, and how it comes from files and goes into them.
+"""Arms as data: Denavit-Hartenberg links with masses, joints that turn or slide.
 
 Another arm, or the PUMA with its wrist, is another `Arm` (a TOML, URDF or MJCF file read by
-`mechanics/arm_library.py: get_arm`), not another piece of code.
+`arm_library.get_arm`), not another piece of code. `Chain` is what `dynamics` computes with:
+lengths and angles are numbers always, and an exact 0 or right angle among them is structure;
+masses are numbers or, where a graph is traced, symbols.
 """
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Self
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from ves_gym._util.params import from_plain, read_table, write_text
-from ves_gym.mechanics.arm_files import mjcf_text, pinocchio_arm, urdf_text
-from ves_gym.mechanics.chain import ChainChoice
-from ves_gym.mechanics.mjcf_arm import read_mjcf
-from ves_gym.mechanics.serial_chain import (
-    Capsule,
-    Gear,
-    Inertial,
-    Link,
-    Mount,
-    SerialChain,
-    diagonal,
-    matrix,
-    skew,
+import numpy as np
+
+from ves_gym._util.params import (
+    Array,
+    Matrix,
+    ParameterError,
+    Vector,
+    finite,
+    freeze_arrays,
+    from_plain,
+    read_table,
+    require_positive,
+    unit,
+    write_text,
 )
-from ves_gym.mechanics.urdf import read_urdf
+from ves_gym.mechanics.spatial import rotation, skew
 
 if TYPE_CHECKING:
     import pinocchio
 
-__all__ = [
-    "Arm",
-    "Capsule",
-    "Gear",
-    "Inertial",
-    "Link",
-    "Mount",
-    "diagonal",
-    "matrix",
-    "read_arm",
-    "skew",
-]
+Turn = tuple[float, float]  # cosine and sine, to 15 digits: a right angle is exact
+# Hz, of an arm that states none; the thesis's high gains: 2.2 to 3.4 (this project)
+BANDWIDTH = 2.0
+_ROUNDING = 1e-12  # relative slack of the inertia tests, kg m^2 per kg m^2
+
+
+def diagonal(*moments: float) -> Matrix:
+    """A diagonal matrix as nested tuples."""
+    return matrix(np.diag(moments))
+
+
+def matrix(values: Array) -> Matrix:
+    """A 2-D array as nested tuples of float."""
+    return tuple(tuple(row) for row in np.asarray(values, float).tolist())
+
+
+def require_length_1(vector: Vector, name: str) -> None:
+    """Refuse what is no unit vector (3,)."""
+    length = float(np.linalg.norm(finite(vector, (3,), name)))
+    if abs(length - 1) > 1e-9:
+        raise ParameterError(f"{name} must have length 1, got {vector}")
+
+
+def turn_by(angle: float) -> Turn:
+    """Return cosine and sine."""
+    return round(math.cos(angle), 15), round(math.sin(angle), 15)
+
+
+def turned_about(axis: int, angle: float) -> Array:
+    """(3, 3) rotation about x, y or z (0, 1, 2)."""
+    out, i, j = np.eye(3), (axis + 1) % 3, (axis + 2) % 3
+    out[i, i], out[j, i] = out[j, j], out[i, j] = turn_by(angle)
+    out[i, j] *= -1.0
+    return out
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arm(SerialChain):
-    """A serial arm on a base link fixed to the platform top.
+class Inertial:
+    """Mass properties of a rigid body in its own frame."""
+
+    mass: float = unit("kg")
+    com: Vector = unit("m")  # (3,) centre of mass
+    inertia: Matrix = unit("kg m^2")  # (3, 3) about the centre of mass
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        require_positive(self, "mass", zero=True)
+        finite(self.com, (3,), "Inertial.com")
+        moments = finite(self.inertia, (3, 3), "Inertial.inertia")
+        size = max(float(np.abs(moments).max()), 1e-300)
+        if np.abs(moments - moments.T).max() > _ROUNDING * size:
+            raise ParameterError(f"Inertial.inertia must be symmetric, got {self.inertia}")
+        a, b, c = np.linalg.eigvalsh(moments)
+        if a < -_ROUNDING * size or c > a + b + _ROUNDING * size:
+            raise ParameterError(
+                "Inertial.inertia must be that of a rigid body (principal moments >= 0, none"
+                f" larger than the sum of the others), got {a:.6g}, {b:.6g}, {c:.6g} kg m^2"
+            )
+
+    def spatial(self) -> Array:
+        """(6, 6) inertia at the frame's origin, linear part first [kg, kg m, kg m^2]."""
+        c = skew(np.array(self.com))
+        out = np.zeros((6, 6))
+        out[:3, :3] = self.mass * np.eye(3)
+        out[:3, 3:] = -self.mass * c
+        out[3:, :3] = self.mass * c
+        out[3:, 3:] = np.array(self.inertia) - self.mass * c @ c
+        return out
+
+
+WEIGHTLESS = Inertial(mass=0.0, com=(0.0, 0.0, 0.0), inertia=diagonal(0.0, 0.0, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gear:
+    """Spring with play between a rotor and its link, a damper beside it.
+
+    Torque at a deflection d of the link against the rotor: -(d less the play) / compliance
+    - damping d', the play being what of d lies within half the gap on either side.
+    """
+
+    compliance: float = unit("rad/(N m)")
+    damping: float = unit("N m s/rad", default=0.0)
+    gap: float = unit("rad", default=0.0)
+
+    def __post_init__(self) -> None:
+        require_positive(self, "compliance")
+        require_positive(self, "damping", "gap", zero=True)
+
+    @property
+    def stiffness(self) -> float:
+        """1 / compliance [N m/rad]."""
+        return 1 / self.compliance
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flexure:
+    """Passive joint within a link: a spring and a damper about an axis, no motor.
+
+    It divides the link: `beyond` is the part of the link's mass that lies between this
+    flexure and the next one, or the link's end. All of it at rest, in the link's own frame.
+    """
+
+    origin: Vector = unit("m")  # a point on the axis
+    axis: Vector = unit("1")  # (3,) unit vector
+    stiffness: float = unit("N m/rad")
+    damping: float = unit("N m s/rad", default=0.0)
+    beyond: Inertial
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        finite(self.origin, (3,), "Flexure.origin")
+        require_length_1(self.axis, "Flexure.axis")
+        require_positive(self, "stiffness")
+        require_positive(self, "damping", zero=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Capsule:
+    """All points within a radius of a line, in a body's own frame: its shape in collisions."""
+
+    start: Vector = unit("m")
+    end: Vector = unit("m")
+    radius: float = unit("m")
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        finite(self.start, (3,), "Capsule.start")
+        finite(self.end, (3,), "Capsule.end")
+        require_positive(self, "radius")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mount:
+    """Place of an arm's first joint: its frame before it turns, z along the axis."""
+
+    position: Vector = unit("m", default=(0.0, 0.0, 0.0))  # in the platform-top frame
+    angles: Vector = unit("rad", default=(0.0, 0.0, 0.0))  # about its x, then y, then z
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        finite(self.position, (3,), "Mount.position")
+        finite(self.angles, (3,), "Mount.angles")
+
+    @cached_property
+    def rotation(self) -> Array:
+        """(3, 3) from the first joint's frame to the platform-top frame."""
+        turn = rotation(np.array([0.0, 0.0, 0.0, *self.angles]))
+        return turn.round(15) + 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Link:
+    """One joint and the link it moves; the frame sits at the link's far end.
+
+    DH: frame i-1 -> i is Rot_z(q + offset) Trans_z(d) Trans_x(a) Rot_x(alpha), and Rot_y(beta)
+    where one is given: the frame may then sit at any point of the next joint's axis, also
+    where two axes are all but parallel (Hayati, CDC 1983). With a `gear` that gives way q is
+    the rotor's angle and the link turns further by the gear's deflection, a coordinate of its
+    own (Spong, J. Dyn. Sys. 109, 1987); without one rotor and link are rigidly one.
+    """
+
+    d: float = unit("m")
+    a: float = unit("m")
+    alpha: float = unit("rad")
+    beta: float | None = unit("rad", default=None)
+    offset: float = unit("rad", default=0.0)
+    inertial: Inertial
+    rotor_inertia: float = unit("kg m^2", default=0.0)  # reflected through the gear
+    q_min: float = unit("rad")
+    q_max: float = unit("rad")
+    v_max: float = unit("rad/s")
+    a_max: float = unit("rad/s^2")
+    tau_max: float = unit("N m")
+    gear: Gear | None = None
+    damping: float | None = unit("N m s/rad", default=None)  # viscous friction of the joint
+    friction: float | None = unit("N m", default=None)  # Coulomb friction of the joint
+    shape: tuple[Capsule, ...] | None = None  # None: capsules along d and a
+    flexures: tuple[Flexure, ...] | None = None  # where it bends, joint to far end
+    name: str | None = None  # of the joint, where it has another than its number
+    # True: the joint slides along its axis, by d + q; its numbers are then in m, m/s, m/s^2, N,
+    # kg (rotor_inertia), N s/m (damping) and N (friction)
+    slides: bool | None = None
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        finite((self.d, self.a, self.alpha, self.offset, self.q_min, self.q_max), (6,), "Link")
+        finite(self.beta or 0.0, (), "Link.beta")
+        require_positive(self, "v_max", "a_max", "tau_max")
+        for name in ("damping", "friction"):
+            if getattr(self, name) is not None:
+                require_positive(self, name, zero=True)
+        require_positive(self, "rotor_inertia", zero=True)
+        if self.gear is not None and self.rotor_inertia == 0:
+            raise ParameterError(
+                "a Link with a gear needs rotor_inertia > 0 kg m^2: the gear turns against it"
+            )
+        if self.slides and (self.gear is not None or self.flexures):
+            raise ParameterError(
+                "a Link whose joint slides must have neither gear nor flexures"
+            )
+        if not self.q_min < self.q_max:
+            raise ParameterError(f"Link needs q_min < q_max, got {self.q_min} and {self.q_max}")
+
+    @property
+    def far_end(self) -> tuple[Array, Array]:
+        """Rotation (3, 3) and position (3,) of the link frame in the frame at its joint."""
+        rotation = turned_about(0, self.alpha)
+        if self.beta:
+            rotation = rotation @ turned_about(1, self.beta)
+        return rotation, np.array([self.a, 0.0, self.d])
+
+    @property
+    def inertial_at_joint(self) -> Inertial:
+        """The same mass properties in the frame at the joint (z along its axis)."""
+        R, p = self.far_end
+        return Inertial(
+            mass=self.inertial.mass,
+            com=tuple((p + R @ np.array(self.inertial.com)).tolist()),
+            inertia=matrix(R @ np.array(self.inertial.inertia) @ R.T),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arm:
+    """Joints and links one after the other, on a base link fixed to the platform top.
 
     The tool is the last link's frame, turned by `tool_angle` about its z.
     """
 
-    @classmethod
-    def from_urdf(
-        cls,
+    name: str
+    base: Inertial  # base link, in the platform-top frame
+    base_shape: tuple[Capsule, ...] | None = None  # of the base link, in the same frame
+    base_flexures: tuple[Flexure, ...] | None = None  # where the base link bends
+    mount: Mount | None = None  # of the first joint; None: at the platform-top frame
+    links: tuple[Link, ...]
+    tool_angle: float | None = unit("rad", default=None)
+    bandwidth: float | None = unit("Hz", default=None)  # of the joint servos, see own_gains
+    source: str  # where this whole set comes from
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        if not self.links:
+            raise ParameterError("Arm.links must hold at least one link, got none")
+        finite(self.tool_angle or 0.0, (), "Arm.tool_angle")
+        if self.links[-1].flexures:
+            raise ParameterError(
+                "the last of Arm.links must not bend, for it carries the tool: got"
+                f" {len(self.links[-1].flexures)} flexures"
+            )
+        if self.bandwidth is not None:
+            require_positive(self, "bandwidth")
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.links)
+
+    @cached_property
+    def joints(self) -> tuple[JointFrame, ...]:
+        """Lengths and angles of the links as `dynamics` takes them."""
+        return tuple(map(JointFrame.of, self.links))
+
+    @cached_property
+    def start(self) -> tuple[Array, Array]:
+        """Rotation (3, 3) and position (3,) of the first joint's frame before it turns."""
+        if self.mount is None:
+            return np.eye(3), np.zeros(3)
+        return self.mount.rotation, np.array(self.mount.position)
+
+    @cached_property
+    def bodies(self) -> LinkBodies:
+        """Base link and links as arrays."""
+        return LinkBodies.of(self.base, self.links)
+
+    @property
+    def tool_rotation(self) -> Array:
+        """(3, 3) of the tool in the last link's frame."""
+        return turned_about(2, self.tool_angle or 0.0)
+
+    @property
+    def rubs(self) -> bool:
+        """True if a link has damping or friction."""
+        return any(link.damping or link.friction for link in self.links)
+
+    def without_friction(self) -> Arm:
+        """Return the arm without damping and friction of its links (itself, if it has none)."""
+        if not self.rubs:
+            return self
+        links = tuple(replace(link, damping=None, friction=None) for link in self.links)
+        return replace(self, links=links)
+
+    @property
+    def geared(self) -> tuple[int, ...]:
+        """Joints (from 0) whose gears give way."""
+        return tuple(i for i, link in enumerate(self.links) if link.gear is not None)
+
+    @property
+    def sliding(self) -> tuple[int, ...]:
+        """Joints (from 0) that slide: q in m, tau in N."""
+        return tuple(i for i, link in enumerate(self.links) if link.slides)
+
+    def require_turning(self, what: str) -> None:
+        """Refuse joints that slide.
+
+        Args:
+            what: it is that takes all joints for revolute.
+
+        Raises:
+            ParameterError: names the joints.
+        """
+        if self.sliding:
+            names = ", ".join(self.links[i].name or f"joint {i + 1}" for i in self.sliding)
+            raise ParameterError(
+                f"{what} takes revolute joints, got {self.name} with {names} that slide:"
+                " simulate it in mode ideal, or lock them (locked=)"
+            )
+
+    @property
+    def bends(self) -> int:
+        """Number of flexures: passive joints between the driven ones."""
+        parts = (self.base_flexures, *(link.flexures for link in self.links))
+        return sum(len(part or ()) for part in parts)
+
+    def require_rigid(self, what: str) -> None:
+        """Refuse links that bend.
+
+        Args:
+            what: it is that takes links for rigid.
+
+        Raises:
+            ParameterError: names the arm, and what to do.
+        """
+        if self.bends:
+            raise ParameterError(
+                f"{what} takes links for rigid, got {self.name} with {self.bends} flexures: put"
+                " the small arm on its braked boom as a vehicle (Boom.at), or simulate"
+            )
+
+    def column(self, name: str) -> Array:
+        """One number of every link, e.g. `column("tau_max")`: (n,)."""
+        return np.array([getattr(link, name) for link in self.links])
+
+    @property
+    def mass(self) -> float:
+        """Total mass [kg]."""
+        return self.base.mass + sum(link.inertial.mass for link in self.links)
+
+    def require_within_limits(self, q: object, name: str = "q") -> Array:
+        """Return joint angles as an array inside the joint limits.
+
+        Args:
+            q: (n,) angles [rad].
+            name: of the angles, for the message.
+
+        Raises:
+            ParameterError: names the joint, its angle and its limits.
+        """
+        array = finite(q, (self.n,), name)
+        for i, link in enumerate(self.links):
+            if not link.q_min - 1e-9 <= array[i] <= link.q_max + 1e-9:
+                symbol = "m" if link.slides else "deg"
+                low, high, got = (
+                    f"{k:.4g}" if link.slides else f"{math.degrees(k):.1f}"
+                    for k in (link.q_min, link.q_max, array[i])
+                )
+                raise ParameterError(
+                    f"{name}: joint {i + 1} must be within {low} to {high} {symbol}, got {got}"
+                    f" {symbol}"
+                )
+        return array
+
+    @staticmethod
+    def from_file(
         path: str | os.PathLike[str],
         *,
         tip: str | None = None,
@@ -63,17 +418,17 @@ class Arm(SerialChain):
         collision: bool = True,
         check: bool = True,
         rotors: Mapping[str, float] | None = None,
-    ) -> Self:
-        """Read the chain of revolute joints from root to tip of a URDF file.
+    ) -> Arm:
+        """Read the chain of joints from root to tip of a URDF or MJCF file.
 
-        Fixed joints are merged; joints off the chain stand still at zero. The root's frame
-        is the platform-top frame, the tip's the tool. What a file does not give is derived,
-        and `source` says so.
+        Fixed joints are merged; joints off the chain stand still at zero. The root's frame is
+        the platform-top frame, the tip's the tool. What a file does not give is derived, and
+        `source` says so. An MJCF file is read as MuJoCo compiles it.
 
         Args:
-            path: the file.
-            tip: link that is the tool; default the last one, where there is one.
-            root: link that stands on the platform; default the file's.
+            tip: link, body or site that is the tool; default the site `tool`, else the last
+                one, where there is one.
+            root: link or body that stands on the platform; default the file's, or the world.
             locked: angles [rad] of joints that stand still, by name.
             collision: read shapes as capsules; False: capsules along the links.
             check: refuse numbers that look like g, mm or kg mm^2.
@@ -83,66 +438,28 @@ class Arm(SerialChain):
         Raises:
             ParameterError: names the link or the joint, and what is wrong with it.
         """
-        choice = ChainChoice(
+        files = _files()
+        choice = files.ChainChoice(
             tip, root, dict(locked or {}), collision, check, dict(rotors or {})
         )
-        return cls._of(read_urdf(path, choice))
-
-    @classmethod
-    def from_mjcf(
-        cls,
-        path: str | os.PathLike[str],
-        *,
-        tip: str | None = None,
-        root: str | None = None,
-        locked: Mapping[str, float] | None = None,
-        collision: bool = True,
-        check: bool = True,
-        rotors: Mapping[str, float] | None = None,
-    ) -> Self:
-        """Read the chain of hinges from root to tip of an MJCF file, as MuJoCo compiles it.
-
-        Args:
-            path: the file.
-            tip: body or site that is the tool; default the site `tool`, else the last body,
-                where there is one.
-            root: body that stands on the platform, whose frame is the platform-top frame;
-                default the world.
-            locked, collision, check, rotors: see `from_urdf`.
-
-        Raises:
-            ParameterError: names the body or the joint, and what is wrong with it.
-        """
-        choice = ChainChoice(
-            tip, root, dict(locked or {}), collision, check, dict(rotors or {})
-        )
-        return cls._of(read_mjcf(path, choice))
-
-    @classmethod
-    def _of(cls, chain: SerialChain) -> Self:
-        return cls(**{field.name: getattr(chain, field.name) for field in fields(chain)})
+        arm: Arm = files.read_file(path, choice)
+        return arm
 
     def to_urdf(self, path: str | os.PathLike[str]) -> None:
-        """Write a URDF file: `from_urdf` gives this arm back, a capsule as three shapes.
-
-        Args:
-            path: the file.
+        """Write a URDF file: `from_file` gives this arm back, a capsule as three shapes.
 
         Raises:
             ParameterError: gears that give way, for which URDF has no words.
         """
-        write_text(path, urdf_text(self))
+        write_text(path, _files().urdf_text(self))
 
     def to_mjcf(self, path: str | os.PathLike[str]) -> None:
-        """Write an MJCF file: `from_mjcf` gives this arm back.
-
-        Args:
-            path: the file.
+        """Write an MJCF file: `from_file` gives this arm back.
 
         Raises:
             ParameterError: gears that give way.
         """
-        write_text(path, mjcf_text(self))
+        write_text(path, _files().mjcf_text(self))
 
     def to_pinocchio(self) -> pinocchio.Model:
         """Return the arm on a base that stands still in Pinocchio, its tool the frame `tool`.
@@ -150,10 +467,84 @@ class Arm(SerialChain):
         Raises:
             MissingPackageError: Pinocchio is not installed.
         """
-        return pinocchio_arm(self)
+        model: pinocchio.Model = _files().pinocchio_model(self)
+        return model
+
+
+def _files() -> Any:
+    """Readers and writers of URDF and MJCF, which most programs never need."""
+    return import_module("ves_gym.mechanics.arm_files")
 
 
 def read_arm(path: str | os.PathLike[str]) -> Arm:
     """Read an arm from a TOML or JSON file that mirrors `Arm`."""
     arm: Arm = from_plain(Arm, read_table(path), str(path))
     return arm
+
+
+# ----------------------------------------------------------------- an arm as arrays
+
+
+class JointFrame(NamedTuple):
+    """Where a link's frame lies beyond its joint, as in `Link`."""
+
+    d: float  # m
+    a: float  # m
+    alpha: Turn
+    beta: Turn | None
+    offset: float  # rad
+    slides: bool
+
+    @staticmethod
+    def of(link: Any) -> JointFrame:
+        """The joint of a `Link`."""
+        beta = turn_by(link.beta) if link.beta else None
+        offset, slides = link.offset, bool(link.slides)
+        return JointFrame(link.d, link.a, turn_by(link.alpha), beta, offset, slides)
+
+
+STILL = JointFrame(0.0, 0.0, (1.0, 0.0), None, 0.0, False)  # its link's frame stays where it is
+
+
+class LinkBodies(NamedTuple):
+    """Mass properties of the base link, then of the n links, each in its own frame."""
+
+    mass: Array  # (..., n + 1) kg
+    com: Array  # (..., n + 1, 3) m
+    inertia: Array  # (..., n + 1, 3, 3) about the centre of mass [kg m^2]
+    rotor: Array  # (..., n) kg m^2
+
+    @staticmethod
+    def of(base: Any, links: Any) -> LinkBodies:
+        """The bodies of a base link's `Inertial` and of `Link`s."""
+        parts = [base, *(link.inertial for link in links)]
+        return LinkBodies(
+            np.array([k.mass for k in parts]),
+            np.array([k.com for k in parts]),
+            np.array([k.inertia for k in parts]),
+            np.array([k.rotor_inertia for k in links]),
+        )
+
+
+class Mechanism(Protocol):
+    """Joints and bodies: an arm, or a `Chain`."""
+
+    @property
+    def joints(self) -> tuple[JointFrame, ...]:
+        """The n joints, first one first."""
+
+    @property
+    def start(self) -> tuple[Array, Array]:
+        """Rotation and position of the first joint's frame in the platform-top frame."""
+
+    @property
+    def bodies(self) -> LinkBodies:
+        """What they weigh."""
+
+
+class Chain(NamedTuple):
+    """A `Mechanism` of its parts."""
+
+    joints: tuple[JointFrame, ...]
+    start: tuple[Array, Array]
+    bodies: LinkBodies

@@ -1,8 +1,10 @@
-"""Arms as text of URDF and MJCF, and as a model of Pinocchio."""
+"""Arms from URDF and MJCF files, as text of both, and as a model of Pinocchio."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -11,8 +13,12 @@ import numpy as np
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.arm import Arm, Capsule, Inertial, turned_about
+from ves_gym.mechanics.arm_reader import ChainChoice, arm_of_tree
+from ves_gym.mechanics.attitude import from_matrix
 from ves_gym.mechanics.chain import angles_of
-from ves_gym.mechanics.serial_chain import Capsule, Inertial, SerialChain
+from ves_gym.mechanics.mjcf_arm import MjcfTree
+from ves_gym.mechanics.urdf import UrdfTree
 
 if TYPE_CHECKING:
     import pinocchio
@@ -20,35 +26,50 @@ if TYPE_CHECKING:
 _LEAST = 1e-13  # kg, kg m^2: what MuJoCo takes of a body that moves
 
 
-def joint_names(arm: SerialChain) -> list[str]:
+def read_file(path: str | os.PathLike[str], choice: ChainChoice) -> Arm:
+    """Read an arm from a URDF or MJCF file, see `Arm.from_file`."""
+    path = Path(path)
+    try:
+        top = _top(path)
+        if top not in ("robot", "mujoco"):
+            raise ParameterError(f"expected <robot> or <mujoco> at the top, got <{top}>")
+        return arm_of_tree(UrdfTree(path) if top == "robot" else MjcfTree(path), choice)
+    except ParameterError as error:
+        raise ParameterError(f"{path.name}: {error}") from None
+
+
+def _top(path: Path) -> str:
+    """Tag at the top of an XML file."""
+    try:
+        return str(next(ElementTree.iterparse(path, events=("start",)))[1].tag)
+    except (OSError, StopIteration, ElementTree.ParseError) as error:
+        raise ParameterError(f"cannot be read: {error}") from None
+
+
+def _joint_names(arm: Arm) -> list[str]:
     """Return the joints' names, numbers where they have none."""
     return [link.name or f"q_{i}" for i, link in enumerate(arm.links, start=1)]
 
 
-def placements(arm: SerialChain) -> list[tuple[Array, Array]]:
+def _placements(arm: Arm) -> list[tuple[Array, Array]]:
     """Return each joint's frame at zero in the one before, and last the tool's.
-
-    Args:
-        arm: n links.
 
     Returns:
         n + 1 rotations (3, 3) and positions (3,) [m]; the first in the platform-top frame.
     """
     out = []
-    R = np.eye(3) if arm.mount is None else arm.mount.rotation
-    p = np.zeros(3) if arm.mount is None else np.array(arm.mount.position)
+    R, p = arm.start
     for link in arm.links:
-        c, s = np.cos(link.offset), np.sin(link.offset)
-        out.append((R @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]), p))
+        out.append((R @ turned_about(2, link.offset), p))
         R, p = link.far_end
     return [*out, (R @ arm.tool_rotation, p)]
 
 
-def _require_rigid(arm: SerialChain, what: str) -> None:
+def _require_rigid(arm: Arm, what: str) -> None:
     if arm.bends:
         raise ParameterError(f"{what} has no words for the {arm.bends} flexures of {arm.name}")
     if arm.geared:
-        names = ", ".join(joint_names(arm)[i] for i in arm.geared)
+        names = ", ".join(_joint_names(arm)[i] for i in arm.geared)
         raise ParameterError(f"{what} has no words for the gears of {names}, which give way")
 
 
@@ -61,7 +82,7 @@ def _written(top: Element) -> str:
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(top, encoding="unicode") + "\n"
 
 
-def _bodies(arm: SerialChain) -> list[tuple[Inertial, tuple[Capsule, ...]]]:
+def _bodies(arm: Arm) -> list[tuple[Inertial, tuple[Capsule, ...]]]:
     """Mass and shape of the base link and of each link, in the frame at its joint."""
     out = [(arm.base, arm.base_shape or ())]
     for link in arm.links:
@@ -81,7 +102,7 @@ def _bodies(arm: SerialChain) -> list[tuple[Inertial, tuple[Capsule, ...]]]:
 # ------------------------------------------------------------------------------- URDF
 
 
-def urdf_text(arm: SerialChain) -> str:
+def urdf_text(arm: Arm) -> str:
     """Return an arm as URDF.
 
     Rotor inertias are written as <dynamics armature=>, accelerations as <limit acceleration=>;
@@ -96,8 +117,8 @@ def urdf_text(arm: SerialChain) -> str:
     for name, (inertial, shape) in zip(names, _bodies(arm), strict=True):
         _urdf_link(robot, name, inertial, shape)
     SubElement(robot, "link", name="tool")
-    joints = [*joint_names(arm), "tool_joint"]
-    for i, (R, p) in enumerate(placements(arm)):
+    joints = [*_joint_names(arm), "tool_joint"]
+    for i, (R, p) in enumerate(_placements(arm)):
         moves = i < arm.n
         kind = "revolute" if moves else "fixed"
         if moves and arm.links[i].slides:
@@ -170,7 +191,7 @@ def _along(axis: Array) -> Array:
 # ------------------------------------------------------------------------------- MJCF
 
 
-def mjcf_text(arm: SerialChain) -> str:
+def mjcf_text(arm: Arm) -> str:
     """Return an arm as MJCF: a motor per joint, the tool a site, speeds as <numeric>.
 
     Args:
@@ -185,13 +206,13 @@ def mjcf_text(arm: SerialChain) -> str:
     if arm.bandwidth is not None:
         SubElement(custom, "numeric", name="ves_bandwidth", data=_text([arm.bandwidth]))
     body = SubElement(SubElement(top, "worldbody"), "body", name="base")
-    names, bodies, places = joint_names(arm), _bodies(arm), placements(arm)
+    names, bodies, places = _joint_names(arm), _bodies(arm), _placements(arm)
     _mjcf_body(body, *bodies[0], moves=False)
     actuators = Element("actuator")
     for i, link in enumerate(arm.links):
         R, p = places[i]
         body = SubElement(
-            body, "body", name=f"link_{i + 1}", pos=_text(p), quat=_text(quaternion(R))
+            body, "body", name=f"link_{i + 1}", pos=_text(p), quat=_text(from_matrix(R))
         )
         _mjcf_body(body, *bodies[i + 1], moves=True)
         SubElement(
@@ -210,7 +231,7 @@ def mjcf_text(arm: SerialChain) -> str:
             actuators, "motor", name=names[i], joint=names[i], ctrlrange=most, forcerange=most
         )
     R, p = places[-1]
-    SubElement(body, "site", name="tool", pos=_text(p), quat=_text(quaternion(R)))
+    SubElement(body, "site", name="tool", pos=_text(p), quat=_text(from_matrix(R)))
     top.append(actuators)
     return _written(top)
 
@@ -248,30 +269,11 @@ def _mjcf_body(
             SubElement(body, "geom", options, pos=_text(ends[0]), mass="0")
 
 
-def quaternion(R: Array) -> Array:
-    """(4,) w, x, y, z of a rotation (3, 3): the eigenvector of Bar-Itzhack (2000)."""
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R
-    K = np.array(
-        [
-            [xx + yy + zz, zy - yz, xz - zx, yx - xy],
-            [zy - yz, xx - yy - zz, xy + yx, xz + zx],
-            [xz - zx, xy + yx, yy - xx - zz, yz + zy],
-            [yx - xy, xz + zx, yz + zy, zz - xx - yy],
-        ]
-    )
-    out: Array = np.linalg.eigh(K)[1][:, -1]
-    return out if out[0] >= 0 else -out
-
-
 # -------------------------------------------------------------------------- Pinocchio
 
 
-def pinocchio_arm(arm: SerialChain) -> pinocchio.Model:
-    """Return the arm on a base that stands still, its rotors as armature, no gravity set.
-
-    Args:
-        arm: n links.
-    """
+def pinocchio_model(arm: Arm) -> pinocchio.Model:
+    """Return the arm on a base that stands still, its rotors as armature, no gravity set."""
     require("Arm.to_pinocchio", "pinocchio")
     if arm.bends:
         raise ParameterError(
@@ -286,11 +288,11 @@ def pinocchio_arm(arm: SerialChain) -> pinocchio.Model:
     model = pin.Model()
     model.name = arm.name
     model.appendBodyToJoint(0, inertia(arm.base), pin.SE3.Identity())
-    joint, places = 0, [pin.SE3(R, p) for R, p in placements(arm)]
-    for link, name, place in zip(arm.links, joint_names(arm), places, strict=False):
-        one = [np.array([k]) for k in (link.tau_max, link.v_max, link.q_min, link.q_max)]
+    joint, places = 0, [pin.SE3(R, p) for R, p in _placements(arm)]
+    for link, name, place in zip(arm.links, _joint_names(arm), places, strict=False):
+        limits = [np.array([k]) for k in (link.tau_max, link.v_max, link.q_min, link.q_max)]
         moves = pin.JointModelPZ() if link.slides else pin.JointModelRZ()
-        joint = model.addJoint(joint, moves, place, name, *one)
+        joint = model.addJoint(joint, moves, place, name, *limits)
         model.appendBodyToJoint(joint, inertia(link.inertial_at_joint), pin.SE3.Identity())
     model.armature[:] = arm.column("rotor_inertia")
     model.addFrame(pin.Frame("tool", joint, places[-1], pin.FrameType.OP_FRAME))

@@ -139,21 +139,6 @@ def from_angles(phi: npt.ArrayLike) -> Array:
     return _positive(product(product(parts[0], parts[1]), parts[2]))
 
 
-def along(phi: npt.ArrayLike) -> Array:
-    """Return unit quaternions along a motion: of q and -q that which is nearer to the last.
-
-    Args:
-        phi: (N, 3) Z-Y-X angles, as Y[3:] of a run log [rad].
-
-    Returns:
-        (N, 4) body to world.
-    """
-    out = from_angles(phi)
-    flips = np.sign(np.sum(out[1:] * out[:-1], axis=1))
-    out[1:] *= np.cumprod(np.where(flips < 0, -1.0, 1.0))[:, None]
-    return out
-
-
 def to_angles(q: npt.ArrayLike) -> Array:
     """(..., 4) unit quaternion -> (..., 3) Z-Y-X angles [rad], phi_y within +-pi/2.
 
@@ -165,44 +150,6 @@ def to_angles(q: npt.ArrayLike) -> Array:
     phi_x = np.arctan2(s * R[..., 0, 2] - c * R[..., 1, 2], c * R[..., 1, 1] - s * R[..., 0, 1])
     phi_y = np.arctan2(-R[..., 2, 0], np.hypot(R[..., 0, 0], R[..., 1, 0]))
     return np.stack([phi_x, phi_y, phi_z], axis=-1)
-
-
-def rate(q: npt.ArrayLike, w: npt.ArrayLike) -> Array:
-    """Return the rate of change of an attitude, q' = 1/2 q (0, w).
-
-    Args:
-        q: (..., 4).
-        w: (..., 3) angular velocity in the body's axes [rad/s].
-
-    Returns:
-        (..., 4) [1/s].
-    """
-    spin = numbers(w)
-    return 0.5 * product(q, np.concatenate([np.zeros_like(spin[..., :1]), spin], axis=-1))
-
-
-def from_rate(q: npt.ArrayLike, qd: npt.ArrayLike) -> Array:
-    """Return the angular velocity of a changing attitude, w = 2 q* q'.
-
-    Args:
-        q, qd: (..., 4) unit quaternion and its rate [1/s].
-
-    Returns:
-        (..., 3) in the body's axes [rad/s].
-    """
-    return 2 * product(conjugate(q), qd)[..., 1:]
-
-
-def angular_velocity(phi: npt.ArrayLike, phi_rate: npt.ArrayLike) -> Array:
-    """Return the angular velocity in the body's axes of Z-Y-X angles and their rates.
-
-    Args:
-        phi, phi_rate: (..., 3) [rad], [rad/s].
-
-    Returns:
-        (..., 3) [rad/s].
-    """
-    return matvec(_angle_rates(phi), numbers(phi_rate))
 
 
 def angle_rates(phi: npt.ArrayLike, w: npt.ArrayLike) -> Array:
@@ -220,17 +167,6 @@ def angle_rates(phi: npt.ArrayLike, w: npt.ArrayLike) -> Array:
     about_z = (sx * spin[..., 1] + cx * spin[..., 2]) / np.cos(angles[..., 1])
     about_x = spin[..., 0] + np.sin(angles[..., 1]) * about_z
     return np.stack([about_x, cx * spin[..., 1] - sx * spin[..., 2], about_z], axis=-1)
-
-
-def turned(q: npt.ArrayLike, w: npt.ArrayLike, time: npt.ArrayLike) -> Array:
-    """Return the attitude after turning at a constant angular velocity.
-
-    Args:
-        q: (..., 4).
-        w: (..., 3) in the body's axes [rad/s].
-        time: (...) [s].
-    """
-    return product(q, exp(np.asarray(w, float) * np.asarray(time, float)[..., None]))
 
 
 def torque_free_step(
@@ -270,16 +206,6 @@ def torque_free_step(
     fourth = slope(time * third)
     turn = time / 6 * (first + 2 * second + 2 * third + fourth)
     return normalised(product(start, exp(turn))), spin_at(turn)
-
-
-def _angle_rates(phi: npt.ArrayLike) -> Array:
-    """(..., 3) angles -> (..., 3, 3) matrix from their rates to the angular velocity."""
-    angles = numbers(phi)
-    cx, cy = np.cos(angles[..., 0]), np.cos(angles[..., 1])
-    sx, sy = np.sin(angles[..., 0]), np.sin(angles[..., 1])
-    one, zero = np.ones_like(cx), np.zeros_like(cx)
-    rows = [[one, zero, -sy], [zero, cx, cy * sx], [zero, -sx, cy * cx]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def _positive(q: Array) -> Array:

@@ -18,15 +18,13 @@ from ves_gym._util.params import (
     Mask,
     ParameterError,
     Vector,
-    finite,
     freeze_arrays,
     require_positive,
     unit,
     write_table,
 )
-from ves_gym.mechanics.arm import Inertial, matrix
+from ves_gym.mechanics.arm import Inertial, matrix, require_length_1
 from ves_gym.mechanics.carried import Carried, carried_inertia
-from ves_gym.mechanics.modes import natural_modes
 
 
 class Saved:
@@ -54,11 +52,7 @@ class Oscillator:
         freeze_arrays(self)
         require_positive(self, "mass", "stiffness")
         require_positive(self, "damping", zero=True)
-        length = float(np.linalg.norm(finite(self.direction, (3,), "Oscillator.direction")))
-        if abs(length - 1) > 1e-9:
-            raise ParameterError(
-                f"Oscillator.direction must have length 1, got {self.direction}"
-            )
+        require_length_1(self.direction, "Oscillator.direction")
 
 
 @dataclass(frozen=True)
@@ -280,20 +274,6 @@ def _factored(matrices: Array) -> Mask:
     except np.linalg.LinAlgError:
         return np.zeros(len(matrices), bool)
     return np.ones(len(matrices), bool)
-
-
-def modal_damping(M: Array, K: Array, ratio: float) -> Array:
-    """Return the D that gives every mode of (K, M) the same damping ratio.
-
-    Args:
-        M: (6, 6) mass, positive definite.
-        K: (6, 6) stiffness.
-        ratio: of every mode [1].
-    """
-    omega, modes = natural_modes(K, M)
-    rates = np.diag(2 * ratio * omega)
-    damping: Array = M @ modes @ rates @ modes.T @ M
-    return (damping + damping.T) / 2
 
 
 def elementwise_damping(M: Array, K: Array, ratio: float) -> Array:

@@ -1,8 +1,9 @@
-"""A beam condensed to its tip, where the arm stands (thesis Appendix A)."""
+"""Materials, cross sections, and a beam condensed to its tip, where the arm stands."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -11,18 +12,123 @@ from ves_gym._util.params import (
     Array,
     Matrix,
     ParameterError,
+    Vector,
     finite,
     freeze_arrays,
     require_choice,
     require_positive,
     unit,
 )
-from ves_gym.mechanics.arm import skew
-from ves_gym.mechanics.base_model import BaseModel, Saved, elementwise_damping, modal_damping
-from ves_gym.mechanics.section import ALUMINIUM, Material
+from ves_gym.mechanics.base_model import BaseModel, Saved, elementwise_damping
+from ves_gym.mechanics.modes import modal_damping
+from ves_gym.mechanics.spatial import skew
 
 _CLOSED = 0.01  # of a beam's length: a tip nearer to the clamp has no m L^2 about it
 _GAUSS = np.polynomial.legendre.leggauss(4)  # exact to degree 7; the beam needs 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Material:
+    """An isotropic elastic material."""
+
+    youngs_modulus: float = unit("Pa")
+    shear_modulus: float = unit("Pa")
+    density: float = unit("kg/m^3")
+    source: str
+
+    def __post_init__(self) -> None:
+        require_positive(self, "youngs_modulus", "shear_modulus", "density")
+
+    @property
+    def poisson(self) -> float:
+        """Poisson's ratio E / 2G - 1 [1]."""
+        return self.youngs_modulus / (2 * self.shear_modulus) - 1
+
+
+ALUMINIUM = Material(
+    youngs_modulus=72e9, shear_modulus=27e9, density=2.8e3, source="thesis App. A.2"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A cross section by its numbers, in principal axes; the member runs along local x.
+
+    `shear_y`, `shear_z`: share of the area that carries shear (Timoshenko); without them
+    the member does not shear (Euler-Bernoulli). `up`: direction near which local z lies.
+    """
+
+    kind: ClassVar[str] = "section"
+    area: float = unit("m^2")
+    second_y: float = unit("m^4")  # int z^2 dA: resists bending along z
+    second_z: float = unit("m^4")  # int y^2 dA: resists bending along y
+    torsion: float = unit("m^4")  # Saint-Venant's
+    shear_y: float | None = unit("1", default=None)
+    shear_z: float | None = unit("1", default=None)
+    fibre: float | None = unit("m", default=None)  # from the axis to the outermost fibre
+    up: Vector | None = unit("1", default=None)
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        require_positive(self, "area", "second_y", "second_z", "torsion")
+        for name in ("shear_y", "shear_z", "fibre"):
+            if getattr(self, name) is not None:
+                require_positive(self, name)
+        if (self.shear_y is None) != (self.shear_z is None):
+            raise ParameterError(
+                "Section needs both shear_y and shear_z or neither, got"
+                f" {self.shear_y} and {self.shear_z}"
+            )
+        if self.up is not None and not np.linalg.norm(finite(self.up, (3,), "Section.up")):
+            raise ParameterError("Section.up must not be zero")
+
+    def of(self, material: Material) -> Section:
+        """Return the section itself; a `Tube` becomes one with its material's shear."""
+        return self
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tube:
+    """A round tube. With `shear` it also shears (Timoshenko, Cowper's coefficient)."""
+
+    kind: ClassVar[str] = "tube"
+    outer_diameter: float = unit("m")
+    wall: float = unit("m")
+    shear: bool = False
+
+    def __post_init__(self) -> None:
+        require_positive(self, "outer_diameter", "wall")
+        if 2 * self.wall >= self.outer_diameter:
+            raise ParameterError(
+                f"Tube.wall must be < half the outer diameter {self.outer_diameter} m,"
+                f" got {self.wall} m"
+            )
+
+    def of(self, material: Material) -> Section:
+        """Return the section's numbers; the shear coefficient depends on Poisson's ratio."""
+        outer, inner = self.outer_diameter, self.outer_diameter - 2 * self.wall
+        second = np.pi / 64 * (outer**4 - inner**4)
+        share = cowper(inner / outer, material.poisson) if self.shear else None
+        return Section(
+            area=np.pi / 4 * (outer**2 - inner**2),
+            second_y=second,
+            second_z=second,
+            torsion=2 * second,
+            shear_y=share,
+            shear_z=share,
+            fibre=outer / 2,
+        )
+
+
+def cowper(ratio: float, poisson: float) -> float:
+    """Return the shear coefficient of a round tube [1] (Cowper, J. Appl. Mech. 33, 1966).
+
+    Args:
+        ratio: inner over outer diameter [1].
+        poisson: Poisson's ratio [1].
+    """
+    even, cross = (1 + ratio**2) ** 2, ratio**2
+    return 6 * (1 + poisson) * even / ((7 + 6 * poisson) * even + (20 + 12 * poisson) * cross)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +156,7 @@ class Beam(Saved):
         freeze_arrays(self)
         require_positive(self, "outer_diameter", "wall")
         require_positive(self, "damping_ratio", zero=True)
+        Tube(outer_diameter=self.outer_diameter, wall=self.wall)  # refuses too thick a wall
         require_choice(self, "mass_model", ("thesis", "consistent"))
         require_choice(self, "damping_model", ("modal", "elementwise"))
         if not self.segments:
@@ -57,11 +164,6 @@ class Beam(Saved):
         for i, segment in enumerate(self.segments):
             if np.linalg.norm(finite(segment, (3,), f"Beam.segments[{i}]")) == 0:
                 raise ParameterError(f"Beam.segments[{i}] must not have zero length")
-        if 2 * self.wall >= self.outer_diameter:
-            raise ParameterError(
-                f"Beam.wall must be < half the outer diameter {self.outer_diameter} m,"
-                f" got {self.wall} m"
-            )
         reach = float(np.linalg.norm(self.nodes[0]))
         if self.mass_model == "thesis" and reach < _CLOSED * self.length:
             raise ParameterError(
@@ -69,12 +171,11 @@ class Beam(Saved):
                 f" {self.length:.3g} m of beam: its m L^2 would vanish; consistent takes any"
             )
 
-    @property
-    def section(self) -> tuple[float, float, float]:
-        """Area [m^2], second moment I and polar moment J = 2 I [m^4] of the tube."""
-        outer, inner = self.outer_diameter, self.outer_diameter - 2 * self.wall
-        second = np.pi / 64 * (outer**4 - inner**4)
-        return np.pi / 4 * (outer**2 - inner**2), second, 2 * second
+    @cached_property
+    def section(self) -> Section:
+        """The tubes' cross section; its torsion is their polar moment."""
+        tube = Tube(outer_diameter=self.outer_diameter, wall=self.wall)
+        return tube.of(self.material)
 
     @property
     def length(self) -> float:
@@ -84,7 +185,7 @@ class Beam(Saved):
     @property
     def mass(self) -> float:
         """Mass of the whole beam [kg]."""
-        return self.section[0] * self.length * self.material.density
+        return self.section.area * self.length * self.material.density
 
     @property
     def nodes(self) -> Array:
@@ -118,7 +219,7 @@ class Beam(Saved):
 
     def _cantilever(self, along: Array, x: float) -> Array:
         """(6, 6) end displacement of a straight tube of length x per wrench at its end."""
-        area, second, polar = self.section
+        area, second, polar = self.section.area, self.section.second_y, self.section.torsion
         E, G = self.material.youngs_modulus, self.material.shear_modulus
         across = np.eye(3) - np.outer(along, along)
         bend, tilt = x**3 / (3 * E * second), x**2 / (2 * E * second)
@@ -143,17 +244,16 @@ class Beam(Saved):
         reach = -self.nodes[0]
         half = self.mass / 2
         lever = reach @ reach - reach**2
-        _, _, polar = self.section
         floor = np.zeros(3)
         for segment in self.segments:
             length = float(np.linalg.norm(segment))
             axial = (np.array(segment) / length) ** 2
-            floor += self.material.density * polar * length / 3 * axial
+            floor += self.material.density * self.section.torsion * length / 3 * axial
         return np.diag([half] * 3 + np.maximum(half * lever, floor).tolist())
 
     def consistent_mass(self) -> Array:
         """(6, 6) M of the beam moving in its static shapes under tip wrenches."""
-        area, _, polar = self.section
+        area, polar = self.section.area, self.section.torsion
         K, out = self.stiffness(), np.zeros((6, 6))
         for k, segment in enumerate(self.segments):
             length = float(np.linalg.norm(segment))

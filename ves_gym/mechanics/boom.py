@@ -9,41 +9,204 @@ tip's statics exactly; what is approximate is how the member's own mass takes pa
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
-from ves_gym._util.params import Array, ParameterError, Vector, finite, freeze_arrays, unit
-from ves_gym._util.threads import on_one_thread
-from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.boom_member import (
-    BoomJoint,
-    BoomMember,
-    Flange,
-    Hinge,
-    add_body,
-    diameter,
-    hinges_of,
-    join,
-    turned_lump,
+from ves_gym._util.params import (
+    Array,
+    ParameterError,
+    Vector,
+    finite,
+    freeze_arrays,
+    require_positive,
+    unit,
 )
-from ves_gym.mechanics.chain import Joint, Lump, about_z, angles_of, arm_of, upright
+from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.threads import on_one_thread
+from ves_gym.mechanics.arm import (
+    WEIGHTLESS,
+    Arm,
+    Flexure,
+    Inertial,
+    Link,
+    Mount,
+    diagonal,
+    matrix,
+)
+from ves_gym.mechanics.beam import Material, Section, Tube
+from ves_gym.mechanics.chain import Joint, LinkMass, Lump, angles_of, arm_of
 from ves_gym.mechanics.craig_bampton import reduce
-from ves_gym.mechanics.dynamics import frames
+from ves_gym.mechanics.dynamics import expand
 from ves_gym.mechanics.flexible_base import REACH, FlexibleBase, Reduced
-from ves_gym.mechanics.flexure import unfold
-from ves_gym.mechanics.serial_chain import Flexure, Inertial, Link, Mount, matrix
+from ves_gym.mechanics.kinematics import frames
 
 _SOFTEST = 1e-9  # of the flange's ways, in compliance over the largest: below it none
 _EVENLY = 7  # points of a member that a picture shows
 
 
+@dataclass(frozen=True, kw_only=True)
+class BoomJoint:
+    """A revolute joint at a member's start: a motor, or its brake, and a housing beyond it."""
+
+    axis: Vector = unit("1")  # (3,) at zero, in the boom's axes
+    mass: float = unit("kg")  # of the housing, a homogeneous ball
+    radius: float = unit("m")  # of it
+    q_min: float = unit("rad")
+    q_max: float = unit("rad")
+    v_max: float = unit("rad/s")
+    a_max: float = unit("rad/s^2")
+    tau_max: float = unit("N m")
+    stiffness: float = unit("N m/rad")  # of the joint on its brake
+    damping: float = unit("N m s/rad", default=0.0)  # of the same
+    rotor_inertia: float = unit("kg m^2", default=0.0)  # of the motor, through its gear
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        require_positive(self, "radius", "v_max", "a_max", "tau_max", "stiffness")
+        require_positive(self, "mass", "damping", "rotor_inertia", zero=True)
+        if not np.linalg.norm(finite(self.axis, (3,), "BoomJoint.axis")) > 0:
+            raise ParameterError(f"BoomJoint.axis must not be zero, got {self.axis}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoomMember:
+    """A straight flexible member, with the joints at its start in their order.
+
+    `loss` is the time constant of its damping, damping over stiffness: 2 zeta / w damps a
+    mode of frequency w by the ratio zeta, faster ones more.
+    """
+
+    joints: tuple[BoomJoint, ...] = ()
+    vector: Vector = unit("m")  # (3,) from start to end at zero, in the boom's axes
+    section: Tube | Section
+    material: Material
+    hinges: int = 2  # in either plane
+    loss: float = unit("s", default=0.0)
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        if not np.linalg.norm(finite(self.vector, (3,), "BoomMember.vector")) > 0:
+            raise ParameterError("BoomMember.vector must not have zero length")
+        require_positive(self, "loss", zero=True)
+        if isinstance(self.hinges, bool) or not 1 <= self.hinges <= 12:
+            raise ParameterError(f"BoomMember.hinges must be 1 to 12, got {self.hinges!r}")
+
+    @property
+    def length(self) -> float:
+        """From start to end [m]."""
+        return float(np.linalg.norm(self.vector))
+
+    def axes(self) -> Array:
+        """(3, 3) columns: along the member, then the two that it bends about."""
+        along = np.array(self.vector) / self.length
+        section = self.section.of(self.material)
+        up = np.array(section.up if section.up is not None else (0.0, 0.0, 1.0))
+        if np.linalg.norm(np.cross(up, along)) < 1e-6:
+            up = np.array([1.0, 0.0, 0.0])
+        y = np.cross(up, along)
+        y /= np.linalg.norm(y)
+        return np.column_stack([along, y, np.cross(along, y)])
+
+
+@dataclass
+class _Hinge:
+    """A joint or a hinge of a boom in a pose, and the body beyond it."""
+
+    origin: Array  # (3,) [m]
+    axis: Array  # (3,)
+    stiffness: float
+    damping: float
+    joint: BoomJoint | None  # None: a hinge
+    body: Lump
+
+    def turned(self, R: Array, p: Array) -> _Hinge:
+        """Return the same, turned by R (3, 3) about a point p (3,) [m]."""
+        return replace(
+            self,
+            origin=p + R @ (self.origin - p),
+            axis=R @ self.axis,
+            body=self.body.turned(R, p),
+        )
+
+
+class Flange(NamedTuple):
+    """A flange: its rotation (3, 3) and position (3,) in the boom's axes."""
+
+    rotation: Array
+    position: Array
+
+
+def _hinges_of(member: BoomMember, start: Array, inner: list[_Hinge]) -> list[_Hinge]:
+    """A member's joints and hinges at zero, each with the body up to the next.
+
+    Args:
+        member: that follows.
+        start: (3,) where it begins [m].
+        inner: of the members before; the last takes a body from a member without joints.
+    """
+    out = []
+    for joint in member.joints:
+        housing = Lump()
+        moment = 2 / 5 * joint.mass * joint.radius**2
+        housing.add(LinkMass("", joint.mass, start, moment * np.eye(3)))
+        axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+        out.append(_Hinge(start, axis, joint.stiffness, joint.damping, joint, housing))
+    section, length, axes = member.section.of(member.material), member.length, member.axes()
+    E, G = member.material.youngs_modulus, member.material.shear_modulus
+    x, w = np.polynomial.legendre.leggauss(member.hinges)
+    hinges = [(0.5, 0, G * section.torsion / length)]
+    for at, share in zip((1 + x) / 2, w / 2, strict=True):
+        # up is the third axis, along which second_y resists
+        hinges.append((float(at), 1, E * section.second_y / (share * length)))
+        hinges.append((float(at), 2, E * section.second_z / (share * length)))
+    hinges.sort(key=lambda hinge: hinge[:2])
+    before = [*inner, *out]  # nothing: the root itself, which does not move
+    if before:
+        before[-1].body.join(_rod(member, start, 0.0, hinges[0][0]))
+    for k, (at, axis, stiffness) in enumerate(hinges):
+        end = hinges[k + 1][0] if k + 1 < len(hinges) else 1.0
+        origin = start + at * length * axes[:, 0]
+        loss = member.loss * stiffness
+        body = _rod(member, start, at, end)
+        out.append(_Hinge(origin, axes[:, axis], stiffness, loss, None, body))
+    return out
+
+
+def _rod(member: BoomMember, start: Array, first: float, last: float) -> Lump:
+    """A piece of a member, by shares of its length, as a rigid body."""
+    lump, length = Lump(), (last - first) * member.length
+    if length <= 0:
+        return lump
+    section, axes = member.section.of(member.material), member.axes()
+    density = member.material.density
+    mass = density * section.area * length
+    bent = density * length * np.array([section.second_y, section.second_z])
+    moments = np.diag(
+        [bent.sum(), mass * length**2 / 12 + bent[0], mass * length**2 / 12 + bent[1]]
+    )
+    middle = start + (first + last) / 2 * member.length * axes[:, 0]
+    lump.add(LinkMass("", mass, middle, axes @ moments @ axes.T))
+    near, far = (start + share * member.length * axes[:, 0] for share in (first, last))
+    lump.capsules.append((near, far, _diameter(member) / 2))
+    return lump
+
+
+def _diameter(member: BoomMember) -> float:
+    """Return the outer diameter of a member, or of the round bar of its area [m]."""
+    section = member.section.of(member.material)
+    return 2 * (section.fibre or math.sqrt(section.area / math.pi))
+
+
 class _Pose(NamedTuple):
     """A boom at rest."""
 
-    events: list[Hinge]  # joints and hinges in their order
+    events: list[_Hinge]  # joints and hinges in their order
     flange: Flange
     centreline: list[tuple[Array, int]]  # points along it (3,), and the events before each
 
@@ -88,15 +251,15 @@ class Boom:
             raise ParameterError(
                 f"boom {self.name} must begin with a joint to be driven, got a member without"
             )
-        add_body(events[-1].body, arm.base, flange)
+        events[-1].body.add_body(arm.base, *flange)
         joints: list[Joint] = []
-        within: list[list[Hinge]] = []
+        within: list[list[_Hinge]] = []
         for event in events:
             if event.joint is not None:
                 joints.append(_joint(event, len(joints)))
                 within.append([])
             else:
-                join(joints[-1].body, event.body)
+                joints[-1].body.join(event.body)
                 within[-1].append(event)
         R, p = _mounted(arm, flange)
         chain = arm_of(self.name, Lump(), joints, (R, p), source=self.source)
@@ -129,10 +292,10 @@ class Boom:
             arm: stands on the flange.
         """
         events, flange, _ = self._pose(q)
-        add_body(events[-1].body, arm.base, flange)
+        events[-1].body.add_body(arm.base, *flange)
         total = Lump()
         for event in events:
-            join(total, event.body)
+            total.join(event.body)
         R, p = _mounted(arm, flange)
         still = np.eye(3), np.zeros(3)
         return replace(
@@ -169,7 +332,7 @@ class Boom:
             ParameterError: the flange cannot move along some direction, as that of a straight
                 boom along itself.
         """
-        beam = unfold(self.braked(q, NOTHING))
+        beam = expand(self.braked(q, NO_ARM))
         events, flange, centreline = self._pose(q)
         p = len(beam.passive)
         M = beam.inertia(np.zeros(1), np.zeros(p))[6 : 6 + p, 6 : 6 + p]
@@ -208,7 +371,7 @@ class Boom:
                 ),
                 static=matrix(moved @ reduction.static),
                 shapes=matrix(moved @ reduction.shapes),
-                diameter=max(diameter(member) for member in self.members),
+                diameter=max(_diameter(member) for member in self.members),
             ),
             modes=reduction.m,
             fastest=fastest,
@@ -219,11 +382,11 @@ class Boom:
     def _pose(self, q: npt.ArrayLike) -> _Pose:
         """The boom at rest with its joints at q."""
         angles = finite(q, (len(self.joints),), "q")
-        events: list[Hinge] = []
+        events: list[_Hinge] = []
         centreline, at = [(np.zeros(3), 0)], np.zeros(3)
         for member in self.members:
             before = len(events)
-            events += hinges_of(member, at, events)
+            events += _hinges_of(member, at, events)
             way = np.array(member.vector)
             for share in np.arange(1, _EVENLY + 1) / _EVENLY:
                 inner = [
@@ -232,20 +395,20 @@ class Boom:
                 centreline.append((at + share * way, before + len(inner)))
             at = at + way
         if self.tip is not None:
-            add_body(events[-1].body, self.tip, Flange(np.eye(3), at))
+            events[-1].body.add_body(self.tip, p=at)
         flange = Flange(Mount(angles=self.flange).rotation, at)
         places = [i for i, event in enumerate(events) if event.joint is not None]
         # outermost joint first, so that the inner axes are still where they are at zero
         for i, angle in reversed(list(zip(places, angles.tolist(), strict=True))):
-            R, p = _about(events[i].axis, angle), events[i].origin
-            events[i] = replace(events[i], body=turned_lump(events[i].body, R, p))
+            R, p = Rotation.from_rotvec(angle * events[i].axis).as_matrix(), events[i].origin
+            events[i] = replace(events[i], body=events[i].body.turned(R, p))
             events[i + 1 :] = [event.turned(R, p) for event in events[i + 1 :]]
             centreline = [(p + R @ (k - p), n) if n > i else (k, n) for k, n in centreline]
             flange = Flange(R @ flange.rotation, p + R @ (flange.position - p))
         return _Pose(events, flange, centreline)
 
 
-def _ways(events: list[Hinge], point: Array, count: int | None = None) -> Array:
+def _ways(events: list[_Hinge], point: Array, count: int | None = None) -> Array:
     """(3, p) ways of a point per angle of the joints and hinges, the first `count` of them."""
     out = np.zeros((3, len(events)))
     for k, event in enumerate(events[:count]):
@@ -253,7 +416,7 @@ def _ways(events: list[Hinge], point: Array, count: int | None = None) -> Array:
     return out
 
 
-def _flexure(event: Hinge, R: Array, p: Array) -> Flexure:
+def _flexure(event: _Hinge, R: Array, p: Array) -> Flexure:
     """A joint or hinge as a passive joint in a frame of rotation R and position p."""
     axis = R.T @ event.axis
     return Flexure(
@@ -265,12 +428,12 @@ def _flexure(event: Hinge, R: Array, p: Array) -> Flexure:
     )
 
 
-def _joint(event: Hinge, number: int) -> Joint:
+def _joint(event: _Hinge, number: int) -> Joint:
     """A joint as it is driven."""
     joint = event.joint
     assert joint is not None
     body = Lump()
-    join(body, event.body)
+    body.join(event.body)
     return Joint(
         name=joint.name or f"boom_{number + 1}",
         origin=event.origin,
@@ -287,28 +450,19 @@ def _joint(event: Hinge, number: int) -> Joint:
 
 def _mounted(arm: Arm, flange: Flange) -> tuple[Array, Array]:
     """Rotation and position of an arm's first joint on a flange."""
-    R, p = flange
-    if arm.mount is None:
-        return R, p
-    return R @ arm.mount.rotation, p + R @ np.array(arm.mount.position)
+    R, p = arm.start
+    return flange.rotation @ R, flange.position + flange.rotation @ p
 
 
-def _about(axis: Array, angle: float) -> Array:
-    """(3, 3) rotation about an axis of length 1."""
-    to_z = upright(axis)
-    out: Array = to_z @ about_z(angle) @ to_z.T
-    return out
-
-
-NOTHING = Arm(
+NO_ARM = Arm(
     name="nothing",
-    base=Inertial(mass=0.0, com=(0.0,) * 3, inertia=matrix(np.zeros((3, 3)))),
+    base=WEIGHTLESS,
     links=(
         Link(
             d=0.0,
             a=0.0,
             alpha=0.0,
-            inertial=Inertial(mass=0.0, com=(0.0,) * 3, inertia=matrix(np.zeros((3, 3)))),
+            inertial=WEIGHTLESS,
             q_min=-1.0,
             q_max=1.0,
             v_max=1.0,
@@ -318,3 +472,85 @@ NOTHING = Arm(
     ),
     source="no arm",
 )
+
+
+# ------------------------------------------------------------------- booms by name
+
+QUASI_ISOTROPIC = Material(
+    youngs_modulus=70e9,
+    shear_modulus=27e9,
+    density=1600.0,
+    source="nominal, this project: quasi-isotropic graphite-epoxy",
+)
+
+_TUBE = Tube(outer_diameter=0.33, wall=0.005)
+_LOSS = 0.003  # s: ratio 0.005 at 0.5 Hz
+_PACE = math.radians(5.0)  # rad/s, approximately, of the Shuttle's arm without a payload
+
+
+def _shuttle_joint(
+    name: str, axis: tuple[float, float, float], torque: float, k: float
+) -> BoomJoint:
+    least, most = (-math.pi, math.pi) if name == "shoulder_yaw" else (-2.8, 2.8)
+    return BoomJoint(
+        name=name,
+        axis=axis,
+        mass=60.0 if name == "elbow_pitch" else 55.0,
+        radius=0.2,
+        q_min=least,
+        q_max=most,
+        v_max=_PACE,
+        a_max=0.02,
+        tau_max=torque,
+        stiffness=k,
+        damping=_LOSS * k,
+        rotor_inertia=torque / 1.5,  # 1000 kg m^2 at the shoulder: a gear of some thousand
+    )
+
+
+SHUTTLE_LIKE = Boom(
+    name="shuttle-like",
+    members=(
+        BoomMember(
+            joints=(
+                _shuttle_joint("shoulder_yaw", (0.0, 0.0, 1.0), 1500.0, 1.2e6),
+                _shuttle_joint("shoulder_pitch", (0.0, 1.0, 0.0), 1500.0, 1.2e6),
+            ),
+            vector=(6.4, 0.0, 0.0),
+            section=_TUBE,
+            material=QUASI_ISOTROPIC,
+            loss=_LOSS,
+        ),
+        BoomMember(
+            joints=(_shuttle_joint("elbow_pitch", (0.0, 1.0, 0.0), 750.0, 6e5),),
+            vector=(7.0, 0.0, 0.0),
+            section=_TUBE,
+            material=QUASI_ISOTROPIC,
+            loss=_LOSS,
+        ),
+    ),
+    flange=(0.0, math.pi / 2, 0.0),  # the arm's z continues the boom
+    tip=Inertial(mass=130.0, com=(-0.3, 0.0, 0.0), inertia=diagonal(2.6, 5.2, 5.2)),
+    bandwidth=0.5,
+    source="nominal, this project, at the size of the Shuttle's arm (15.2 m with its wrist,"
+    " 410 kg, two graphite-epoxy booms of 0.33 m, 5 deg/s: NASA, JAXA): two members of 6.4"
+    " and 7.0 m, EI 4.7e6 N m^2, three joints, what was its wrist a body at the tip",
+)
+
+# Bent so that the flange gives along all six axes, above its root and to the side.
+REACHING_OUT = (0.3, -1.1, 1.7)  # rad
+
+BOOMS: dict[str, Boom] = {SHUTTLE_LIKE.name: SHUTTLE_LIKE}
+
+
+def get_boom(name: str) -> Boom:
+    """Return a boom that comes with the package, by name.
+
+    Raises:
+        ParameterError: an unknown name.
+    """
+    if name not in BOOMS:
+        raise ParameterError(
+            f"boom must be one of {', '.join(BOOMS)}, got {name!r}{did_you_mean(name, BOOMS)}"
+        )
+    return BOOMS[name]

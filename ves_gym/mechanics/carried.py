@@ -23,6 +23,7 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
+from ves_gym.mechanics.arm import Inertial, require_length_1
 from ves_gym.mechanics.dynamics import (
     body_loads,
     moments,
@@ -32,14 +33,7 @@ from ves_gym.mechanics.dynamics import (
     swing,
     turned_inertia,
 )
-from ves_gym.mechanics.serial_chain import Inertial, skew
-from ves_gym.mechanics.spatial import cross, room
-
-
-def _require_unit(vector: Vector, name: str) -> None:
-    length = float(np.linalg.norm(finite(vector, (3,), name)))
-    if abs(length - 1) > 1e-9:
-        raise ParameterError(f"{name} must have length 1, got {vector}")
+from ves_gym.mechanics.spatial import cross, room, skew
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +55,7 @@ class ReactionWheel:
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
-        _require_unit(self.axis, "ReactionWheel.axis")
+        require_length_1(self.axis, "ReactionWheel.axis")
         require_positive(self, "inertia", "torque_max", "momentum_max")
         require_positive(self, "viscous", "coulomb", zero=True)
 
@@ -90,7 +84,7 @@ class Appendage:
     def __post_init__(self) -> None:
         freeze_arrays(self)
         require_choice(self, "joint", ("hinge", "slide"))
-        _require_unit(self.axis, "Appendage.axis")
+        require_length_1(self.axis, "Appendage.axis")
         finite(self.point, (3,), "Appendage.point")
         require_positive(self, "stiffness")
         require_positive(self, "damping", zero=True)

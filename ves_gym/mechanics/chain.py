@@ -1,28 +1,35 @@
-"""From joint axes and bodies at one configuration to an arm: what URDF and MJCF lead to."""
+"""From joint axes and bodies at one configuration to an arm.
+
+What files of URDF and MJCF lead to, booms, and arms whose links bend.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.dynamics import drawn_configurations, inertia
-from ves_gym.mechanics.serial_chain import (
+from ves_gym.mechanics.arm import (
     BANDWIDTH,
+    WEIGHTLESS,
+    Arm,
     Capsule,
+    Flexure,
     Inertial,
     Link,
     Mount,
-    SerialChain,
     matrix,
+    turned_about,
 )
+from ves_gym.mechanics.dynamics import drawn_configurations, inertia
 
 ENDLESS = 2 * math.pi  # rad either way, the range taken for a joint without limits
 _NOTHING = 1e-13  # of m c^2
+_LEAST = 1e-9  # share of a link's mass below which nothing is left of it
 _ZERO = 1e-13  # m, rad: rounding of a file's angles
 _SPEED = math.pi  # rad/s, v_max where a file gives none
 _SLIDE_SPEED = 0.5  # m/s, the same of a joint that slides
@@ -30,21 +37,9 @@ _PACE = 20.0  # 1/s, a_max over v_max at most, where a file gives none; the PUMA
 _CREEP = 0.01  # rad/s over which Coulomb friction builds up (`joint/coulomb`)
 _DECAY = 400.0  # 1/s, the fastest that a joint's friction may be: rk4 at 1.25 ms takes 2200
 _PUSH = 10.0  # rad/s^2 that tau_max gives the largest inertia, where a file gives none
-# Numbers beyond these look like mm, g and kg mm^2 (this project).
-_REACH = 100.0  # m
-_DENSITY = 1e4  # kg/m^3: moving mass over the cube of the reach; a PUMA has 60
-_GYRATION = 10.0  # radius of gyration over the reach
 
-
-class ChainChoice(NamedTuple):
-    """The chain of a file that is taken, and how it is read; see `Arm.from_urdf`."""
-
-    tip: str | None
-    root: str | None
-    locked: dict[str, float]  # name -> angle [rad]
-    collision: bool
-    check: bool
-    rotors: dict[str, float]  # name -> inertia about the joint [kg m^2], where not the file's
+_UPRIGHT, _ORIGIN = np.eye(3), np.zeros(3)
+Segment = tuple[Array, Array, float]  # both ends of a capsule (3,) and its radius [m]
 
 
 @dataclass
@@ -54,7 +49,7 @@ class Lump:
     mass: float = 0.0
     moment: Array = field(default_factory=lambda: np.zeros(3))  # m c [kg m]
     second: Array = field(default_factory=lambda: np.zeros((3, 3)))  # about the root's origin
-    capsules: list[tuple[Array, Array, float]] = field(default_factory=list)  # ends, radius
+    capsules: list[Segment] = field(default_factory=list)  # ends, radius
 
     def add(self, piece: LinkMass) -> None:
         """Add a link."""
@@ -64,10 +59,38 @@ class Lump:
         square = c @ c * np.eye(3) - np.outer(c, c)
         self.second = self.second + piece.moments + mass * square
 
+    def add_body(
+        self, body: Inertial, R: Array = _UPRIGHT, p: Array = _ORIGIN, sign: float = 1.0
+    ) -> None:
+        """Add a body, or take it away (sign -1).
+
+        Args:
+            body: its mass properties in its own frame.
+            R, p: rotation (3, 3) and position (3,) of that frame.
+            sign: 1 or -1.
+        """
+        moments = sign * (R @ np.array(body.inertia) @ R.T)
+        self.add(LinkMass("", sign * body.mass, p + R @ np.array(body.com), moments))
+
+    def join(self, other: Lump) -> None:
+        """Add all of another lump, its capsules included."""
+        self.mass += other.mass
+        self.moment = self.moment + other.moment
+        self.second = self.second + other.second
+        self.capsules += other.capsules
+
+    def turned(self, R: Array, p: Array) -> Lump:
+        """Return the lump turned by R (3, 3) about a point p (3,) [m]."""
+        out = Lump()
+        if self.mass:
+            out.add_body(self.inertial(_UPRIGHT, _ORIGIN), R, p - R @ p)
+        out.capsules = [(p + R @ (a - p), p + R @ (b - p), r) for a, b, r in self.capsules]
+        return out
+
     def inertial(self, R: Array, p: Array) -> Inertial:
         """Return the mass properties in a frame of rotation (3, 3) and position (3,)."""
         if self.mass == 0:
-            return Inertial(mass=0.0, com=(0.0,) * 3, inertia=matrix(np.zeros((3, 3))))
+            return WEIGHTLESS
         c = self.moment / self.mass
         square = self.mass * (c @ c * np.eye(3) - np.outer(c, c))
         about = self.second - square
@@ -120,34 +143,6 @@ class Joint:
     slides: bool = False  # along its axis; then m and N instead of rad and N m
 
 
-def given_rotors(joints: Sequence[Joint], rotors: Mapping[str, float]) -> list[str]:
-    """Set rotor inertias that the reader of a file gives, and return what is to be said of it.
-
-    Args:
-        joints: of the arm.
-        rotors: inertia about the joint, by its name [kg m^2].
-
-    Raises:
-        ParameterError: no such joint among those that move, or no inertia.
-    """
-    named = {joint.name: joint for joint in joints}
-    for name, value in rotors.items():
-        if name not in named:
-            raise ParameterError(
-                f"rotors: no moving joint {name!r}; there are {', '.join(named)}"
-            )
-        if not (math.isfinite(value) and value >= 0):
-            raise ParameterError(
-                f"rotors: inertia about joint {name!r} must be >= 0 kg m^2, got {value!r}"
-            )
-    for name, value in rotors.items():
-        named[name].rotor_inertia = float(value)
-    if not rotors:
-        return []
-    values = (f"{name} {value:g} kg m^2" for name, value in rotors.items())
-    return [f"rotor inertia given beside the file: {', '.join(values)}"]
-
-
 def arm_of(
     name: str,
     root: Lump,
@@ -157,7 +152,7 @@ def arm_of(
     source: str,
     collision: bool = True,
     bandwidth: float = BANDWIDTH,
-) -> SerialChain:
+) -> Arm:
     """Return the arm of joint axes and bodies at zero.
 
     Args:
@@ -180,7 +175,7 @@ def arm_of(
         axis = tool[0][:, 2] if last else joints[i + 1].axis
         target = tool[1] if last else joints[i + 1].origin
         shape = far_end(R.T @ (target - p), R.T @ axis)
-        turned = about_z(shape["offset"])
+        turned = turned_about(2, shape["offset"])
         link = _link(joint, shape)
         R, p = R @ turned @ link.far_end[0], target
         try:
@@ -189,12 +184,12 @@ def arm_of(
             raise ParameterError(f"what joint {joint.name!r} moves: {error}") from None
         capsules = joint.body.shape(R, p) if collision else None
         links.append(replace(link, inertial=inertial, shape=capsules))
-    rest = R.T @ tool[0]
-    angle = math.atan2(rest[1, 0], rest[0, 0])
-    arm = SerialChain(
+    turn = R.T @ tool[0]
+    angle = math.atan2(turn[1, 0], turn[0, 0])
+    arm = Arm(
         name=name,
-        base=root.inertial(np.eye(3), np.zeros(3)),
-        base_shape=root.shape(np.eye(3), np.zeros(3)) if collision else None,
+        base=root.inertial(_UPRIGHT, _ORIGIN),
+        base_shape=root.shape(_UPRIGHT, _ORIGIN) if collision else None,
         mount=_mount(mount, joints[0].origin),
         links=tuple(links),
         tool_angle=angle if abs(angle) > _ZERO else None,
@@ -202,64 +197,6 @@ def arm_of(
         source=source,
     )
     return _with_limits(arm, joints)
-
-
-def require_body(piece: LinkMass) -> None:
-    """Refuse mass properties that no rigid body has.
-
-    Args:
-        piece: a link.
-
-    Raises:
-        ParameterError: names the link.
-    """
-    try:
-        Inertial(mass=piece.mass, com=(0.0, 0.0, 0.0), inertia=matrix(piece.moments))
-    except ParameterError as error:
-        raise ParameterError(f"link {piece.link!r}: {error}") from None
-    if piece.mass == 0 and piece.moments.any():
-        raise ParameterError(f"link {piece.link!r} has an inertia, but no mass")
-
-
-def require_plausible(joints: list[Joint], tool: Array, pieces: list[LinkMass]) -> None:
-    """Refuse lengths, masses and inertias that look like mm, g and kg mm^2.
-
-    Args:
-        joints: from root to tip.
-        tool: (3,) position [m].
-        pieces: the links that move.
-
-    Raises:
-        ParameterError: names the joint or the link.
-    """
-    points = np.array([*(joint.origin for joint in joints), tool])
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    reach = float(steps.sum())
-    if reach > _REACH:
-        k = int(steps.argmax())
-        raise ParameterError(
-            f"what joint {joints[k].name!r} moves is {steps[k]:.4g} m long and the whole arm"
-            f" {reach:.4g} m: lengths must be in m, these look like mm (check=False takes them)"
-        )
-    apart = [np.linalg.norm(k.com - points, axis=1).min() for k in pieces if k.mass]
-    size = max([reach, 1e-3, *(2 * float(k) for k in apart)])
-    for piece in pieces:
-        largest = float(np.abs(piece.moments).max())
-        if largest > piece.mass * (_GYRATION * size) ** 2:
-            raise ParameterError(
-                f"link {piece.link!r} of {piece.mass:.4g} kg has an inertia of {largest:.4g}"
-                f" kg m^2, a radius of gyration of {math.sqrt(largest / piece.mass):.3g} m on"
-                f" an arm of {size:.3g} m: inertias must be in kg m^2, these look like kg mm^2"
-                " (check=False takes them)"
-            )
-    total = sum(piece.mass for piece in pieces)
-    if total > _DENSITY * size**3:
-        heaviest = max(pieces, key=lambda piece: piece.mass)
-        raise ParameterError(
-            f"link {heaviest.link!r} has {heaviest.mass:.4g} kg and all that moves {total:.4g}"
-            f" kg on {size:.3g} m: masses must be in kg, these look like g (check=False takes"
-            " them)"
-        )
 
 
 def upright(axis: Array) -> Array:
@@ -275,16 +212,11 @@ def upright(axis: Array) -> Array:
     )
 
 
-def about_z(angle: float) -> Array:
-    c, s = round(math.cos(angle), 15), round(math.sin(angle), 15)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
 def angles_of(R: Array) -> tuple[float, float, float]:
     """Return roll, pitch and yaw of a rotation (3, 3): about x, then y, then z [rad]."""
     yaw = math.atan2(R[1, 0], R[0, 0])
-    rest = about_z(yaw).T @ R  # without yaw: exact also where x points along z
-    return math.atan2(-rest[1, 2], rest[1, 1]), math.atan2(-rest[2, 0], rest[0, 0]), yaw
+    flat = turned_about(2, yaw).T @ R  # without yaw: exact also where x points along z
+    return math.atan2(-flat[1, 2], flat[1, 1]), math.atan2(-flat[2, 0], flat[0, 0]), yaw
 
 
 def _mount(R: Array, p: Array) -> Mount | None:
@@ -309,7 +241,7 @@ def far_end(p: Array, axis: Array) -> dict[str, float]:
         offset = math.atan2(p[1], p[0])
     if not -math.pi / 2 < offset <= math.pi / 2 + _ZERO:  # the other way round
         offset, a = offset - math.copysign(math.pi, offset), -a
-    x, y, z = about_z(offset).T @ axis
+    x, y, z = turned_about(2, offset).T @ axis
     if abs(x) < _ZERO:
         x = 0.0
     beta = math.atan2(x, math.hypot(y, z))
@@ -331,7 +263,7 @@ def _link(joint: Joint, shape: dict[str, float]) -> Link:
         alpha=shape["alpha"],
         beta=shape["beta"] or None,
         offset=shape["offset"],
-        inertial=Inertial(mass=0.0, com=(0.0,) * 3, inertia=matrix(np.zeros((3, 3)))),
+        inertial=WEIGHTLESS,
         rotor_inertia=joint.rotor_inertia,
         q_min=joint.q_min,
         q_max=joint.q_max,
@@ -345,20 +277,17 @@ def _link(joint: Joint, shape: dict[str, float]) -> Link:
     )
 
 
-def largest_inertia(arm: SerialChain) -> Array:
+def largest_inertia(arm: Arm) -> Array:
     """(n,) largest inertia about each joint, the others at rest [kg m^2].
 
     Of configurations drawn within the limits, among them zero or what is nearest to it.
-
-    Args:
-        arm: the arm.
     """
     H = inertia(arm, drawn_configurations(arm))[:, 6:, 6:]
     out: Array = np.diagonal(H, axis1=1, axis2=2).max(axis=0)
     return out
 
 
-def _with_limits(arm: SerialChain, joints: list[Joint]) -> SerialChain:
+def _with_limits(arm: Arm, joints: list[Joint]) -> Arm:
     """The arm with limits derived where none are given, which its source then says."""
     most = largest_inertia(arm)
     for joint, value in zip(joints, most, strict=True):
@@ -400,7 +329,7 @@ def _with_limits(arm: SerialChain, joints: list[Joint]) -> SerialChain:
     return replace(arm, links=tuple(links), source=source)
 
 
-def _too_fast(arm: SerialChain) -> list[int]:
+def _too_fast(arm: Arm) -> list[int]:
     """Joints whose friction brakes what they move faster than a physics step resolves."""
     rubbing = [(k.damping or 0.0) + (k.friction or 0.0) / _CREEP for k in arm.links]
     if not any(rubbing):
@@ -414,3 +343,122 @@ def _down(value: float) -> float:
     """The number rounded down to two digits."""
     scale = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.floor(value / scale + 1e-9) * scale:.3g}")
+
+
+# ------------------------------------------------------------------- flexures as joints
+
+
+def flexures_as_links(arm: Arm) -> tuple[Arm, list[int], list[int], list[Flexure]]:
+    """Return the rigid arm in which each flexure is a joint of its own.
+
+    Args:
+        arm: with n links that bend in p flexures.
+
+    Returns:
+        The arm of n + p links, places of the driven joints and of the flexures among them,
+        and the flexures.
+
+    Raises:
+        ParameterError: the parts beyond the flexures weigh more than their link.
+    """
+    links: list[Link] = []
+    driven: list[int] = []
+    springs: list[Flexure] = []
+    passive: list[int] = []
+    at_mount = _Frame(np.eye(3), np.zeros(3))
+    mount, base, turn = arm.mount, arm.base, 0.0
+    if arm.base_flexures:
+        base = _remaining(arm.base, arm.base_flexures, at_mount, "base")
+        first = arm.base_flexures[0]
+        start = upright(np.array(first.axis))
+        mount = Mount(position=first.origin, angles=angles_of(start))
+        chain, turn = _hops(arm.base_flexures, _Frame(start, np.array(first.origin)), arm.start)
+        passive += range(len(chain))
+        springs += arm.base_flexures
+        links += chain
+    for i, link in enumerate(arm.links, start=1):
+        offset, driven = link.offset + turn, [*driven, len(links)]
+        turn = 0.0
+        if not link.flexures:
+            links.append(replace(link, offset=offset))
+            continue
+        # everything in the link's own frame, in which the joint lies at its far end's inverse
+        R, p = link.far_end
+        joint = _Frame(R.T, -R.T @ p)
+        first = link.flexures[0]
+        root, frame = joint.reach(first.origin, first.axis)
+        remainder = _remaining(link.inertial, link.flexures, frame, f"link {i}")
+        offset += root.pop("offset")
+        links.append(replace(link, **root, offset=offset, inertial=remainder, flexures=None))
+        chain, turn = _hops(link.flexures, frame, (np.eye(3), np.zeros(3)))
+        passive += range(len(links), len(links) + len(chain))
+        springs += link.flexures
+        links += chain
+    rigid = replace(
+        arm, base=base, base_flexures=None, mount=mount, links=tuple(links), base_shape=None
+    )
+    return rigid, driven, passive, springs
+
+
+class _Frame(NamedTuple):
+    """A joint's frame before it turns, z along its axis."""
+
+    rotation: Array  # (3, 3)
+    position: Array  # (3,) [m]
+
+    def reach(
+        self, origin: npt.ArrayLike, axis: npt.ArrayLike
+    ) -> tuple[dict[str, Any], _Frame]:
+        """Return the link that leads from this joint to a next one, and that one's frame."""
+        R, p = self
+        way = far_end(R.T @ (np.array(origin) - p), R.T @ np.array(axis))
+        turns = zip((2, 0, 1), ("offset", "alpha", "beta"), strict=True)
+        for axis_, angle in turns:
+            R = R @ turned_about(axis_, way[angle])
+        return way | {"beta": way["beta"] or None}, _Frame(R, np.array(origin, float))
+
+
+def _hops(
+    flexures: tuple[Flexure, ...], frame: _Frame, end: tuple[Array, Array]
+) -> tuple[list[Link], float]:
+    """Links of the flexures up to a frame at the end, and what that is turned about its z."""
+    out = []
+    for k, flexure in enumerate(flexures):
+        last = k + 1 == len(flexures)
+        axis = end[0][:, 2] if last else flexures[k + 1].axis
+        origin = end[1] if last else flexures[k + 1].origin
+        way, frame = frame.reach(origin, axis)
+        lump = Lump()
+        lump.add_body(flexure.beyond)
+        out.append(
+            Link(
+                **way,
+                inertial=lump.inertial(frame.rotation, frame.position),
+                q_min=-math.pi,
+                q_max=math.pi,
+                v_max=1.0,
+                a_max=1.0,
+                tau_max=1.0,
+            )
+        )
+    turned = frame.rotation.T @ end[0]
+    return out, math.atan2(turned[1, 0], turned[0, 0])
+
+
+def _remaining(
+    full: Inertial, flexures: tuple[Flexure, ...], frame: _Frame, what: str
+) -> Inertial:
+    """Part of a link before its first flexure, in a frame."""
+    lump = Lump()
+    lump.add_body(full)
+    for flexure in flexures:
+        lump.add_body(flexure.beyond, sign=-1.0)
+    if abs(lump.mass) <= _LEAST * full.mass:
+        return WEIGHTLESS
+    try:
+        return lump.inertial(*frame)
+    except ParameterError as error:
+        raise ParameterError(
+            f"{what}: the parts beyond its flexures must leave a rigid body of its"
+            f" {full.mass:.6g} kg: {error}"
+        ) from None

@@ -23,7 +23,7 @@ import scipy
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.threads import on_one_thread
-from ves_gym.mechanics.modes import natural_modes
+from ves_gym.mechanics.modes import modal_damping
 
 _DENSE = 1500  # inner freedoms up to which all modes come from one dense solve
 _ALIKE = 1e-9  # relative distance of frequencies whose modes have no axes of their own
@@ -84,12 +84,7 @@ class Reduction:
         Returns:
             (6 + m, 6 + m) over (Y', eta').
         """
-        mass, stiffness = self.matrices()
-        omega, shapes = natural_modes(stiffness, mass)
-        rates = 2 * np.broadcast_to(ratios, omega.shape) * omega
-        half = mass @ shapes
-        out: Array = (half * rates) @ half.T
-        return (out + out.T) / 2
+        return modal_damping(*self.matrices(), ratios)
 
     def absolute(self, damping: Array) -> tuple[Array, Array]:
         """Return the mass beside the modes, and a damping, over (Y, u), u = eta + P^T Y.

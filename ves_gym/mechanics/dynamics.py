@@ -10,15 +10,16 @@ Frame: the platform-top frame; wrench and twist at its origin, linear part first
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.joints import JointFrame, Mechanism, Turn, turn_by
-from ves_gym.mechanics.serial_chain import SerialChain
-from ves_gym.mechanics.spatial import cross, numbers, room
+from ves_gym._util.params import Array
+from ves_gym.mechanics.arm import Arm, Mechanism
+from ves_gym.mechanics.kinematics import frames, joint_positions, joint_values, twists
+from ves_gym.mechanics.spatial import cross, room
 
 # Spatial inertia (6, 6) by places in (0, m, h, -h, second moments), h the first moment
 _SPATIAL = [
@@ -32,147 +33,6 @@ _SPATIAL = [
 # Joints of some configurations at a time: what lies between stays in the cache, and its arrays
 # below the size from which the system hands out pages of memory one by one (128 KiB)
 _CHUNK = 3600
-
-
-# ----------------------------------------------------------------------- kinematics
-
-
-class Frames(NamedTuple):
-    """Poses of the joint frames: frame 0 the first joint's before it turns, then the links'.
-
-    Joint i turns about z of frame i - 1, or slides along it, and carries frame i.
-    """
-
-    rotations: Array  # (..., n + 1, 3, 3) from the frame's axes to the platform's
-    positions: Array  # (..., n + 1, 3) m
-    ways: Array  # (..., n, 3) from each frame to the next [m]
-
-    @property
-    def rotation(self) -> Array:
-        """(..., n, 3, 3) of the links' frames."""
-        return self.rotations[..., 1:, :, :]
-
-    @property
-    def position(self) -> Array:
-        """(..., n, 3) of the links' frames [m]."""
-        return self.positions[..., 1:, :]
-
-    @property
-    def axis(self) -> Array:
-        """(..., n, 3) of the joints, unit vectors."""
-        return self.rotations[..., :-1, :, 2]
-
-    @property
-    def origin(self) -> Array:
-        """(..., n, 3) points on the joints' axes [m]."""
-        return self.positions[..., :-1, :]
-
-
-def frames(arm: Mechanism, q: npt.ArrayLike) -> Frames:
-    """Return the pose of every joint frame in the platform-top frame (thesis B.3).
-
-    Args:
-        arm: the arm.
-        q: (..., n) joint angles [rad].
-    """
-    angles, (foot, place) = np.asanyarray(numbers(q), order="F"), arm.start
-    batch, n = angles.shape[:-1], len(arm.joints)
-    same, other = _swings(arm.joints, angles)
-    rotations, positions = room(angles, *batch, n + 1, 3, 3), room(angles, *batch, n + 1, 3)
-    ways = room(angles, *batch, n, 3)
-    rotations[..., 0, :, :], positions[..., 0, :] = foot, place
-    for i, joint in enumerate(arm.joints):
-        before, R, way = rotations[..., i, :, :], rotations[..., i + 1, :, :], ways[..., i, :]
-        z, (cosine, sine) = before[..., 2], joint.alpha
-        swung = R[..., ::2] if cosine == 0.0 else R[..., :2]
-        np.multiply(same[..., i, None, :], before[..., :2], out=swung)
-        swung += other[..., i, None, :] * before[..., 1::-1]
-        if cosine == 0.0:  # y has become z, and z y
-            np.multiply(sine, z, out=R[..., 1])
-        else:
-            R[..., 2] = z
-        if cosine != 0.0 and joint.alpha != (1.0, 0.0):  # of 1e-8 rad the cosine alone is 1
-            R[..., 1:] = _turned(R[..., 1:], joint.alpha)
-        if joint.a:
-            np.multiply(joint.a, R[..., 0], out=way)
-        if joint.slides:
-            way += (joint.d + angles[..., i, None]) * z
-        elif joint.d:
-            way += joint.d * z
-        if joint.beta is not None:  # z towards x
-            R[..., ::-2] = _turned(R[..., ::-2], joint.beta)
-        np.add(positions[..., i, :], way, out=positions[..., i + 1, :])
-    return Frames(rotations, positions, ways)
-
-
-def _swings(joints: tuple[JointFrame, ...], q: Array) -> tuple[Array, Array]:
-    """What x and y of a frame are multiplied with, and y and x, to be the next one's.
-
-    x' = c x + s y and y' = c y - s x, of the angles of the DH table; where alpha is a right
-    angle the second is -sin(alpha) y', which is where z comes to lie.
-
-    Returns:
-        (..., n, 2) each.
-    """
-    offsets = [joint.offset for joint in joints]
-    angles = q + np.array(offsets) if any(offsets) else q
-    cosine, sine = np.cos(angles), np.sin(angles)
-    for i, joint in enumerate(joints):
-        if joint.slides:
-            cosine[..., i], sine[..., i] = turn_by(joint.offset)
-    sign = np.array([-j.alpha[1] if j.alpha[0] == 0.0 else 1.0 for j in joints])
-    same, other = room(q, *q.shape, 2), room(q, *q.shape, 2)
-    same[..., 0], other[..., 0] = cosine, sine
-    np.multiply(cosine, sign, out=same[..., 1])
-    np.multiply(sine, -sign, out=other[..., 1])
-    return same, other
-
-
-def _turned(pair: Array, turn: Turn) -> Array:
-    """Columns u, w (..., 3, 2) as c u + s w and c w - s u."""
-    cosine, sine = turn
-    return cosine * pair + np.array([sine, -sine]) * pair[..., ::-1]
-
-
-def twists(arm: Mechanism, at: Frames) -> tuple[Array, Array]:
-    """Return the motion of what is beyond each joint, per rate of the joint.
-
-    Args:
-        arm: the arm.
-        at: its frames.
-
-    Returns:
-        Velocity at the platform's origin, and angular velocity, (..., n, 3) each.
-    """
-    moving, turning = cross(at.origin, at.axis), at.axis
-    if any(joint.slides for joint in arm.joints):
-        turning = turning.copy()
-    for i, joint in enumerate(arm.joints):
-        if joint.slides:
-            moving[..., i, :], turning[..., i, :] = at.axis[..., i, :], 0.0
-    return moving, turning
-
-
-def joint_positions(arm: SerialChain, q: npt.ArrayLike) -> Array:
-    """Return the origins of the platform frame and of every link frame.
-
-    Args:
-        arm: the arm.
-        q: (..., n) joint angles [rad].
-
-    Returns:
-        (..., n + 1, 3) points [m]; the last is the tool (the far end of the last link).
-    """
-    out = np.ascontiguousarray(frames(arm, _joint_values(arm, q)).positions)
-    out[..., 0, :] = 0.0
-    return out
-
-
-def _joint_values(arm: SerialChain, q: npt.ArrayLike, name: str = "q") -> Array:
-    array = np.asarray(q, float)
-    if array.ndim == 0 or array.shape[-1] != arm.n:
-        raise ParameterError(f"{name} must have shape (..., {arm.n}), got {array.shape}")
-    return array
 
 
 # --------------------------------------------------------------------- rigid bodies
@@ -294,12 +154,7 @@ class InertiaParts(NamedTuple):
 
 
 def inertia_parts(arm: Mechanism, q: npt.ArrayLike) -> InertiaParts:
-    """Return the parts of `inertia`.
-
-    Args:
-        arm: the arm.
-        q: (..., n) joint angles [rad].
-    """
+    """Return the parts of `inertia`, at joint angles q (..., n) [rad]."""
     at, bodies, n = frames(arm, q), arm.bodies, len(arm.joints)
     rotation = at.rotation
     com = at.position + (rotation * bodies.com[..., 1:, None, :]).sum(axis=-1)
@@ -327,17 +182,15 @@ def inertia_parts(arm: Mechanism, q: npt.ArrayLike) -> InertiaParts:
     return InertiaParts(base, across, joints)
 
 
-def inertia(arm: SerialChain, q: npt.ArrayLike) -> Array:
-    """Inertia matrix of the arm and its base link, base at the origin.
-
-    Args:
-        q: (..., n) joint angles [rad].
+def inertia(arm: Arm, q: npt.ArrayLike) -> Array:
+    """Inertia matrix of the arm and its base link, base at the origin, at joint angles q (...,
+    n) [rad].
 
     Returns:
         (..., 6 + n, 6 + n): [[H_b, H_bm], [H_bm^T, H_m]] for the base twist (linear part
         first, platform-top frame) and the joint rates; rotors included in H_m.
     """
-    angles, size = _joint_values(arm, q), 6 + arm.n
+    angles, size = joint_values(arm, q), 6 + arm.n
     out = np.empty((*angles.shape[:-1], size, size))
 
     def part(angles: Array, H: Array) -> None:
@@ -356,12 +209,8 @@ def _in_chunks(function: Callable[..., None], *arrays: Array) -> None:
         function(*(x[k : k + size] for x in arrays))
 
 
-def drawn_configurations(arm: SerialChain) -> Array:
-    """(257, n) zero, or what is nearest to it, and angles drawn within the limits [rad].
-
-    Args:
-        arm: the arm.
-    """
+def drawn_configurations(arm: Arm) -> Array:
+    """(257, n) zero, or what is nearest to it, and angles drawn within the limits [rad]."""
     low, high = arm.column("q_min"), arm.column("q_max")
     drawn = low + (high - low) * np.random.default_rng(0).uniform(size=(256, arm.n))
     return np.vstack([np.clip(0.0, low, high), drawn])
@@ -385,7 +234,6 @@ def newton_euler(
     """Torques of a motion, and the wrench that moves the whole arm with its base link.
 
     Args:
-        arm: the arm.
         q, v, a: (..., n) joint angles [rad], rates [rad/s], accelerations [rad/s^2].
         spin, turn: (..., 3) angular velocity and acceleration of the base, platform axes.
         accel: (..., 3) acceleration of its origin less that of free fall, platform axes.
@@ -425,7 +273,7 @@ def newton_euler(
 
 
 def inverse_dynamics(
-    arm: SerialChain,
+    arm: Arm,
     q: npt.ArrayLike,
     v: npt.ArrayLike,
     a: npt.ArrayLike,
@@ -442,7 +290,7 @@ def inverse_dynamics(
         exerts on the base at the platform-top origin.
     """
     motion = np.broadcast_arrays(
-        _joint_values(arm, q), _joint_values(arm, v, "v"), _joint_values(arm, a, "a")
+        joint_values(arm, q), joint_values(arm, v, "v"), joint_values(arm, a, "a")
     )
     shape, lift = motion[0].shape[:-1], -np.asarray(gravity, float)
     rows = [x.reshape(-1, arm.n) for x in motion]
@@ -456,3 +304,77 @@ def inverse_dynamics(
 
     _in_chunks(part, *rows, tau.reshape(-1, arm.n), wrench.reshape(-1, 6))
     return tau, wrench
+
+
+# ------------------------------------------------------------------ links that bend
+
+
+class ExpandedChain(NamedTuple):
+    """An arm with all its joints as links, and which of them are passive."""
+
+    arm: Arm  # n + p links, none of them bends
+    driven: tuple[int, ...]  # (n,) place of each driven joint among all
+    passive: tuple[int, ...]  # (p,) of each flexure
+    stiffness: Array  # (p,) [N m/rad]
+    damping: Array  # (p,) [N m s/rad]
+
+    def angles(self, q: npt.ArrayLike, d: npt.ArrayLike = 0.0) -> Array:
+        """Return driven and passive coordinates, or rates, in the order of the chain.
+
+        Args:
+            q: (..., n) of the driven joints.
+            d: (..., p) deflections.
+
+        Returns:
+            (..., n + p).
+        """
+        driven, bent = np.asarray(q, float), np.asarray(d, float)
+        batch = np.broadcast_shapes(driven.shape[:-1], bent.shape[:-1])
+        out = np.empty((*batch, self.arm.n))
+        out[..., list(self.driven)], out[..., list(self.passive)] = driven, bent
+        return out
+
+    def inertia(self, q: npt.ArrayLike, d: npt.ArrayLike) -> Array:
+        """Return the inertia matrix over base twist, flexures and driven joints.
+
+        Args:
+            q: (..., n) [rad].
+            d: (..., p) deflections [rad].
+
+        Returns:
+            (..., 6 + p + n, 6 + p + n), rows in this order.
+        """
+        order = np.r_[:6, 6 + np.array(self.passive, int), 6 + np.array(self.driven, int)]
+        H = inertia(self.arm, self.angles(q, d))
+        out: Array = H[..., order[:, None], order]
+        return out
+
+    def tool(self, q: npt.ArrayLike, d: npt.ArrayLike) -> Array:
+        """Return the tool's place in the platform-top frame.
+
+        Args:
+            q: (..., n) [rad].
+            d: (..., p) deflections [rad].
+
+        Returns:
+            (..., 3) [m].
+        """
+        return joint_positions(self.arm, self.angles(q, d))[..., -1, :]
+
+
+@lru_cache(maxsize=64)
+def expand(arm: Arm) -> ExpandedChain:
+    """Return the chain of all joints of an arm whose links may bend.
+
+    Raises:
+        ParameterError: the parts beyond the flexures weigh more than their link.
+    """
+    if not arm.bends:
+        return ExpandedChain(arm, tuple(range(arm.n)), (), np.zeros(0), np.zeros(0))
+    from ves_gym.mechanics.chain import flexures_as_links  # few arms bend
+
+    rigid, driven, passive, springs = flexures_as_links(arm)
+    stiffness, damping = (
+        np.array([getattr(k, s) for k in springs]) for s in ("stiffness", "damping")
+    )
+    return ExpandedChain(rigid, tuple(driven), tuple(passive), stiffness, damping)

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ves_gym._util.params import Array
+from ves_gym.mechanics.arm import Chain
 from ves_gym.mechanics.carried import inertia_of, load_of, passive_effort
 from ves_gym.mechanics.dynamics import inertia_parts, newton_euler
 from ves_gym.mechanics.gravity import GRAVITY
-from ves_gym.mechanics.joints import Chain
 from ves_gym.mechanics.spatial import (
     base_motion,
     matvec,
@@ -111,7 +111,6 @@ def motion(model: Model, x: Array, u: Array, step: float | None = None) -> State
     """Return the rate of a state.
 
     Args:
-        model: the system.
         x: (..., 2 (6 + n + h)): z, what is hidden, and the rates of both.
         u: (..., 6 + n) force on Y or, emulated, acceleration of the platform; joint commands.
         step: of an integrator that takes what resists motion implicitly, as MuJoCo's
@@ -210,7 +209,6 @@ def balance_of_forces(
     """Return mass matrix and loads of M z'' = loads in space.
 
     Args:
-        model: the system.
         z, zd: (..., 6 + joints of the chain) state and its rate.
         force: (..., 6) generalised force on Y.
         tau: (..., joints of the chain) torques.

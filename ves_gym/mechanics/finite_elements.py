@@ -19,7 +19,7 @@ import scipy
 
 from ves_gym._util.params import Array, ParameterError, finite
 from ves_gym.mechanics.arm import Inertial
-from ves_gym.mechanics.section import Material, Section, Tube
+from ves_gym.mechanics.beam import Material, Section, Tube
 
 _GAUSS = np.polynomial.legendre.leggauss(4)  # exact to degree 7; the mass needs 6
 

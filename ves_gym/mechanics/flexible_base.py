@@ -26,13 +26,11 @@ from ves_gym._util.params import (
     unit,
 )
 from ves_gym._util.threads import on_one_thread
-from ves_gym.mechanics.arm import Inertial, matrix
+from ves_gym.mechanics.arm import Inertial
 from ves_gym.mechanics.base_model import BaseModel, InternalModes, Saved
-from ves_gym.mechanics.beam import Beam
+from ves_gym.mechanics.beam import ALUMINIUM, Beam, Material, Section, Tube
 from ves_gym.mechanics.craig_bampton import Reduction, reduce
 from ves_gym.mechanics.finite_elements import BeamFrame, Member
-from ves_gym.mechanics.section import ALUMINIUM, Material, Section, Tube
-from ves_gym.mechanics.structure import Structure
 
 ELEMENTS = 24  # of a member: eight modes to 1e-5 of their frequency (tests/mechanics)
 _ROUNDING = 1e-9
@@ -123,7 +121,7 @@ class Polyline:
 class Reduced:
     """Reduced matrices of a user's structure over (Y, eta), and a line to draw it by.
 
-    Over interface and modes with the interface held, as `Structure.reduce` gives them.
+    Over interface and modes with the interface held, as `Structure.reduced` gives them.
     """
 
     kind: ClassVar[str] = "reduced"
@@ -167,49 +165,6 @@ class Reduced:
         condensed: Array = np.array(self.M) - P @ P.T
         return condensed
 
-    @staticmethod
-    def of(
-        structure: Structure,
-        modes: int,
-        axes: Array | None = None,
-        centreline: Array | None = None,
-        nodes: tuple[int, ...] = (),
-        diameter: float | None = None,
-    ) -> Reduced:
-        """Reduce a structure that was read from files.
-
-        Args:
-            structure: checked.
-            modes: to keep.
-            axes: (3, 3) columns: the platform's x, y, z in the structure's axes.
-            line: (k, 3) nodes to draw it by, from the platform-top origin in platform axes [m].
-            nodes: (k,) their numbers in the files.
-            diameter: to draw it with [m].
-        """
-        reduced = structure.reduce(modes)
-        turn = np.eye(3) if axes is None else finite(axes, (3, 3), "axes")
-        if np.abs(turn.T @ turn - np.eye(3)).max() > 1e-9 or np.linalg.det(turn) < 0:
-            raise ParameterError(f"axes must be a rotation, got {turn.tolist()}")
-        reduced = reduced.turned(turn)
-        parts: dict[str, Matrix] = {}
-        if centreline is not None:
-            at = finite(centreline, (len(nodes), 3), "centreline")
-            rows = np.array(structure.rows(nodes), int)  # (k, 3), in the structure's axes
-            parts = {
-                "centreline": matrix(at),
-                "static": matrix(_turned(reduced.static, rows, turn)),
-                "shapes": matrix(_turned(reduced.shapes, rows, turn)),
-            }
-        return Reduced(
-            K=matrix(reduced.K),
-            M=matrix(reduced.M),
-            coupling=matrix(reduced.coupling),
-            omega=tuple(reduced.omega.tolist()),
-            damping=None if reduced.damping is None else matrix(reduced.damping),
-            diameter=diameter,
-            **parts,
-        )
-
     def reduction(self) -> Reduction:
         """Return the matrices as a reduction; its freedoms are those of the line."""
         m, count = len(self.omega), 0 if self.centreline is None else len(self.centreline)
@@ -224,12 +179,6 @@ class Reduced:
             shapes=shapes.reshape(3 * count, m),
             damping=None if self.damping is None else np.array(self.damping),
         )
-
-
-def _turned(shapes: Array, rows: Array, axes: Array) -> Array:
-    """Ways (3 k, c) of nodes in platform axes from those of all freedoms in their own."""
-    out: Array = np.einsum("ij,kic->kjc", axes, shapes[rows]).reshape(-1, shapes.shape[1])
-    return out
 
 
 class Centreline(NamedTuple):

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite, require_positive, unit
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import frames
+from ves_gym.mechanics.kinematics import frames
 from ves_gym.mechanics.spatial import cross, numbers, room
 
 GRAVITY = 9.81  # m/s^2; thesis: 919 N for 93.7 kg
@@ -49,7 +49,6 @@ def moment_regressor(arm: Arm, q: npt.ArrayLike) -> Array:
     of eq. 3.8 is that of c x g.
 
     Args:
-        arm: the arm.
         q: (..., n) joint angles [rad].
     """
     n, at = arm.n, frames(arm, _joints(arm, q))
@@ -103,14 +102,11 @@ class MinimalModel:
         return np.ascontiguousarray(np.swapaxes(self._columns(q), -1, -2))
 
     def G(self, q: npt.ArrayLike, g: npt.ArrayLike) -> Array:
-        """Return G with moment = G P (thesis eq. 3.9).
+        """Return G (..., 3, size) with moment = G P (thesis eq. 3.9).
 
         Args:
             q: (..., n) joint angles [rad].
             g: (..., 3) gravity in platform axes [m/s^2].
-
-        Returns:
-            (..., 3, size).
         """
         C, gravity = self.regressor(q), np.asarray(g, float)[..., None]
         return np.cross(C, gravity, axis=-2)
@@ -267,7 +263,6 @@ class GravityModel:
         """Return the estimated weight on the base.
 
         Args:
-            arm: the arm as described.
             q: (..., n) joint angles [rad].
             y: (..., 6) pose [m, rad].
 

@@ -1,51 +1,158 @@
-"""Joint angles and the tool: its Jacobian, and the way back from a point to the joints."""
+"""Where the joints and the tool are, and how they move: frames, Jacobians, twists.
+
+Plain NumPy, also traced, as `dynamics` is. Frame: the platform-top frame.
+"""
 
 from __future__ import annotations
 
-import itertools
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import Frames, frames, joint_positions
-from ves_gym.mechanics.joints import Mechanism
-from ves_gym.mechanics.spatial import cross, matvec, room
-
-_ROUNDS = 40
-_STEP = 0.3  # rad, the most a joint moves per round
-_DAMPING = 1e-2  # of the least squares, times the squared error
-_GUESSES = (1 / 6, 1 / 2, 5 / 6)  # of every joint's range
-_CLOSE = 1e-6  # m from the point: solved
-_SAME = 1e-3  # rad between two solutions that count as one
-MOST = 8  # solutions told apart
+from ves_gym.mechanics.arm import Arm, JointFrame, Mechanism, Turn, turn_by
+from ves_gym.mechanics.spatial import cross, numbers, room
 
 
-def tool_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
-    """Return the velocity of the tool per joint rate, base at rest.
+class Frames(NamedTuple):
+    """Poses of the joint frames: frame 0 the first joint's before it turns, then the links'.
 
-    Args:
-        arm: the arm.
-        q: (..., n) joint angles [rad].
+    Joint i turns about z of frame i - 1, or slides along it, and carries frame i.
+    """
+
+    rotations: Array  # (..., n + 1, 3, 3) from the frame's axes to the platform's
+    positions: Array  # (..., n + 1, 3) m
+    ways: Array  # (..., n, 3) from each frame to the next [m]
+
+    @property
+    def rotation(self) -> Array:
+        """(..., n, 3, 3) of the links' frames."""
+        return self.rotations[..., 1:, :, :]
+
+    @property
+    def position(self) -> Array:
+        """(..., n, 3) of the links' frames [m]."""
+        return self.positions[..., 1:, :]
+
+    @property
+    def axis(self) -> Array:
+        """(..., n, 3) of the joints, unit vectors."""
+        return self.rotations[..., :-1, :, 2]
+
+    @property
+    def origin(self) -> Array:
+        """(..., n, 3) points on the joints' axes [m]."""
+        return self.positions[..., :-1, :]
+
+
+def frames(arm: Mechanism, q: npt.ArrayLike) -> Frames:
+    """Return the pose of every joint frame in the platform-top frame (thesis B.3), at joint
+    angles q (..., n) [rad].
+    """
+    angles, (foot, place) = np.asanyarray(numbers(q), order="F"), arm.start
+    batch, n = angles.shape[:-1], len(arm.joints)
+    same, other = _swings(arm.joints, angles)
+    rotations, positions = room(angles, *batch, n + 1, 3, 3), room(angles, *batch, n + 1, 3)
+    ways = room(angles, *batch, n, 3)
+    rotations[..., 0, :, :], positions[..., 0, :] = foot, place
+    for i, joint in enumerate(arm.joints):
+        before, R, way = rotations[..., i, :, :], rotations[..., i + 1, :, :], ways[..., i, :]
+        z, (cosine, sine) = before[..., 2], joint.alpha
+        swung = R[..., ::2] if cosine == 0.0 else R[..., :2]
+        np.multiply(same[..., i, None, :], before[..., :2], out=swung)
+        swung += other[..., i, None, :] * before[..., 1::-1]
+        if cosine == 0.0:  # y has become z, and z y
+            np.multiply(sine, z, out=R[..., 1])
+        else:
+            R[..., 2] = z
+        if cosine != 0.0 and joint.alpha != (1.0, 0.0):  # of 1e-8 rad the cosine alone is 1
+            R[..., 1:] = _turned(R[..., 1:], joint.alpha)
+        if joint.a:
+            np.multiply(joint.a, R[..., 0], out=way)
+        if joint.slides:
+            way += (joint.d + angles[..., i, None]) * z
+        elif joint.d:
+            way += joint.d * z
+        if joint.beta is not None:  # z towards x
+            R[..., ::-2] = _turned(R[..., ::-2], joint.beta)
+        np.add(positions[..., i, :], way, out=positions[..., i + 1, :])
+    return Frames(rotations, positions, ways)
+
+
+def _swings(joints: tuple[JointFrame, ...], q: Array) -> tuple[Array, Array]:
+    """What x and y of a frame are multiplied with, and y and x, to be the next one's.
+
+    x' = c x + s y and y' = c y - s x, of the angles of the DH table; where alpha is a right
+    angle the second is -sin(alpha) y', which is where z comes to lie.
 
     Returns:
-        (..., 3, n) [m/rad].
+        (..., n, 2) each.
     """
-    angles = np.asarray(q, float)
-    if angles.ndim == 0 or angles.shape[-1] != arm.n:
-        raise ParameterError(f"q must have shape (..., {arm.n}), got {angles.shape}")
-    at = frames(arm, angles)
-    return np.ascontiguousarray(np.swapaxes(tool_motions(arm, at)[..., :3], -1, -2))
+    offsets = [joint.offset for joint in joints]
+    angles = q + np.array(offsets) if any(offsets) else q
+    cosine, sine = np.cos(angles), np.sin(angles)
+    for i, joint in enumerate(joints):
+        if joint.slides:
+            cosine[..., i], sine[..., i] = turn_by(joint.offset)
+    sign = np.array([-j.alpha[1] if j.alpha[0] == 0.0 else 1.0 for j in joints])
+    same, other = room(q, *q.shape, 2), room(q, *q.shape, 2)
+    same[..., 0], other[..., 0] = cosine, sine
+    np.multiply(cosine, sign, out=same[..., 1])
+    np.multiply(sine, -sign, out=other[..., 1])
+    return same, other
+
+
+def _turned(pair: Array, turn: Turn) -> Array:
+    """Columns u, w (..., 3, 2) as c u + s w and c w - s u."""
+    cosine, sine = turn
+    return cosine * pair + np.array([sine, -sine]) * pair[..., ::-1]
+
+
+def twists(arm: Mechanism, at: Frames) -> tuple[Array, Array]:
+    """Return the motion of what is beyond each joint, per rate of the joint.
+
+    Returns:
+        Velocity at the platform's origin, and angular velocity, (..., n, 3) each.
+    """
+    moving, turning = cross(at.origin, at.axis), at.axis
+    if any(joint.slides for joint in arm.joints):
+        turning = turning.copy()
+    for i, joint in enumerate(arm.joints):
+        if joint.slides:
+            moving[..., i, :], turning[..., i, :] = at.axis[..., i, :], 0.0
+    return moving, turning
+
+
+def joint_positions(arm: Arm, q: npt.ArrayLike) -> Array:
+    """Return the origins of the platform frame and of every link frame, at joint angles q (...,
+    n) [rad].
+
+    Returns:
+        (..., n + 1, 3) points [m]; the last is the tool (the far end of the last link).
+    """
+    out = np.ascontiguousarray(frames(arm, joint_values(arm, q)).positions)
+    out[..., 0, :] = 0.0
+    return out
+
+
+def joint_values(arm: Arm, q: npt.ArrayLike, name: str = "q") -> Array:
+    """Return (..., n) values of the joints as an array.
+
+    Raises:
+        ParameterError: another number of joints; `name` is what they are called.
+    """
+    array = np.asarray(q, float)
+    if array.ndim == 0 or array.shape[-1] != arm.n:
+        raise ParameterError(f"{name} must have shape (..., {arm.n}), got {array.shape}")
+    return array
+
+
+# ------------------------------------------------------------------------- the tool
 
 
 def tool_motions(arm: Mechanism, at: Frames) -> Array:
-    """Return velocity and rate of turning (..., n, 6) of the tool per joint rate.
-
-    Args:
-        arm: the arm.
-        at: its frames.
-    """
+    """Return velocity and rate of turning (..., n, 6) of the tool per joint rate."""
     out = room(at.axis, *at.axis.shape[:-1], 6)
     reach = at.position[..., -1:, :] - at.origin
     out[..., :3], out[..., 3:] = cross(at.axis, reach), at.axis
@@ -55,6 +162,14 @@ def tool_motions(arm: Mechanism, at: Frames) -> Array:
     return out
 
 
+def tool_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
+    """Return the velocity of the tool per joint rate (..., 3, n) [m/rad], base at rest, at
+    joint angles q (..., n) [rad].
+    """
+    motions = tool_motions(arm, frames(arm, joint_values(arm, q)))
+    return np.ascontiguousarray(np.swapaxes(motions[..., :3], -1, -2))
+
+
 def dexterity(arm: Arm, q: npt.ArrayLike) -> Array:
     """Return how far a configuration is from a singularity [m/rad].
 
@@ -62,7 +177,6 @@ def dexterity(arm: Arm, q: npt.ArrayLike) -> Array:
     closed form det(A) / trace(adj(A)) = that squared, A = J J^T.
 
     Args:
-        arm: the arm.
         q: (..., n) joint angles [rad].
 
     Returns:
@@ -79,80 +193,99 @@ def dexterity(arm: Arm, q: npt.ArrayLike) -> Array:
     return np.asarray(np.sqrt(np.maximum(det, 0.0) / np.maximum(trace, 1e-300)), np.float64)
 
 
-def joints_for(arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike) -> tuple[Array, Array]:
-    """Joint angles within the limits that bring the tool to points, base at rest.
-
-    Damped least squares from `near` and from a grid over the joints' ranges.
-
-    Args:
-        points: (k, 3) in the platform frame [m].
-        near: (k, n) of several solutions the one soonest reached from here [rad].
+def tool_frame(arm: Arm, q: npt.ArrayLike) -> tuple[Array, Array]:
+    """Return position and rotation of the tool in the platform-top frame, at joint angles q
+    (..., n) [rad].
 
     Returns:
-        q (k, n) and how far from the points that is (k,) [m]: what is out of reach is
-        approached.
+        (..., 3) [m] and (..., 3, 3) from the tool's axes to the platform's.
     """
-    q, miss, way = _candidates(arm, points, near)
-    # the best, and of the solved ones the soonest
-    pick = np.where(miss <= _CLOSE, -1 / (1 + way), miss).argmin(axis=1)
-    rows = np.arange(len(q))
-    return q[rows, pick], miss[rows, pick]
+    place, turn = _last(frames(arm, q))
+    return place, turn @ arm.tool_rotation
 
 
-def every_joints_for(arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike) -> Array:
-    """All configurations within the limits that bring the tool to points, base at rest.
+def _last(at: Frames) -> tuple[Array, Array]:
+    """Position and rotation of the last link's frame, in plain order of memory.
 
-    Of arms with as many joints as a place has coordinates; of others those that the search
-    comes upon.
+    Products of stacks round by the layout of their memory.
+    """
+    position, rotation = at.position[..., -1, :], at.rotation[..., -1, :, :]
+    return position.copy("C"), rotation.copy("C")
 
-    Args:
-        arm: the arm.
-        points: (k, 3) in the platform frame [m].
-        near: (k, n) [rad], where the search begins.
+
+def tool_twists(arm: Arm, q: npt.ArrayLike) -> Array:
+    """Return velocity and rate of rotation of the tool per joint rate, base at rest, at joint
+    angles q (..., n) [rad].
 
     Returns:
-        (k, `MOST`, n) [rad], those soonest reached from `near` first, NaN beyond the last;
-        where there is none, what comes closest.
+        (..., 6, n) in the platform's axes: three rows [m/rad], three [1].
     """
-    q, miss, way = _candidates(arm, points, near)
-    out = np.full((len(q), MOST, arm.n), np.nan)
-    for found, ends, lack, seconds in zip(out, q, miss, way, strict=True):
-        solved = np.flatnonzero(lack <= _CLOSE)
-        ranked = solved[seconds[solved].argsort()] if len(solved) else [lack.argmin()]
-        count = 0
-        for end in ends[ranked]:
-            if count < MOST and not (np.abs(found[:count] - end).max(axis=1) < _SAME).any():
-                found[count] = end
-                count += 1
+    motions = tool_motions(arm, frames(arm, np.asarray(q, float)))
+    return np.ascontiguousarray(np.swapaxes(motions, -1, -2))
+
+
+def tool_speeds(arm: Arm, q: Array, v: Array, base: Array) -> Array:
+    """Return the squared speed and squared rate of turning of the tool in space.
+
+    Args:
+        q: (..., n) joint angles [rad].
+        v: (..., n) joint rates [rad/s].
+        base: (..., 6) twist of the base in its own axes [m/s, rad/s] (`spatial.twist`).
+
+    Returns:
+        (..., 2) [m^2/s^2, rad^2/s^2].
+    """
+    _, motion = _moving(arm, q, v, base)
+    squares: Array = motion**2
+    out: Array = squares.reshape(*squares.shape[:-1], 2, 3).sum(axis=-1)
     return out
 
 
-def _candidates(
-    arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike
-) -> tuple[Array, Array, Array]:
-    """Ends q (k, m, n) of searches from several starts, their miss (k, m) and way (k, m).
+class ToolState(NamedTuple):
+    """Pose and twist of the tool in space, in the platform's axes."""
+
+    place: Array  # (..., 3) from the platform's origin [m]
+    turn: Array  # (..., 3, 3) from the tool's axes
+    twist: Array  # (..., 6) [m/s, rad/s]
+
+
+def tool_state(arm: Arm, q: Array, v: Array, base: Array) -> ToolState:
+    """Return pose and twist of the tool.
 
     Args:
-        arm: the arm.
-        points: (k, 3) [m].
-        near: (k, n), the first start; the way from it is in seconds at full speed.
+        q: (..., n) joint angles [rad].
+        v: (..., n) joint rates [rad/s].
+        base: (..., 6) twist of the base in its own axes [m/s, rad/s] (`spatial.twist`).
     """
-    low, high = arm.column("q_min"), arm.column("q_max")
-    grid = low + (high - low) * np.array(list(itertools.product(_GUESSES, repeat=arm.n)))
-    start = np.asarray(near, float)[:, None]
-    wide = np.broadcast_to(grid, (len(start), *grid.shape))
-    q = np.clip(np.concatenate([start, wide], axis=1), low, high)
-    goal = np.asarray(points, float)[:, None]
-    for _ in range(_ROUNDS):
-        error = goal - joint_positions(arm, q)[..., -1, :]
-        J = tool_jacobian(arm, q)
-        across = np.swapaxes(J, -1, -2)
-        # damped by the error itself, so that the last rounds are Newton's
-        damping = _DAMPING * (error**2).sum(axis=-1)[..., None, None] + 1e-12
-        load = np.linalg.solve(J @ across + damping * np.eye(3), error[..., None])
-        step = matvec(across, load[..., 0])
-        fastest = np.abs(step).max(axis=-1, keepdims=True)
-        q = np.clip(q + step * (_STEP / np.maximum(fastest, _STEP)), low, high)
-    miss = np.linalg.norm(goal - joint_positions(arm, q)[..., -1, :], axis=-1)
-    way = (np.abs(q - start) / arm.column("v_max")).max(axis=-1)
-    return q, miss, way
+    at, motion = _moving(arm, q, v, base)
+    place, turn = _last(at)
+    return ToolState(place, turn @ arm.tool_rotation, motion)
+
+
+def _moving(arm: Arm, q: Array, v: Array, base: Array) -> tuple[Frames, Array]:
+    """Frames of the links, and twist (..., 6) of the end of the last, platform axes."""
+    at = frames(arm, q)
+    motion = base + (v[..., None] * tool_motions(arm, at)).sum(axis=-2)
+    motion[..., :3] += cross(base[..., 3:], at.position[..., -1, :])
+    return at, motion
+
+
+def pose_dexterity(arm: Arm, q: npt.ArrayLike, lever: float) -> Array:
+    """Return how far a configuration is from losing a direction of place or turn [m/rad].
+
+    1 / |J^+| in the Frobenius norm, as `kinematics.dexterity`, of place and turn together.
+
+    Args:
+        q: (..., n) joint angles [rad].
+        lever: place that a turn counts as [m/rad].
+
+    Returns:
+        (...,) 0 at a singularity, and with fewer than six joints.
+    """
+    J = tool_twists(arm, q)
+    J[..., 3:, :] *= lever
+    values = np.linalg.svd(J, compute_uv=False)
+    if values.shape[-1] < J.shape[-2]:
+        return np.zeros(values.shape[:-1])
+    worst = 1 / np.maximum(values, 1e-150) ** 2
+    return np.asarray(worst.sum(axis=-1) ** -0.5, dtype=np.float64)

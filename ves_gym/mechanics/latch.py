@@ -18,8 +18,8 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.carried import carried_inertia
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.spatial import matvec, quadratic, rate_matrix, rotation
-from ves_gym.mechanics.tool_pose import tool_frame, tool_twists
+from ves_gym.mechanics.kinematics import tool_frame, tool_twists
+from ves_gym.mechanics.spatial import matvec, rate_matrix, rotation, skew
 
 DIRECTIONS = ("x", "y", "z", "about_x", "about_y", "about_z")  # of a relative twist
 
@@ -124,7 +124,6 @@ def tool_motion(
 
     Args:
         arm: the arm; where gears give way, q turns the rotors and the links turn further.
-        base: what carries it.
         y: (..., 6) base pose [m, rad].
         q: (..., n) joint angles [rad].
         hidden: (..., g + c) deflections of gears [rad], coordinates of wheels, appendages.
@@ -158,19 +157,12 @@ def tool_motion(
 
     local = np.zeros((*y.shape[:-1], 6, 6 + n))
     local[..., :3, :3] = local[..., 3:, 3:6] = np.eye(3)
-    local[..., :3, 3:6] = -cross_matrix(place)
+    local[..., :3, 3:6] = -skew(place)
     local[..., 6:] = tool_twists(arm, angles)
     world = np.zeros((*y.shape[:-1], 6, 6))
     world[..., :3, :3] = world[..., 3:, 3:] = R
     link = R @ turn @ arm.tool_rotation.T
     return ToolMotion(y[..., :3] + matvec(R, place), link, world @ local @ P, mass)
-
-
-def cross_matrix(v: Array) -> Array:
-    """(..., 3) -> (..., 3, 3) with cross_matrix(v) w = v x w."""
-    out = np.zeros((*v.shape[:-1], 3, 3))
-    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    return out - np.swapaxes(out, -1, -2)
 
 
 def free_mass(mass: Array, inertia: Array, turn: Array) -> Array:
@@ -195,7 +187,7 @@ def to_point(com: Array, at: Array) -> Array:
     """
     X = np.zeros((*com.shape[:-1], 6, 6))
     X[..., :3, :3] = X[..., 3:, 3:] = np.eye(3)
-    X[..., :3, 3:] = -cross_matrix(at - com)
+    X[..., :3, 3:] = -skew(at - com)
     return X
 
 
@@ -229,13 +221,3 @@ def body_momentum(mass: Array, twist: Array, com: Array) -> Array:
     out = matvec(mass, twist)
     out[..., 3:] += np.cross(com, out[..., :3])
     return out
-
-
-def kinetic_energy(mass: Array, rates: Array) -> Array:
-    """Return 1/2 v^T M v [J].
-
-    Args:
-        mass: (..., N, N).
-        rates: (..., N).
-    """
-    return quadratic(mass, rates)

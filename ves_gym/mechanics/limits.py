@@ -241,7 +241,6 @@ def default_goal(arm: Arm, start: Array, duration: float) -> Array:
     them less where speed, acceleration or torque would take more than half of a limit.
 
     Args:
-        arm: with its limits.
         start: (n,) [rad].
         duration: of the motion [s].
     """
@@ -264,7 +263,6 @@ def usual_goal(arm: Arm, start: Array, duration: float) -> Array:
     reach it; others as `default_goal` says.
 
     Args:
-        arm: with its limits.
         start: (n,) [rad].
         duration: of the motion [s].
     """

@@ -7,6 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ves_gym._util.params import Array, ParameterError
 
@@ -75,6 +76,12 @@ def capsule_around(points: Array) -> tuple[Array, Array, float]:
     return capsule
 
 
+def box_corners(half: Array) -> Array:
+    """(8, 3) corners of a box about its centre, from half its edges (3,)."""
+    signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+    return np.asarray(signs * half, float)
+
+
 def _hull(points: Array) -> Array:
     """The points that span the others; all, where they lie in a plane."""
     from scipy.spatial import ConvexHull, QhullError
@@ -137,9 +144,9 @@ def _collada(data: bytes) -> Array:
             elif child.tag == "scale":
                 at = at @ _moved(np.diag(values), np.zeros(3))
             elif child.tag == "rotate":
-                at = at @ _moved(
-                    _turn(np.array(values[:3]), np.deg2rad(values[3])), np.zeros(3)
-                )
+                axis = np.array(values[:3]) / np.linalg.norm(values[:3])
+                turn = Rotation.from_rotvec(values[3] * axis, degrees=True)
+                at = at @ _moved(turn.as_matrix(), np.zeros(3))
         for child in node:
             if child.tag == "node":
                 walk(child, at)
@@ -178,11 +185,4 @@ def _collada_points(geometry: ElementTree.Element) -> Array:
 def _moved(R: Array, p: Array) -> Array:
     out = np.eye(4)
     out[:3, :3], out[:3, 3] = R, p
-    return out
-
-
-def _turn(axis: Array, angle: float) -> Array:
-    k = axis / np.linalg.norm(axis)
-    K = np.array([[0, -k[2], k[1]], [k[2], 0, -k[0]], [-k[1], k[0], 0.0]])
-    out: Array = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
     return out

@@ -26,7 +26,6 @@ def inertia_blocks(arm: Arm, mass: Array, q: npt.ArrayLike) -> InertiaBlocks:
     """Return the inertia blocks at joint angles q.
 
     Args:
-        arm: the arm.
         mass: (b, b) mass matrix of the vehicle, at the platform-top origin; its internal
             modes, if any, after the six coordinates of the pose.
         q: (..., n) joint angles [rad].
@@ -90,6 +89,20 @@ def natural_modes(K: Array, M: Array) -> Modes:
     squares, vectors = np.linalg.eigh((reduced + np.swapaxes(reduced, -1, -2)) / 2)
     shapes = np.linalg.solve(np.swapaxes(root, -1, -2), vectors)
     return Modes(np.sqrt(np.maximum(squares, 0.0)), shapes)
+
+
+def modal_damping(M: Array, K: Array, ratios: float | Array) -> Array:
+    """Return the D (k, k) that gives the modes of (K, M) these damping ratios.
+
+    Args:
+        M: (k, k) mass, positive definite.
+        K: (k, k) stiffness.
+        ratios: one for all, or (k,), slowest first [1].
+    """
+    omega, shapes = natural_modes(K, M)
+    half = M @ shapes
+    out: Array = (half * (2 * np.broadcast_to(ratios, omega.shape) * omega)) @ half.T
+    return (out + out.T) / 2
 
 
 # -------------------------------------------------- without a decision, to be compiled

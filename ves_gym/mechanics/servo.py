@@ -9,10 +9,9 @@ from functools import lru_cache
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector, freeze_arrays, unit
-from ves_gym.mechanics.dynamics import drawn_configurations, inertia, inverse_dynamics
-from ves_gym.mechanics.flexure import unfold
+from ves_gym.mechanics.arm import BANDWIDTH, Arm
+from ves_gym.mechanics.dynamics import drawn_configurations, expand, inertia, inverse_dynamics
 from ves_gym.mechanics.motion import Samples
-from ves_gym.mechanics.serial_chain import BANDWIDTH, SerialChain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,11 +45,8 @@ class JointServo:
                 f"JointServo needs as many kp as kd, got {len(self.kp)} and {len(self.kd)}"
             )
 
-    def for_arm(self, arm: SerialChain) -> JointServo:
+    def for_arm(self, arm: Arm) -> JointServo:
         """Return the servo with gains for every joint: `OWN_GAINS` with the arm's own.
-
-        Args:
-            arm: whose joints they move.
 
         Raises:
             ParameterError: gains for another number of joints.
@@ -63,11 +59,10 @@ class JointServo:
             )
         return self
 
-    def torque_feedforward(self, arm: SerialChain, command: Samples) -> Array:
+    def torque_feedforward(self, arm: Arm, command: Samples) -> Array:
         """Return the feed-forward torque of a commanded motion; zero without it.
 
         Args:
-            arm: the arm as described.
             command: angles, rates and accelerations (..., n).
 
         Returns:
@@ -92,7 +87,7 @@ _FASTEST = 600.0  # 1/s of a decaying joint: rk4 at 1.25 ms is stable up to 2200
 
 
 @lru_cache(maxsize=64)
-def own_gains(arm: SerialChain) -> JointServo:
+def own_gains(arm: Arm) -> JointServo:
     """Return the gains of a joint servo that nothing is said of.
 
     The thesis's high gains for three joints of an arm without a bandwidth. Else kp = J w^2 and
@@ -100,9 +95,6 @@ def own_gains(arm: SerialChain) -> JointServo:
     about the joint, others at rest, over configurations within the limits. Where links far
     out are so light that one of these gains would move some other way of the arm faster than
     600/s, J of the joints that take part is lowered until none does; so where links bend.
-
-    Args:
-        arm: the arm.
     """
     if arm.bandwidth is None and arm.n == len(HIGH_GAINS.kp):
         return HIGH_GAINS
@@ -112,7 +104,7 @@ def own_gains(arm: SerialChain) -> JointServo:
     H = inertia(arm, drawn)[:, 6:, 6:]
     J = np.diagonal(H, axis1=1, axis2=2).max(axis=0).copy()
     p = arm.bends  # a fast gain moves what is before a flexure, not what is beyond
-    loose = unfold(arm).inertia(drawn, np.zeros((len(drawn), p)))[:, 6:, 6:] if p else H
+    loose = expand(arm).inertia(drawn, np.zeros((len(drawn), p)))[:, 6:, 6:] if p else H
     inverse = np.linalg.inv(loose)[:, p:, p:]
     most = _FASTEST / (2 * _RATIO * w)
     for _ in range(200):

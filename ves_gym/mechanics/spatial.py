@@ -148,6 +148,13 @@ def cross(a: Array, b: Array) -> Array:
     return out
 
 
+def skew(v: Array) -> Array:
+    """Cross-product matrices (..., 3, 3) of vectors (..., 3): skew(v) @ w = v x w."""
+    out = np.zeros((*np.shape(v)[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    return out - np.swapaxes(out, -1, -2)
+
+
 def room(like: Array, *shape: int) -> Array:
     """Return zeros of a shape, of the kind of `like`: numbers, or what is traced.
 

@@ -79,7 +79,6 @@ def shortest_way(arm: Arm, q: Array, place: Array, turn: Array) -> Array:
     within.
 
     Args:
-        arm: with a spherical wrist.
         q: (..., 6) joint angles now [rad].
         place: (..., 3) that the tool is to have in the platform-top frame [m].
         turn: (..., 3, 3) that it is to have there, from its axes to the platform's.
@@ -110,7 +109,6 @@ def _within(arm: Arm, q: Array, way: Array) -> tuple[Array, Array]:
     """Ways of the joints (..., 6), each this way round or the other, and their cost [s^2].
 
     Args:
-        arm: whose joints.
         q: (..., 6) their angles now [rad].
         way: (..., 6) to go, up to half a turn [rad].
     """

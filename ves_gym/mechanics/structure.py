@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import Array, Matrix, ParameterError, finite
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.mechanics.arm import matrix
 from ves_gym.mechanics.craig_bampton import Reduction, reduce
+from ves_gym.mechanics.flexible_base import Reduced
 from ves_gym.mechanics.matrix_files import Label, NamedMatrix, read_matrices
 
 _POUND = 4.4482216152605  # N
@@ -80,13 +82,48 @@ class Structure:
         reduction = with_one.rescaled(*UNITS[self.units])
         return _without_rigid_stiffness(reduction, self.rigid_modes).truncated(modes)
 
-    def rows(self, nodes: Sequence[int]) -> tuple[tuple[int, ...], ...]:
-        """Return the freedoms x, y, z of nodes by their numbers.
+    def reduced(
+        self,
+        modes: int,
+        axes: Array | None = None,
+        centreline: Array | None = None,
+        nodes: Sequence[int] = (),
+        diameter: float | None = None,
+    ) -> Reduced:
+        """Return the structure of a `FlexibleBase`.
 
         Args:
-            nodes: as the files number them.
+            modes: to keep.
+            axes: (3, 3) columns: the platform's x, y, z in the structure's axes.
+            centreline: (k, 3) nodes to draw it by, from the platform-top origin in platform
+                axes [m].
+            nodes: (k,) their numbers in the files.
+            diameter: to draw it with [m].
         """
-        return tuple(_of_node(self.labels, node)[:3] for node in nodes)
+        turn = np.eye(3) if axes is None else finite(axes, (3, 3), "axes")
+        if np.abs(turn.T @ turn - np.eye(3)).max() > 1e-9 or np.linalg.det(turn) < 0:
+            raise ParameterError(f"axes must be a rotation, got {turn.tolist()}")
+        reduced = self.reduce(modes).turned(turn)
+        parts: dict[str, Matrix] = {}
+        if centreline is not None:
+            at = finite(centreline, (len(nodes), 3), "centreline")
+            rows = np.array([_of_node(self.labels, node)[:3] for node in nodes], int)
+            ways = (
+                np.einsum("ij,kic->kjc", turn, k[rows]).reshape(3 * len(rows), -1)
+                for k in (reduced.static, reduced.shapes)
+            )
+            parts = dict(
+                zip(("centreline", "static", "shapes"), map(matrix, (at, *ways)), strict=True)
+            )
+        return Reduced(
+            K=matrix(reduced.K),
+            M=matrix(reduced.M),
+            coupling=matrix(reduced.coupling),
+            omega=tuple(reduced.omega.tolist()),
+            damping=None if reduced.damping is None else matrix(reduced.damping),
+            diameter=diameter,
+            **parts,
+        )
 
 
 def read_structure(
@@ -169,12 +206,12 @@ def _find(
             if len(matrices) == 1:
                 out[key] = next(iter(matrices.values()))
             else:
-                matrix = _named(matrices, key, names)
-                if matrix is None:
+                named = _named(matrices, key, names)
+                if named is None:
                     raise ParameterError(
                         f"{path}: which one is {key}? Got {', '.join(matrices)}"
                     )
-                out[key] = matrix
+                out[key] = named
         source = ", ".join(os.path.basename(os.fspath(path)) for path in files.values())
     else:
         matrices = read_matrices(files)
@@ -209,14 +246,14 @@ def _aligned(
     matrices: dict[str, NamedMatrix],
 ) -> tuple[dict[str, Any], tuple[Label, ...] | None]:
     """Matrices over the same freedoms: files may leave out those without mass or damping."""
-    if any(matrix.labels is None for matrix in matrices.values()):
-        return {name: matrix.values for name, matrix in matrices.items()}, None
-    labels = sorted({k for matrix in matrices.values() for k in matrix.labels or ()})
+    if any(k.labels is None for k in matrices.values()):
+        return {name: k.values for name, k in matrices.items()}, None
+    labels = sorted({k for part in matrices.values() for k in part.labels or ()})
     index = {label: i for i, label in enumerate(labels)}
     out = {}
-    for name, matrix in matrices.items():
-        at = np.array([index[k] for k in matrix.labels or ()])
-        entries = matrix.values.tocoo()
+    for name, part in matrices.items():
+        at = np.array([index[k] for k in part.labels or ()])
+        entries = part.values.tocoo()
         out[name] = scipy.sparse.coo_array(
             (entries.data, (at[entries.row], at[entries.col])), shape=(len(labels),) * 2
         ).tocsc()
@@ -291,11 +328,8 @@ def _without_rigid_stiffness(reduction: Reduction, expected: int) -> Reduction:
         _require_rigid_body(reduction.M)
     half = reduction.M @ shapes
     squares[:expected] = 0.0
-    return replace(reduction, K=_rounded((half * squares) @ half.T)) if expected else reduction
-
-
-def _rounded(K: Array) -> Array:
-    return (K + K.T) / 2
+    K = (half * squares) @ half.T
+    return replace(reduction, K=(K + K.T) / 2) if expected else reduction
 
 
 def _hertz(square: float) -> str:

@@ -1,4 +1,8 @@
-"""A finite-element model as a vehicle: its modes counted, its frequencies told."""
+"""A finite-element model as a vehicle: how many modes it needs, and its frequencies.
+
+Modes are counted by the frequencies of the structure with the arm on it: all below a band must
+be as with many modes.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +16,15 @@ import numpy.typing as npt
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.tables import table
 from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.craig_bampton import Reduction
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.flexible_base import FlexibleBase, Reduced
-from ves_gym.mechanics.modes_needed import FINE, frequencies, modes_needed
+from ves_gym.mechanics.flexible_base import FlexibleBase
+from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.structure import Structure
+
+BAND = 20.0  # Hz
+ERROR = 0.01  # of a frequency
+FINE = 40  # modes that stand for all of them
 
 SCHEMA = "ves-structure/1"
 _POSES = 20  # of the arm in which frequencies must be right
@@ -32,7 +41,7 @@ class StructureSummary:
     loaded: Array  # with the arm on it, in the middle of its range
 
     @property
-    def held(self) -> Array:
+    def fixed(self) -> Array:
         """Frequencies of the internal modes, the interface held."""
         out: Array = self.vehicle.reduction().omega / (2 * np.pi)
         return out
@@ -47,15 +56,15 @@ class StructureSummary:
             "modes": reduced.m,
             "frequencies": self.alone.tolist(),
             "frequencies_with_arm": self.loaded.tolist(),
-            "frequencies_held": self.held.tolist(),
+            "frequencies_held": self.fixed.tolist(),
             "mass": float(reduced.M[0, 0]),
         }
 
     def __str__(self) -> str:
-        reduced, held = self.vehicle.reduction(), self.held
+        reduced, fixed = self.vehicle.reduction(), self.fixed
         rows = []
         for k in range(min(len(self.alone), _LISTED)):
-            last = f"{held[k]:.4g}" if k < len(held) else ""
+            last = f"{fixed[k]:.4g}" if k < len(fixed) else ""
             rows.append([str(k + 1), f"{self.alone[k]:.4g}", f"{self.loaded[k]:.4g}", last])
         head = ("mode", "alone", "with the arm", "interface held")
         return (
@@ -78,7 +87,6 @@ def vehicle_of(
     """Reduce a model to its interface and as many internal modes as the arm asks for.
 
     Args:
-        structure: the model.
         arm: that stands on it.
         modes: to keep; None: so many that frequencies with the arm are right.
         damping: ratio of every mode; None: the model's own matrix.
@@ -103,9 +111,7 @@ def vehicle_of(
         most = int((heavy > 1e-9 * heavy.max(initial=0.0)).sum())
         modes = modes_needed(structure.reduce(min(FINE, most)), stood)
     drawn = None if line is None else np.asarray(line, float)
-    reduced = Reduced.of(
-        structure, modes, centreline=drawn, nodes=tuple(nodes), diameter=diameter
-    )
+    reduced = structure.reduced(modes, centreline=drawn, nodes=nodes, diameter=diameter)
     base = FlexibleBase(
         structure=reduced,
         modes=len(reduced.omega),
@@ -114,3 +120,45 @@ def vehicle_of(
     )
     alone, loaded = (frequencies(base.reduction(), H) for H in (np.zeros((6, 6)), stood[0]))
     return StructureSummary(base, int(structure.stiffness.shape[0]), alone, loaded)
+
+
+def modes_needed(
+    fine: Reduction, inertia: Array, *, band: float = BAND, error: float = ERROR
+) -> int:
+    """Return the fewest internal modes with which every frequency in the band is right.
+
+    Args:
+        fine: with all modes that are considered, in SI units.
+        inertia: (poses, 6, 6) of what stands on the interface, joints locked.
+        band: up to which frequencies count [Hz].
+        error: of a frequency, relative.
+    """
+    exact = [frequencies(fine, H) for H in inertia]
+    for m in range(fine.m):
+        coarse = [frequencies(fine.truncated(m), H) for H in inertia]
+        pairs = zip(coarse, exact, strict=True)
+        if all(_agree(a, b, band, error) for a, b in pairs):
+            return m
+    return fine.m
+
+
+def frequencies(reduction: Reduction, inertia: Array) -> Array:
+    """Natural frequencies (6 + m,) [Hz] with a mass on the interface, slowest first.
+
+    Args:
+        reduction: in SI units.
+        inertia: (6, 6) of what stands on the interface; zeros: nothing does.
+    """
+    mass, stiffness = reduction.matrices()
+    mass = mass.copy()
+    mass[:6, :6] += inertia
+    out: Array = natural_modes(stiffness, mass).omega / (2 * np.pi)
+    return out
+
+
+def _agree(coarse: Array, exact: Array, band: float, error: float) -> bool:
+    inside = exact[exact < band]
+    if len(coarse) < len(inside):
+        return False
+    gap = np.abs(coarse[: len(inside)] - inside)
+    return bool((gap <= error * np.maximum(inside, 1e-9)).all())

@@ -1,9 +1,9 @@
-"""Tool poses: the tool's place and the way it points, and the configurations that give them."""
+"""Places and poses of the tool, and the joint angles that bring it there."""
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,12 +18,16 @@ from ves_gym._util.params import (
     unit,
 )
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import Frames, frames
-from ves_gym.mechanics.kinematics import tool_motions
-from ves_gym.mechanics.spatial import cross, matvec, numbers, rotation
+from ves_gym.mechanics.kinematics import tool_frame, tool_twists
+from ves_gym.mechanics.spatial import matvec, rotation
 
 CLOSE = 1e-6  # m and rad from the pose: there
+MOST = 8  # solutions of a place
+_DONE = 1e-10  # m and rad: the next round of Newton's would be rounding
 _ROUNDS = 60
+_GUESSES = (1 / 6, 1 / 2, 5 / 6)  # of every joint's range
+_SAME = 1e-3  # rad between two solutions that count as one
+_DIFFERENT = 0.05  # rad between configurations that count as two, where joints are left over
 _STEP = 0.3  # rad, the most a joint moves per round
 _DAMPING = 1e-2  # of the least squares, times the squared error
 
@@ -63,125 +67,13 @@ def tool_pose(arm: Arm, q: npt.ArrayLike) -> ToolPose:
     return ToolPose(position=tuple(place.tolist()), angles=(float(x), float(y), float(z)))
 
 
-def tool_frame(arm: Arm, q: npt.ArrayLike) -> tuple[Array, Array]:
-    """Return position and rotation of the tool in the platform-top frame.
-
-    Args:
-        arm: the arm.
-        q: (..., n) joint angles [rad].
-
-    Returns:
-        (..., 3) [m] and (..., 3, 3) from the tool's axes to the platform's.
-    """
-    place, turn = _last(frames(arm, q))
-    return place, turn @ arm.tool_rotation
-
-
-def _last(at: Frames) -> tuple[Array, Array]:
-    """Position and rotation of the last link's frame, in plain order of memory.
-
-    Products of stacks round by the layout of their memory.
-    """
-    position, rotation = at.position[..., -1, :], at.rotation[..., -1, :, :]
-    return position.copy("C"), rotation.copy("C")
-
-
-def tool_twists(arm: Arm, q: npt.ArrayLike) -> Array:
-    """Return velocity and rate of rotation of the tool per joint rate, base at rest.
-
-    Args:
-        arm: the arm.
-        q: (..., n) joint angles [rad].
-
-    Returns:
-        (..., 6, n) in the platform's axes: three rows [m/rad], three [1].
-    """
-    motions = tool_motions(arm, frames(arm, np.asarray(q, float)))
-    return np.ascontiguousarray(np.swapaxes(motions, -1, -2))
-
-
-def tool_speeds(arm: Arm, q: Array, v: Array, base: Array) -> Array:
-    """Return the squared speed and squared rate of turning of the tool in space.
-
-    Args:
-        arm: the arm.
-        q: (..., n) joint angles [rad].
-        v: (..., n) joint rates [rad/s].
-        base: (..., 6) twist of the base in its own axes [m/s, rad/s] (`spatial.twist`).
-
-    Returns:
-        (..., 2) [m^2/s^2, rad^2/s^2].
-    """
-    _, motion = _moving(arm, q, v, base)
-    squares: Array = motion**2
-    out: Array = squares.reshape(*squares.shape[:-1], 2, 3).sum(axis=-1)
-    return out
-
-
-class ToolState(NamedTuple):
-    """Pose and twist of the tool in space, in the platform's axes."""
-
-    place: Array  # (..., 3) from the platform's origin [m]
-    turn: Array  # (..., 3, 3) from the tool's axes
-    twist: Array  # (..., 6) [m/s, rad/s]
-
-
-def tool_state(arm: Arm, q: Array, v: Array, base: Array) -> ToolState:
-    """Return pose and twist of the tool.
-
-    Args:
-        arm: the arm.
-        q: (..., n) joint angles [rad].
-        v: (..., n) joint rates [rad/s].
-        base: (..., 6) twist of the base in its own axes [m/s, rad/s] (`spatial.twist`).
-    """
-    at, motion = _moving(arm, q, v, base)
-    place, turn = _last(at)
-    return ToolState(place, turn @ arm.tool_rotation, motion)
-
-
-def _moving(arm: Arm, q: Array, v: Array, base: Array) -> tuple[Frames, Array]:
-    """Frames of the links, and twist (..., 6) of the end of the last, platform axes."""
-    at = frames(arm, q)
-    motion = base + (v[..., None] * tool_motions(arm, at)).sum(axis=-2)
-    motion[..., :3] += cross(base[..., 3:], at.position[..., -1, :])
-    return at, motion
-
-
-def pose_dexterity(arm: Arm, q: npt.ArrayLike, lever: float) -> Array:
-    """Return how far a configuration is from losing a direction of place or turn [m/rad].
-
-    1 / |J^+| in the Frobenius norm, as `kinematics.dexterity`, of place and turn together.
-
-    Args:
-        arm: the arm.
-        q: (..., n) joint angles [rad].
-        lever: place that a turn counts as [m/rad].
-
-    Returns:
-        (...,) 0 at a singularity, and with fewer than six joints.
-    """
-    J = tool_twists(arm, q)
-    J[..., 3:, :] *= lever
-    values = np.linalg.svd(J, compute_uv=False)
-    if values.shape[-1] < J.shape[-2]:
-        return np.zeros(values.shape[:-1])
-    worst = 1 / np.maximum(values, 1e-150) ** 2
-    return np.asarray(worst.sum(axis=-1) ** -0.5, dtype=np.float64)
-
-
 def pose_error(arm: Arm, pose: ToolPose, q: npt.ArrayLike) -> Array:
-    """Return what is missing to a pose, as a twist.
-
-    Args:
-        arm: the arm.
-        pose: of the tool.
-        q: (..., n) joint angles [rad].
+    """Return what is missing to a pose, as a twist, at joint angles q (..., n) [rad].
 
     Returns:
         (..., 3) [m], or (..., 6) [m, rad] where the turn matters.
     """
-    return _missing(arm, np.array(pose.position), pose.rotation, numbers(q))
+    return _missing(arm, np.array(pose.position), pose.rotation, np.asarray(q, float))
 
 
 def _missing(arm: Arm, position: Array, rotation: Array | None, q: Array) -> Array:
@@ -203,8 +95,6 @@ def towards_pose(
     """Bring configurations to a pose by damped least squares inside the joint limits.
 
     Args:
-        arm: the arm.
-        pose: of the tool.
         q: (k, n) where to start [rad].
         rounds: of the least squares.
 
@@ -232,7 +122,7 @@ def _towards(
     going = np.arange(len(at))
     for _ in range(rounds):
         error = missing(going)
-        far = (np.abs(error) >= CLOSE / 100).any(axis=1)
+        far = (np.abs(error) >= _DONE).any(axis=1)
         going, error = going[far], error[far]
         if not len(going):
             break
@@ -258,13 +148,12 @@ def configurations_at(
     joints are left over, every start ends somewhere else: a sample of them.
 
     Args:
-        arm: the arm.
-        pose: of the tool.
         near: (n,) a configuration to start from as well [rad].
         starts: Halton's points.
 
     Returns:
-        (k, n) [rad], at least 0.05 rad apart, that from `near` first; k = 0: out of reach.
+        (k, n) [rad], at least 0.05 rad from each other, that from `near` first; k = 0: out of
+        reach.
 
     Raises:
         ParameterError: no starts.
@@ -272,7 +161,7 @@ def configurations_at(
     at = _starts(arm, starts)
     if near is not None:
         at = np.vstack([finite(near, (arm.n,), "near"), at])
-    return _apart(*towards_pose(arm, pose, at))
+    return _distinct(*towards_pose(arm, pose, at))
 
 
 def configurations_at_each(
@@ -281,7 +170,6 @@ def configurations_at_each(
     """Return `configurations_at` for many poses at once.
 
     Args:
-        arm: the arm.
         place: (m, 3) of the tool [m].
         turn: (m, 3, 3) of the tool.
         near: (m, n) configurations to start from as well [rad].
@@ -290,12 +178,17 @@ def configurations_at_each(
     Returns:
         m of (k, n) [rad].
     """
-    halton = _starts(arm, starts)
-    at = np.concatenate(
-        [near[:, None], np.broadcast_to(halton, (len(near), *halton.shape))], axis=1
-    )
-    q, miss = _towards(arm, place[:, None], turn[:, None], at)
-    return [_apart(*each) for each in zip(q, miss, strict=True)]
+    at = _beside(near, _starts(arm, starts))
+    return [
+        _distinct(*k)
+        for k in zip(*_towards(arm, place[:, None], turn[:, None], at), strict=True)
+    ]
+
+
+def _beside(near: Array, starts: Array) -> Array:
+    """(m, 1 + k, n) starts of m searches: one of their own (m, n), then k (k, n) of all."""
+    wide = np.broadcast_to(starts, (len(near), *starts.shape))
+    return np.concatenate([near[:, None], wide], axis=1)
 
 
 def _starts(arm: Arm, count: int) -> Array:
@@ -309,8 +202,8 @@ def _starts(arm: Arm, count: int) -> Array:
     return np.asarray(qmc.scale(points, low, high), dtype=np.float64)
 
 
-def _apart(q: Array, miss: Array) -> Array:
-    """Return those of q (k, n) that are at the pose and apart from each other.
+def _distinct(q: Array, miss: Array) -> Array:
+    """Return those of q (k, n) that are at the pose and differ from each other.
 
     Args:
         q: (k, n) [rad].
@@ -318,9 +211,74 @@ def _apart(q: Array, miss: Array) -> Array:
     """
     out: list[Array] = []
     for k in np.flatnonzero(miss <= CLOSE):
-        if all(np.linalg.norm(q[k] - other) >= _APART for other in out):
+        if all(np.linalg.norm(q[k] - other) >= _DIFFERENT for other in out):
             out.append(q[k])
     return np.array(out).reshape(-1, q.shape[1])
 
 
-_APART = 0.05  # rad between configurations that count as two
+# --------------------------------------------------------------------- a place alone
+
+
+def joints_for(arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike) -> tuple[Array, Array]:
+    """Joint angles within the limits that bring the tool to points, base at rest.
+
+    Damped least squares from `near` and from a grid over the joints' ranges.
+
+    Args:
+        points: (k, 3) in the platform frame [m].
+        near: (k, n) of several solutions the one soonest reached from here [rad].
+
+    Returns:
+        q (k, n) and how far from the points that is (k,) [m]: what is out of reach is
+        approached.
+    """
+    q, miss, way = _candidates(arm, points, near)
+    # the best, and of the solved ones the soonest
+    pick = np.where(miss <= CLOSE, -1 / (1 + way), miss).argmin(axis=1)
+    rows = np.arange(len(q))
+    return q[rows, pick], miss[rows, pick]
+
+
+def every_joints_for(arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike) -> Array:
+    """All configurations within the limits that bring the tool to points, base at rest.
+
+    Of arms with as many joints as a place has coordinates; of others those that the search
+    comes upon.
+
+    Args:
+        points: (k, 3) in the platform frame [m].
+        near: (k, n) [rad], where the search begins.
+
+    Returns:
+        (k, `MOST`, n) [rad], those soonest reached from `near` first, NaN beyond the last;
+        where there is none, what comes closest.
+    """
+    q, miss, way = _candidates(arm, points, near)
+    out = np.full((len(q), MOST, arm.n), np.nan)
+    for row, ends, lack, seconds in zip(out, q, miss, way, strict=True):
+        solved = np.flatnonzero(lack <= CLOSE)
+        ranked = (
+            solved[seconds[solved].argsort(kind="stable")] if len(solved) else [lack.argmin()]
+        )
+        count = 0
+        for end in ends[ranked]:
+            if count < MOST and not (np.abs(row[:count] - end).max(axis=1) < _SAME).any():
+                row[count] = end
+                count += 1
+    return out
+
+
+def _candidates(
+    arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike
+) -> tuple[Array, Array, Array]:
+    """Ends q (k, m, n) of searches from several starts, their miss (k, m) and way (k, m).
+
+    The first start is `near` (k, n); the way from it is in seconds at full speed.
+    """
+    low, high = arm.column("q_min"), arm.column("q_max")
+    grid = low + (high - low) * np.array(list(itertools.product(_GUESSES, repeat=arm.n)))
+    start = np.asarray(near, float)
+    goal = np.asarray(points, float)[:, None]
+    q, miss = _towards(arm, goal, None, _beside(start, grid), rounds=40)
+    way = (np.abs(q - start[:, None]) / arm.column("v_max")).max(axis=-1)
+    return q, miss, way.round(6)  # of equal ways the first start's, not rounding's choice

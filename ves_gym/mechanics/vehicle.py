@@ -32,18 +32,16 @@ from ves_gym.mechanics.base_model import BaseModel as BaseModel
 from ves_gym.mechanics.base_model import InternalModes as InternalModes
 from ves_gym.mechanics.base_model import Oscillator as Oscillator
 from ves_gym.mechanics.base_model import Saved
-from ves_gym.mechanics.base_model import elementwise_damping as elementwise_damping
-from ves_gym.mechanics.base_model import modal_damping as modal_damping
+from ves_gym.mechanics.beam import ALUMINIUM as ALUMINIUM
 from ves_gym.mechanics.beam import Beam as Beam
+from ves_gym.mechanics.beam import Material as Material
 from ves_gym.mechanics.carried import Appendage as Appendage
 from ves_gym.mechanics.carried import Carried as Carried
 from ves_gym.mechanics.carried import ReactionWheel as ReactionWheel
 from ves_gym.mechanics.flexible_base import FlexibleBase as FlexibleBase
 from ves_gym.mechanics.flexible_base import bent_line
-from ves_gym.mechanics.jets import Jet as Jet
 from ves_gym.mechanics.pointing import AttitudeControl as AttitudeControl
-from ves_gym.mechanics.section import ALUMINIUM as ALUMINIUM
-from ves_gym.mechanics.section import Material as Material
+from ves_gym.mechanics.pointing import Jet as Jet
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -311,7 +309,6 @@ def has(vehicle: Vehicle, name: str) -> bool:
     """Return True if a vehicle's D or K, internal modes included, is other than zero.
 
     Args:
-        vehicle: what carries the arm.
         name: "D" or "K".
     """
     if isinstance(vehicle, Beam):
@@ -390,7 +387,6 @@ def beam_line(
     """Return the bent centreline of a beam, None of a vehicle that is none.
 
     Args:
-        vehicle: what carries the arm.
         y: (N, 6) base poses [m, rad].
         u: (N, m) its internal modes [kg^(1/2) m]; None: they rest on its flange.
         points: of each segment, both ends included.

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.arm import skew
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.spatial import skew
 from ves_gym.planners.coupling import blocks
 from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.mean_energy import MeanEnergy

@@ -18,8 +18,7 @@ import numpy.typing as npt
 import scipy.linalg
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.kinematics import tool_jacobian
+from ves_gym.mechanics.kinematics import joint_positions, tool_jacobian
 from ves_gym.mechanics.modes import root
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.prediction import BaseState, LinearBase, gramian, inertia_along

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ves_gym._util.params import Array, to_plain
-from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import beam_line
 from ves_gym.planners.coupling_map import CouplingMap, coupling_map

@@ -17,10 +17,9 @@ from ves_gym.effects.command import CommandDelay
 from ves_gym.effects.joint_friction import JointCoulomb, JointViscous
 from ves_gym.effects.payload import PayloadMass
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.arm_library import get_arm
+from ves_gym.mechanics.arm_library import PUMA_560, get_arm
 from ves_gym.mechanics.flexible_base import FlexibleBase
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
-from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import get_vehicle, has
 from ves_gym.planners.obstacles import Box, Sphere, Surroundings
 from ves_gym.planners.query import Query

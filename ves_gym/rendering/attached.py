@@ -11,7 +11,7 @@ from ves_gym._util.params import Array
 from ves_gym.engine.mjcf import LEAST
 from ves_gym.engine.mjcf_carried import add_carried
 from ves_gym.engine.mjcf_contact import add_shape, geom_of, tool_in_link
-from ves_gym.mechanics.serial_chain import Inertial
+from ves_gym.mechanics.arm import Inertial
 from ves_gym.mechanics.vehicle import Appendage, BaseModel
 from ves_gym.system.system import System
 

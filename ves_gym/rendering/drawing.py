@@ -17,8 +17,8 @@ import numpy as np
 from ves_gym._util.params import Array
 from ves_gym.engine.mjcf import TO_Y, build_spec, places
 from ves_gym.mechanics.attitude import to_matrix
-from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.flexure import unfold
+from ves_gym.mechanics.dynamics import expand
+from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import Beam, FlexibleBase, beam_line
 from ves_gym.rendering.attached import (
@@ -142,7 +142,7 @@ class Drawing:
             _box(spec.worldbody, clamp - 0.12 * along, wall, _frame_along(along), _DARK)
 
     def _add_arm(self, spec: Any) -> None:
-        chain = unfold(self.system.arm)
+        chain = expand(self.system.arm)
         for place, link in enumerate(chain.arm.links):
             end, knee = np.array([link.a, 0.0, link.d]), np.array([0.0, 0.0, link.d])
             if place in chain.passive:

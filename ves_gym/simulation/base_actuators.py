@@ -8,13 +8,16 @@ import numpy as np
 
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.jets import allocated, propellant, pulses, wrench_matrix
 from ves_gym.mechanics.pointing import (
+    allocated,
     on_rotors,
+    propellant,
+    pulses,
     shares,
     wheel_axes,
     wheel_torques,
     within_limits,
+    wrench_matrix,
 )
 from ves_gym.mechanics.spatial import matvec  # row by row: a product of all rows rounds by n
 from ves_gym.mechanics.vehicle import Satellite

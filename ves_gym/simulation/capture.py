@@ -17,6 +17,7 @@ from ves_gym.mechanics.attitude import (
     to_matrix,
     torque_free_step,
 )
+from ves_gym.mechanics.kinematics import ToolState, tool_state
 from ves_gym.mechanics.latch import (
     Impulse,
     ToolMotion,
@@ -24,14 +25,12 @@ from ves_gym.mechanics.latch import (
     directions_of,
     free_mass,
     inelastic,
-    kinetic_energy,
     momentum_of,
     to_point,
     tool_motion,
 )
 from ves_gym.mechanics.payload import Payload, angle_between, numbers_of, with_body
-from ves_gym.mechanics.spatial import matvec, rate_matrix, rotation, twist
-from ves_gym.mechanics.tool_pose import ToolState, tool_state
+from ves_gym.mechanics.spatial import matvec, quadratic, rate_matrix, rotation, twist
 from ves_gym.simulation.arguments import simulation_ids
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
@@ -383,7 +382,7 @@ class Cargo:
         """Kinetic energy (n,) of arm with base, and of the payload [J]."""
         motion, rates = self._motion(np.arange(self.sim.n))
         M, twist, _ = self._bodies(np.arange(self.sim.n))
-        return kinetic_energy(motion.mass, rates), kinetic_energy(M, twist)
+        return quadratic(motion.mass, rates), quadratic(M, twist)
 
     def _bodies(self, ids: Index) -> tuple[Array, Array, Array]:
         """Mass matrix (k, 6, 6), twist and centre of mass of payloads in space."""

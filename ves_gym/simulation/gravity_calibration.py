@@ -32,8 +32,9 @@ from ves_gym._util.params import (
     read_table,
     unit,
 )
-from ves_gym.mechanics.arm import Arm, matrix, skew
+from ves_gym.mechanics.arm import Arm, matrix
 from ves_gym.mechanics.gravity import GravityModel, MinimalModel, gravity_vector, minimal_model
+from ves_gym.mechanics.spatial import skew
 
 AXES = ("force x", "force y", "force z", "moment x", "moment y", "moment z")
 # Smallest singular value, columns of unit length, at which poses still determine the mass

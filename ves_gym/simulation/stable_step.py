@@ -10,10 +10,9 @@ import numpy as np
 from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.carried import Appendage, carried_inertia
-from ves_gym.mechanics.contact import Contact
-from ves_gym.mechanics.dynamics import drawn_configurations, inertia
-from ves_gym.mechanics.flexure import unfold
+from ves_gym.mechanics.dynamics import drawn_configurations, expand, inertia
 from ves_gym.mechanics.latch import tool_motion
+from ves_gym.mechanics.payload import Contact
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
 _JUDGED = 8  # further configurations of an arm that bends
@@ -128,7 +127,7 @@ def steps_are_small(system: System, bases: BaseModel) -> Mask:
 
 def _passive(system: System, q: Array) -> tuple[Array, Array, Array]:
     """M, D, K of what swings by itself, with the joints at q (n,)."""
-    base, chain = system.base, unfold(system.arm)
+    base, chain = system.base, expand(system.arm)
     arm = chain.arm  # every joint, driven or passive
     H = inertia(arm, chain.angles(q))
     if base.carried and not (arm.geared or base.m or chain.passive):

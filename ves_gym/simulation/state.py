@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from ves_gym._util.params import Array, Mask
-from ves_gym.mechanics.attitude import angular_velocity, from_angles
+from ves_gym.mechanics.attitude import from_angles
+from ves_gym.mechanics.spatial import twist
 from ves_gym.system.system import System
 
 
@@ -28,7 +29,7 @@ class State(NamedTuple):
     @property
     def spin(self) -> Array:
         """(n, 3) angular velocity of the base in its own axes [rad/s]."""
-        return angular_velocity(self.y[:, 3:], self.yd[:, 3:])
+        return twist(self.y, self.yd)[:, 3:]
 
 
 @dataclass(frozen=True)

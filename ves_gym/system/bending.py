@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.flexure import unfold
+from ves_gym.mechanics.dynamics import expand, inertia
 from ves_gym.mechanics.spatial import quadratic
 from ves_gym.system.system import System
 
@@ -49,7 +48,7 @@ def moving_inertia(system: System, q: Array, internal: Internal | None) -> Array
     p = system.arm.bends
     if not p or internal is None:
         return inertia(system.arm, q)
-    return unfold(system.arm).inertia(q, internal[0][..., :p])
+    return expand(system.arm).inertia(q, internal[0][..., :p])
 
 
 def moving_rates(system: System, twist: Array, internal: Internal | None) -> Array:
@@ -78,6 +77,6 @@ def in_flexures(
     p = system.arm.bends
     if not p or internal is None:
         return 0.0, 0.0
-    chain = unfold(system.arm)
+    chain = expand(system.arm)
     d, rate = internal[0][..., :p], internal[1][..., :p]
     return quadratic(np.diag(chain.stiffness), d), 2 * quadratic(np.diag(chain.damping), rate)

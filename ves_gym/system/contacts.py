@@ -7,8 +7,8 @@ import scipy
 
 from ves_gym._util.params import Array, Mask
 from ves_gym.mechanics.attitude import rotate, to_matrix
+from ves_gym.mechanics.kinematics import tool_frame, tool_twists
 from ves_gym.mechanics.spatial import matvec, rotation, twist
-from ves_gym.mechanics.tool_pose import tool_frame, tool_twists
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 

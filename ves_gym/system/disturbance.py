@@ -15,8 +15,8 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, unit
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import joint_positions
-from ves_gym.mechanics.flexure import unfold
+from ves_gym.mechanics.dynamics import expand
+from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.spatial import matvec, rotation, twist, twist_rate
 from ves_gym.system.bending import Internal
 from ves_gym.system.energy import (
@@ -128,7 +128,7 @@ def tool_error(arm: Arm, q: Array, q_cmd: Array, y: Array, d: Array | None = Non
     Returns:
         (..., 3) [m].
     """
-    reach = joint_positions(arm, q)[..., -1, :] if d is None else unfold(arm).tool(q, d)
+    reach = joint_positions(arm, q)[..., -1, :] if d is None else expand(arm).tool(q, d)
     place = matvec(rotation(y), reach) + y[..., :3]
     out: Array = place - joint_positions(arm, q_cmd)[..., -1, :]
     return out

@@ -24,10 +24,8 @@ from ves_gym._util.params import (
     write_table,
 )
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.arm_library import get_arm
-from ves_gym.mechanics.contact import Contact
-from ves_gym.mechanics.payload import Payload
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560, get_arm
+from ves_gym.mechanics.payload import Contact, Payload
 from ves_gym.mechanics.vehicle import (
     BENT,
     BaseModel,

@@ -8,9 +8,8 @@ from pathlib import Path
 
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.arm_library import get_arm
-from ves_gym.mechanics.boom_library import REACHING_OUT, SHUTTLE_LIKE
-from ves_gym.mechanics.serial_chain import Inertial, diagonal
 from ves_gym.mechanics.vehicle import Satellite
 from ves_gym.system.system import System
 
@@ -22,15 +21,21 @@ ORBITER = Satellite(
 
 
 def _driven() -> System:
+    from ves_gym.mechanics.boom import SHUTTLE_LIKE  # few systems have a boom
+
     return System(arm=SHUTTLE_LIKE.carry(get_arm("puma560-wrist")), vehicle=ORBITER)
 
 
 def _braked() -> System:
+    from ves_gym.mechanics.boom import REACHING_OUT, SHUTTLE_LIKE
+
     arm = SHUTTLE_LIKE.braked(REACHING_OUT, get_arm("puma560-wrist"))
     return System(arm=arm, vehicle=ORBITER)
 
 
 def _reduced() -> System:
+    from ves_gym.mechanics.boom import REACHING_OUT, SHUTTLE_LIKE
+
     return System(arm=get_arm("puma560-wrist"), vehicle=SHUTTLE_LIKE.at(REACHING_OUT))
 
 

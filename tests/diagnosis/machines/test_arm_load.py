@@ -16,9 +16,9 @@ from ves_gym.diagnosis.machines.arm_load import (
 )
 from ves_gym.effects import PayloadBody, PayloadMass
 from ves_gym.mechanics.arm import Gear
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.body_numbers import numbers_of_body
 from ves_gym.mechanics.gravity import gravity_vector
-from ves_gym.mechanics.puma import PUMA_560
 
 PAYLOADS = {
     "mass": PayloadMass(mass=2.0, position=(0.1, -0.2, 0.3)),

@@ -12,7 +12,7 @@ from ves_gym.hardware.force_sensor import ForceSensor
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.arm import Arm, matrix
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,
     FREE_FLOATING,

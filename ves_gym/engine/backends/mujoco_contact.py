@@ -15,7 +15,7 @@ from ves_gym._util.params import Array, Index, Mask
 from ves_gym.engine.mjcf import LEAST
 from ves_gym.engine.mjcf_contact import FIELDS, TARGET
 from ves_gym.mechanics.attitude import conjugate, from_matrix, rotate
-from ves_gym.mechanics.contact import Contact, net_wrench, spring_energy
+from ves_gym.mechanics.payload import Contact, net_wrench, spring_energy
 
 _APART = -1e6  # m, margin of pairs that shall not touch
 

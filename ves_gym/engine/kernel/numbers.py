@@ -20,10 +20,10 @@ import numpy as np
 from ves_gym._util.params import Array
 from ves_gym.engine.kernel.symbolic import Traced, column, expressions, symbols, traced
 from ves_gym.mechanics import dynamics
+from ves_gym.mechanics.arm import STILL, Chain, JointFrame, LinkBodies
 from ves_gym.mechanics.carried import ReactionWheel
+from ves_gym.mechanics.dynamics import expand
 from ves_gym.mechanics.equations import InnerModes, Model, Springs, merged
-from ves_gym.mechanics.flexure import unfold
-from ves_gym.mechanics.joints import STILL, Chain, JointFrame, LinkBodies
 from ves_gym.mechanics.vehicle import blows
 from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.system import PRESCRIBED_INERTIA
@@ -275,7 +275,7 @@ def _flexible(
     """All joints of an arm whose links bend, and numbers of its flexures."""
     if not system.arm.bends:
         return None, []
-    whole = unfold(system.arm)
+    whole = expand(system.arm)
     links = [read.body(f"part{k}", link.inertial) for k, link in enumerate(whole.arm.links, 1)]
     base = read.body("root", whole.arm.base)
     satellite = system.base.body if system.mode == "ideal" else None
@@ -368,7 +368,7 @@ def geometry(arm: Arm) -> str:
     if arm.sliding:
         lengths.append(arm.sliding)
     if arm.bends:
-        chain = unfold(arm)
+        chain = expand(arm)
         lengths += [(k.d, k.a, k.alpha, k.beta, k.offset) for k in chain.arm.links]
         return f"{_source()} {arm.mount!r} {chain.arm.mount!r} {chain.driven!r} {lengths!r}"
     return f"{_source()} {arm.mount!r} {lengths!r}"
@@ -396,5 +396,5 @@ def _source() -> str:
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
-_TEXTS = ("dynamics", "carried", "equations", "gravity", "joints", "spatial")
+_TEXTS = ("arm", "kinematics", "dynamics", "carried", "equations", "gravity", "spatial")
 _WRITERS = ("trace", "numbers", "emit", "symbolic", "scene", "pieces")

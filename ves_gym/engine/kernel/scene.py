@@ -18,7 +18,8 @@ from ves_gym.engine.kernel.numbers import parameters, structure, symbolic_model
 from ves_gym.engine.kernel.pieces import Piece, Program, emit_pieces
 from ves_gym.engine.kernel.symbolic import column, symbols
 from ves_gym.mechanics import equations
-from ves_gym.mechanics.dynamics import frames, inverse_dynamics, joint_positions, newton_euler
+from ves_gym.mechanics.dynamics import inverse_dynamics, newton_euler
+from ves_gym.mechanics.kinematics import frames, joint_positions
 from ves_gym.mechanics.spatial import matvec, rotation
 from ves_gym.system.energy import base_energy
 from ves_gym.system.system import System
@@ -78,7 +79,7 @@ class _Map:
 
 
 class SceneMap(_Map):
-    """Energy of the base and place of the tool (`core.energy`, `dynamics.frames`)."""
+    """Energy of the base and place of the tool (`core.energy`, `kinematics.frames`)."""
 
     @staticmethod
     def _sizes(system: System) -> tuple[tuple[int, ...], int]:

@@ -14,6 +14,7 @@ import numpy as np
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.kernel.numbers import symbolic_model
 from ves_gym.engine.kernel.symbolic import Traced, column, symbols, traced
+from ves_gym.mechanics.arm import Chain, LinkBodies
 from ves_gym.mechanics.dynamics import inertia_parts, newton_euler
 from ves_gym.mechanics.equations import (
     Model,
@@ -27,7 +28,6 @@ from ves_gym.mechanics.equations import (
     residual,
     spring_torque,
 )
-from ves_gym.mechanics.joints import Chain, LinkBodies
 from ves_gym.mechanics.spatial import solve_symmetric
 
 if TYPE_CHECKING:

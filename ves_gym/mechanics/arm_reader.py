@@ -1,0 +1,285 @@
+"""One reader of arms from files: of a tree of bodies and joints a chain becomes an arm.
+
+A file format is a `Tree` (`urdf.UrdfTree`, `mjcf_arm.MjcfTree`); which joints move, which
+bodies move as one, and what is refused is decided here. What is written is in `arm_files`.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError
+from ves_gym.mechanics.arm import BANDWIDTH, Arm, Inertial, matrix
+from ves_gym.mechanics.chain import Joint, LinkMass, Lump, Segment, arm_of
+
+# Numbers beyond these look like mm, g and kg mm^2 (this project).
+_REACH = 100.0  # m
+_DENSITY = 1e4  # kg/m^3: moving mass over the cube of the reach; a PUMA has 60
+_GYRATION = 10.0  # radius of gyration over the reach
+
+
+class ChainChoice(NamedTuple):
+    """The chain of a file that is taken, and how it is read; see `Arm.from_file`."""
+
+    tip: str | None
+    root: str | None
+    locked: dict[str, float]  # name -> angle [rad]
+    collision: bool
+    check: bool
+    rotors: dict[str, float]  # name -> inertia about the joint [kg m^2], where not the file's
+
+
+@dataclass
+class TreeJoint:
+    """A joint between a body and the one before it."""
+
+    name: str
+    body: str  # that it moves
+    fixed: bool = False
+    fault: str | None = None  # why no arm has it between root and tip
+
+
+class Tree(ABC):
+    """Bodies and joints of a file, by name."""
+
+    noun: ClassVar[str]  # what the format calls a body
+    tip_nouns: ClassVar[str]  # what the tool may be
+    moving: ClassVar[str]  # joints that an arm has
+    path: Path
+    name: str
+    bodies: list[str]
+    parents: dict[str, str]  # body -> the one before it
+    joints: dict[str, list[TreeJoint]]  # body -> those that move it, inner first
+    bandwidth: float = BANDWIDTH
+
+    def require(self, body: str, what: str) -> str:
+        """Return a body's name, refused where there is none."""
+        if body not in self.bodies:
+            names = ", ".join(self.bodies)
+            raise ParameterError(f"{what}: no {self.noun} {body!r}; there are {names}")
+        return body
+
+    def root(self, root: str | None) -> str:
+        """Return the body that stands on the platform: the one named, or the only one."""
+        if root is not None:
+            return self.require(root, "root")
+        tops = [name for name in self.bodies if name not in self.parents]
+        if len(tops) != 1:
+            names = ", ".join(tops) or "none"
+            raise ParameterError(f"must have one root {self.noun}, got {names}")
+        return tops[0]
+
+    def tip(self, tip: str | None, root: str) -> tuple[str, str]:
+        """Return the body that has the tool, and the tool's name.
+
+        The one named, or the only end that a joint moves.
+        """
+        if tip is not None:
+            return self.require(tip, "tip"), tip
+        moving = {j.name for joints in self.joints.values() for j in joints if not j.fixed}
+        inner = set(self.parents.values())
+        ends = [b for b, mover in self.movers(root, moving).items() if mover and b not in inner]
+        if not ends:
+            raise ParameterError(f"no joint moves beyond {root!r}")
+        if len(ends) > 1:
+            raise ParameterError(
+                f"has {len(ends)} ends: {', '.join(ends)}; name the {self.tip_nouns} that is"
+                f" the tool (tip={ends[0]!r}, or {self.path.name}#{ends[0]})"
+            )
+        return ends[0], ends[0]
+
+    def chain(self, root: str, tip: str) -> list[str]:
+        """Return the bodies from the one after the root to the tip."""
+        out: list[str] = []
+        body = tip
+        while body != root:
+            if body not in self.parents or len(out) > len(self.parents):
+                raise ParameterError(f"no chain leads from {root!r} to {tip!r}")
+            out.append(body)
+            body = self.parents[body]
+        return out[::-1]
+
+    def movers(self, root: str, joints: set[str]) -> dict[str, str | None]:
+        """Return the root and all bodies beyond it, each with the last of the joints that
+        move it."""
+        out: dict[str, str | None] = {}
+        stack: list[tuple[str, str | None]] = [(root, None)]
+        while stack:
+            body, mover = stack.pop()
+            if body != root:
+                mover = [mover, *(j.name for j in self.joints[body] if j.name in joints)][-1]
+            out[body] = mover
+            below = [child for child, parent in self.parents.items() if parent == body]
+            stack += [(child, mover) for child in reversed(below)]
+        return out
+
+    @abstractmethod
+    def place(
+        self, root: str, chain: list[str], free: list[TreeJoint], locked: Mapping[str, float]
+    ) -> None:
+        """Place all bodies, seen from the root, the free joints at zero.
+
+        Raises:
+            ParameterError: the bodies of the chain hang on more than its joints.
+        """
+
+    def position(self, joint: TreeJoint, locked: Mapping[str, float]) -> float:
+        """Return where a joint that is not free stands still."""
+        return float(locked.get(joint.name, 0.0))
+
+    @abstractmethod
+    def chain_joints(self, free: list[TreeJoint]) -> list[Joint]:
+        """Return the free joints as they are placed, each with an empty body."""
+
+    @abstractmethod
+    def tool(self, body: str, name: str) -> tuple[Array, Array]:
+        """Return rotation (3, 3) and position (3,) of the tool."""
+
+    @abstractmethod
+    def mass(self, body: str, moves: bool) -> LinkMass | None:
+        """Return a body's mass properties; None of a mere frame."""
+
+    @abstractmethod
+    def capsules(self, body: str) -> list[Segment]:
+        """Return a body's shapes as capsules that hold them."""
+
+    def notes(self, free: list[TreeJoint]) -> list[str]:
+        """Return what the arm's source is to say of what is left out."""
+        return []
+
+
+def arm_of_tree(tree: Tree, choice: ChainChoice) -> Arm:
+    """Return the arm that a chain of a tree is.
+
+    Args:
+        tree: of a file.
+        choice: the chain in it.
+
+    Raises:
+        ParameterError: names the body or the joint, and what is wrong with it.
+    """
+    locked = choice.locked
+    root = tree.root(choice.root)
+    end, tip = tree.tip(choice.tip, root)
+    chain = tree.chain(root, end)
+    names = [joint.name for joints in tree.joints.values() for joint in joints]
+    for name in locked:
+        if name not in names:
+            raise ParameterError(f"locked: no joint {name!r}; there are {', '.join(names)}")
+    on_chain = [joint for body in chain for joint in tree.joints[body]]
+    free = [joint for joint in on_chain if not joint.fixed and joint.name not in locked]
+    for joint in free:
+        if joint.fault:
+            raise ParameterError(joint.fault)
+    if not free:
+        raise ParameterError(f"no {tree.moving} joint lies between {root!r} and {tip!r}")
+    tree.place(root, chain, free, locked)
+    joints = {joint.name: joint for joint in tree.chain_joints(free)}
+    rotors = _with_rotors(joints, choice.rotors)
+    movers = tree.movers(root, set(joints))
+    masses = {body: tree.mass(body, mover is not None) for body, mover in movers.items()}
+    tool = tree.tool(end, tip)
+    if choice.check:
+        moving = [k for body, k in masses.items() if k is not None and movers[body] is not None]
+        _require_plausible(list(joints.values()), tool[1], moving)
+    lumps: dict[str | None, Lump] = {None: Lump()}
+    lumps |= {name: joint.body for name, joint in joints.items()}
+    still = []
+    for body, mover in movers.items():
+        mass = masses[body]
+        if mass is not None:
+            lumps[mover].add(mass)
+        if choice.collision:
+            lumps[mover].capsules += tree.capsules(body)
+        for joint in tree.joints[body] if body != root else ():
+            if not joint.fixed and joint.name not in joints:
+                still.append(f"{joint.name} at {tree.position(joint, locked):g}")
+    notes = [f"read from {tree.path.name}, {root} to {tip}"]
+    if still:
+        notes.append(f"joints that stand still: {', '.join(still)}")
+    return arm_of(
+        tree.name,
+        lumps[None],
+        list(joints.values()),
+        tool,
+        source="; ".join([*notes, *tree.notes(free), *rotors]),
+        collision=choice.collision,
+        bandwidth=tree.bandwidth,
+    )
+
+
+def _with_rotors(joints: Mapping[str, Joint], rotors: Mapping[str, float]) -> list[str]:
+    """Set rotor inertias [kg m^2] that are given beside the file; return the note on them."""
+    for name, value in rotors.items():
+        if name not in joints:
+            raise ParameterError(
+                f"rotors: no moving joint {name!r}; there are {', '.join(joints)}"
+            )
+        if not (math.isfinite(value) and value >= 0):
+            raise ParameterError(
+                f"rotors: inertia about joint {name!r} must be >= 0 kg m^2, got {value!r}"
+            )
+        joints[name].rotor_inertia = float(value)
+    if not rotors:
+        return []
+    values = (f"{name} {value:g} kg m^2" for name, value in rotors.items())
+    return [f"rotor inertia given beside the file: {', '.join(values)}"]
+
+
+def body_mass(name: str, mass: float, com: Array, R: Array, moments: Array) -> LinkMass:
+    """Return a body's mass properties in the root's axes; refuse those that no body has.
+
+    Args:
+        name: of the body.
+        mass: [kg].
+        com: (3,) centre of mass in the root's frame [m].
+        R: (3, 3) from the axes of the moments to the root's.
+        moments: (3, 3) about the centre of mass [kg m^2].
+    """
+    try:
+        Inertial(mass=mass, com=(0.0, 0.0, 0.0), inertia=matrix(moments))
+    except ParameterError as error:
+        raise ParameterError(f"link {name!r}: {error}") from None
+    if mass == 0 and moments.any():
+        raise ParameterError(f"link {name!r} has an inertia, but no mass")
+    turned = R @ moments @ R.T
+    return LinkMass(name, mass, com, (turned + turned.T) / 2)
+
+
+def _require_plausible(joints: list[Joint], tool: Array, pieces: list[LinkMass]) -> None:
+    """Refuse lengths, masses and inertias that look like mm, g and kg mm^2."""
+    points = np.array([*(joint.origin for joint in joints), tool])
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    reach = float(steps.sum())
+    if reach > _REACH:
+        k = int(steps.argmax())
+        raise ParameterError(
+            f"what joint {joints[k].name!r} moves is {steps[k]:.4g} m long and the whole arm"
+            f" {reach:.4g} m: lengths must be in m, these look like mm (check=False takes them)"
+        )
+    distances = [np.linalg.norm(k.com - points, axis=1).min() for k in pieces if k.mass]
+    size = max([reach, 1e-3, *(2 * float(k) for k in distances)])
+    for piece in pieces:
+        largest = float(np.abs(piece.moments).max())
+        if largest > piece.mass * (_GYRATION * size) ** 2:
+            raise ParameterError(
+                f"link {piece.link!r} of {piece.mass:.4g} kg has an inertia of {largest:.4g}"
+                f" kg m^2, a radius of gyration of {math.sqrt(largest / piece.mass):.3g} m on"
+                f" an arm of {size:.3g} m: inertias must be in kg m^2, these look like kg mm^2"
+                " (check=False takes them)"
+            )
+    total = sum(piece.mass for piece in pieces)
+    if total > _DENSITY * size**3:
+        heaviest = max(pieces, key=lambda piece: piece.mass)
+        raise ParameterError(
+            f"link {heaviest.link!r} has {heaviest.mass:.4g} kg and all that moves {total:.4g}"
+            f" kg on {size:.3g} m: masses must be in kg, these look like g (check=False takes"
+            " them)"
+        )
