@@ -1,6 +1,8 @@
-"""A URDF as makers of arms publish it: six joints, meshes, friction, two fingers."""
+"""Arms as URDF text: as makers publish them, with meshes and fingers, and random chains."""
 
 import math
+
+import numpy as np
 
 # name, xyz and rpy of the joint, kind, +-range [rad], effort [N m], speed [rad/s], damping
 # [N m s/rad], friction [N m]; mass [kg], its centre [m], radius and length of a cylinder [m]
@@ -71,3 +73,72 @@ def _body(name, mass, com, radius, length):
         f'<mass value="{mass}"/><inertia ixx="{across}" iyy="{across}" izz="{along}" ixy="0"'
         ' ixz="0" iyz="0"/></inertial></link>'
     )
+
+
+def vector(values):
+    return " ".join(repr(float(k)) for k in values)
+
+
+def body(rng, name, shape=""):
+    """A link with the inertia of a random box."""
+    size, mass = rng.uniform(0.05, 0.5, 3), rng.uniform(0.5, 8)
+    mass, (xx, yy, zz) = float(mass), (mass / 12 * (size @ size - size**2)).tolist()
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{vector(rng.normal(size=3) / 5)}"'
+        f' rpy="{vector(rng.normal(size=3))}"/><mass value="{mass!r}"/><inertia ixx="{xx!r}"'
+        f' iyy="{yy!r}" izz="{zz!r}" ixy="0" ixz="0" iyz="0"/></inertial>{shape}</link>'
+    )
+
+
+def joint(
+    name, parent, child, kind="revolute", extra="", xyz=(0, 0, 0.3), rpy=(0, 0, 0), axis=None
+):
+    turn = "" if axis is None else f'<axis xyz="{vector(axis)}"/>'
+    limit = '<limit lower="-2.5" upper="2.0" effort="50" velocity="1.5"/>'
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{vector(xyz)}" rpy="{vector(rpy)}"/>{turn}'
+        f"{limit if kind in ('revolute', 'prismatic') else ''}{extra}</joint>"
+    )
+
+
+def chain(n, seed=0, upright=False):
+    """A URDF of n joints: any axes and places, some parallel, some all but parallel."""
+    rng = np.random.default_rng(seed)
+    parts = [body(rng, "base")]
+    before = "base"
+    for i in range(n):
+        plate, name = f"plate{i}", f"link{i}"
+        rpy, axis = rng.normal(size=3), rng.normal(size=3)
+        xyz = rng.normal(size=3) / 3
+        if i % 3 == 1:  # all but parallel: 1.5708 there, 1.57079632679 back
+            rpy, axis = (1.5708, 0, 0), (0, 0, -1)
+        elif i % 3 == 2:
+            rpy, axis, xyz = (-math.pi / 2, 0, 0), (0, 0, 1), (0, 0, 0.2)
+        parts += [
+            body(rng, plate),
+            joint(
+                f"fix{i}",
+                before,
+                plate,
+                "fixed",
+                xyz=rng.normal(size=3) / 5,
+                rpy=rng.normal(size=3),
+            ),
+            body(rng, name),
+            joint(
+                f"j{i}",
+                plate,
+                name,
+                "continuous" if i == 3 else "revolute",
+                xyz=xyz,
+                rpy=rpy,
+                axis=axis,
+            ),
+        ]
+        before = name
+    parts += [
+        '<link name="tcp"/>',
+        joint("tool", before, "tcp", "fixed", rpy=rng.normal(size=3)),
+    ]
+    return f'<robot name="chain{n}">{"".join(parts)}</robot>'

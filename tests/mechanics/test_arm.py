@@ -9,7 +9,7 @@ import pytest
 from tests.arms import PLANAR_GAINS, WRIST_GAINS, planar_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.engine.backends.mujoco import compile_model
-from ves_gym.mechanics.arm import Arm, Inertial, diagonal
+from ves_gym.mechanics.arm import Inertial, diagonal, matrix
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.kinematics import joint_positions
@@ -32,27 +32,18 @@ def body(*moments, mass=1.0, com=(0.0, 0.0, 0.0)):
     return Inertial(mass=mass, com=com, inertia=diagonal(*moments))
 
 
-@pytest.mark.parametrize("moments", [(1, 1, 2.01), (5, 1, 1), (-0.1, 1, 1), (1, 2.5, 1.4)])
+@pytest.mark.parametrize("moments", [(1, 1, 2.01), (5, 1, 1), (-0.1, 1, 1)])
 def test_an_inertia_no_body_has_is_refused(moments):
-    with pytest.raises(ParameterError, match=r"Inertial\.inertia .*rigid body.*kg m\^2"):
-        body(*moments)
-
-
-@pytest.mark.parametrize("moments", [(0, 0, 0), (1, 1, 2), (0, 1, 1), (1e-9, 1e-9, 2e-9)])
-def test_points_rods_and_plates_are_bodies(moments):
-    assert body(*moments).inertia == diagonal(*moments)
-
-
-def test_an_asymmetric_inertia_is_refused():
-    crooked = ((1.0, 0.1, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    for axes in (np.eye(3), turn):
+        crooked = axes @ np.diag(moments) @ axes.T
+        with pytest.raises(ParameterError, match=r"Inertial\.inertia .*rigid body.*kg m\^2"):
+            Inertial(mass=1.0, com=(0.0, 0.0, 0.0), inertia=matrix((crooked + crooked.T) / 2))
+    assert body(1, 1, 2).inertia == diagonal(1, 1, 2)  # a plate is one
     with pytest.raises(ParameterError, match="must be symmetric"):
-        Inertial(mass=1.0, com=(0.0, 0.0, 0.0), inertia=crooked)
-
-
-@pytest.mark.parametrize("mass", [-1.0, np.nan, "1"])
-def test_a_mass_is_a_number_not_below_zero(mass):
+        Inertial(mass=1.0, com=(0.0,) * 3, inertia=((1.0, 0.1, 0.0), (0.0, 1, 0), (0, 0, 1)))
     with pytest.raises(ParameterError, match=r"Inertial\.mass must be >= 0 kg"):
-        body(1, 1, 1, mass=mass)
+        body(1, 1, 1, mass=-1.0)
 
 
 def test_spatial_inertia_gives_the_kinetic_energy_of_the_body():
@@ -87,11 +78,6 @@ def test_a_link_out_of_range_is_refused(changes, message):
         link(**changes)
 
 
-def test_an_arm_has_a_link():
-    with pytest.raises(ParameterError, match="at least one link"):
-        Arm(name="stump", base=PUMA_560.base, links=(), source="test")
-
-
 def test_limits_name_the_joint_its_range_and_the_value():
     arm = PUMA_560
     assert (arm.require_within_limits([2.79, -1.9, 2.35]) == [2.79, -1.9, 2.35]).all()
@@ -110,8 +96,12 @@ ARMS = {"planar": (planar_arm(), PLANAR_GAINS), "six joints": (six_joint_arm(), 
 
 @pytest.fixture(params=ARMS)
 def case(request):
+    return case_of(request.param)
+
+
+def case_of(name):
     """Arm, servo, and two configurations well inside the limits."""
-    arm, servo = ARMS[request.param]
+    arm, servo = ARMS[name]
     rng = np.random.default_rng(3)
     low, high = arm.column("q_min"), arm.column("q_max")
     start = 0.4 * (low + (high - low) * rng.uniform(size=arm.n))
@@ -150,67 +140,37 @@ def test_inertia_and_inverse_dynamics_agree(case):
         np.testing.assert_allclose(wrench, -H[0, :6, 6 + j], atol=1e-12)
 
 
-def test_the_simulator_runs_it(case):
-    arm, servo, start, _ = case
-    system = System(vehicle=BENT_THESIS, arm=arm)
-    sim = Simulator(system, 3, servo=servo)
-    sim.reset(q=start)
-    state = sim.step(sim.servo_command(np.tile(start, (3, 1)), np.zeros((3, arm.n))))
-    assert state.q.shape == state.v.shape == (3, arm.n)
-    np.testing.assert_allclose(state.q, np.tile(start, (3, 1)), atol=1e-12)
-    assert Simulator(system, servo=None).step(1.0).v.shape == (1, arm.n)
-    with pytest.raises(
-        ParameterError, match=rf"servo must have gains for {arm.n} joints, got 3"
-    ):
-        Simulator(system, servo=HIGH_GAINS)  # the PUMA's three gains
-    own = Simulator(system).servo
-    assert len(own.kp) == len(own.kd) == arm.n and f"inertia of {arm.name}" in own.source
-
-
-def test_motions_play_and_their_energy_is_predicted(case):
+@pytest.mark.parametrize("name", ["planar", pytest.param("six joints", marks=pytest.mark.slow)])
+def test_any_number_of_joints_is_simulated_predicted_and_planned_for(name):
     """Tolerance 5 %: the linear prediction on a slow motion; claims tests are sharper."""
-    arm, servo, start, goal = case
+    arm, servo, start, goal = case_of(name)
     system = System(vehicle=BENT_THESIS, arm=arm)
     motion = Motion.straight(start, goal, 1.5)
-    run = play_motions(system, [motion, motion.retimed(1.5)], servo=servo)
-    assert run.q.shape == (2, len(run.t), arm.n)
-    assert (run.q[0] == run.q[1]).all()
+    run = play_motions(system, [motion], servo=servo)
     np.testing.assert_allclose(run.q[0, -1], goal, atol=2e-3)
     measured = energies(system, run.t, run.q, run.y, run.yd, duration=1.5)[0]
-    predicted = predict(system, motion, servo)
-    assert predicted.E_mean == pytest.approx(measured.E_mean, rel=0.05)
-    assert run.log(1).n_joints == arm.n
+    assert predict(system, motion, servo).E_mean == pytest.approx(measured.E_mean, rel=0.05)
+    assert run.log(0).n_joints == arm.n
+    ends = {"start": tuple(start), "goal": tuple(goal), "duration": 1.5}
+    query = Query(system=system, **ends, servo=servo)
+    straight, direct = (solve(get_planner(k), query) for k in ("straight", "direct"))
+    assert direct.feasible and direct.motion.n == arm.n
+    assert 0 < direct.predicted.E_mean <= straight.predicted.E_mean
 
 
-@pytest.mark.parametrize("planner", ["straight", "direct"])
-def test_planners_take_any_number_of_joints(case, planner):
-    arm, servo, start, goal = case
-    query = Query(
-        system=System(vehicle=BENT_THESIS, arm=arm),
-        start=tuple(start),
-        goal=tuple(goal),
-        duration=1.5,
-        servo=servo,
-    )
-    plan = solve(get_planner(planner), query)
-    assert plan.feasible
-    assert plan.motion.n == arm.n
-    straight = solve(get_planner("straight"), query)  # predicted at the same resolution
-    assert 0 < plan.predicted.E_mean <= straight.predicted.E_mean
-
-
-def test_a_query_wants_gains_for_its_arm():
+def test_gains_are_for_the_arm_s_joints():
     arm = six_joint_arm()
+    system = System(vehicle=BENT_THESIS, arm=arm)
     ends = {"start": (0.0,) * 6, "goal": (0.1,) * 6, "duration": 1.0}
-    with pytest.raises(ParameterError, match="servo must have gains for 6 joints, got 3"):
-        Query(system=System(vehicle=BENT_THESIS, arm=arm), **ends, servo=HIGH_GAINS)
-    assert Query(system=System(vehicle=BENT_THESIS, arm=arm), **ends).servo == own_gains(arm)
-    prescribed = Query(
-        system=System(vehicle=BENT_THESIS, arm=arm, drive="prescribed"),
-        **ends,
-        servo=HIGH_GAINS,
-    )
-    assert solve(get_planner("straight"), prescribed).feasible
+    for refused in (
+        lambda: Simulator(system, servo=HIGH_GAINS),  # the PUMA's three
+        lambda: Query(system=system, **ends, servo=HIGH_GAINS),
+    ):
+        with pytest.raises(ParameterError, match="servo must have gains for 6 joints, got 3"):
+            refused()
+    own = Simulator(system).servo
+    assert own == own_gains(arm) == Query(system=system, **ends).servo
+    assert len(own.kp) == len(own.kd) == 6 and f"inertia of {arm.name}" in own.source
 
 
 # ------------------------------------------------------------------------ servo gains

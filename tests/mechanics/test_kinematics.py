@@ -1,12 +1,29 @@
-"""Jacobian of the tool and the way back from points to joint angles."""
+"""The tool: its Jacobian, and the joint angles that bring it to a place or a pose."""
 
+import mujoco
 import numpy as np
 import pytest
 
+from tests.arms import planar_arm, seven_joint_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm_library import PUMA_560
-from ves_gym.mechanics.kinematics import dexterity, joint_positions, tool_jacobian
-from ves_gym.mechanics.tool_pose import every_joints_for, joints_for
+from ves_gym.mechanics.kinematics import (
+    dexterity,
+    joint_positions,
+    tool_frame,
+    tool_jacobian,
+    tool_twists,
+)
+from ves_gym.mechanics.spatial import rotation
+from ves_gym.mechanics.tool_pose import (
+    ToolPose,
+    configurations_at,
+    every_joints_for,
+    joints_for,
+    pose_error,
+    tool_pose,
+    towards_pose,
+)
 
 LOW, HIGH = PUMA_560.column("q_min"), PUMA_560.column("q_max")
 
@@ -17,20 +34,6 @@ def angles(count, seed=0):
 
 def tool(q):
     return joint_positions(PUMA_560, q)[..., -1, :]
-
-
-def test_jacobian_is_the_derivative_of_the_tool():
-    """Central differences of 1e-6 rad: rounding of 1e-9."""
-    q, h = angles(50).reshape(5, 10, 3), 1e-6
-    J = tool_jacobian(PUMA_560, q)
-    for j, step in enumerate(h * np.eye(3)):
-        slope = (tool(q + step) - tool(q - step)) / (2 * h)
-        np.testing.assert_allclose(J[..., j], slope, atol=1e-8)
-
-
-def test_jacobian_wants_joint_angles():
-    with pytest.raises(ParameterError, match=r"q must have shape \(..., 3\), got \(2,\)"):
-        tool_jacobian(PUMA_560, [0.0, 0.0])
 
 
 def test_dexterity_follows_the_singular_values():
@@ -63,6 +66,9 @@ def test_joints_for_comes_close_to_what_is_out_of_reach():
     """Within a centimetre of the closest place, the arm stretched out towards it."""
     shoulder, far = np.array([0.0, 0.0, 0.90044]), np.array([[5.0, 0.0, 0.90044]])
     _, miss = joints_for(PUMA_560, far, np.zeros((1, 3)))
+    assert configurations_at(PUMA_560, ToolPose(position=tuple(far[0]))).shape == (0, 3)
+    ends, lacks = towards_pose(PUMA_560, ToolPose(position=tuple(far[0])), np.full((1, 3), 0.1))
+    assert (np.abs(ends) <= HIGH).all() and lacks[0] >= miss[0] - 1e-9
     reach = np.linalg.norm(tool(np.zeros(3)) - shoulder)
     assert miss[0] == pytest.approx(5.0 - reach, abs=1e-2)
 
@@ -88,3 +94,66 @@ def test_every_configuration_of_a_place():
         assert np.abs(ends - q[i]).max(axis=1).min() < 1e-3  # the one it was made from
     beyond = every_joints_for(arm, [[5.0, 0.0, 0.0]], near[:1])
     assert (~np.isnan(beyond[..., 0])).sum() == 1
+
+
+# -------------------------------------------------------------------------- poses
+
+ARMS = [PUMA_560, planar_arm(), six_joint_arm(), seven_joint_arm()]
+
+
+@pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
+def test_twists_are_the_derivative_of_the_pose(arm):
+    q, h = np.linspace(0.4, -0.7, arm.n), 1e-6
+    J = tool_twists(arm, q)
+    np.testing.assert_array_equal(tool_jacobian(arm, q), J[:3])
+    for k, axis in enumerate(np.eye(arm.n)):
+        change = pose_error(arm, tool_pose(arm, q + h * axis), q - h * axis) / (2 * h)
+        np.testing.assert_allclose(change, J[:, k], atol=1e-8)
+
+
+@pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
+def test_the_frame_is_where_the_last_link_ends(arm):
+    q = np.linspace(0.4, -0.7, arm.n)
+    place, turn = tool_frame(arm, q)
+    np.testing.assert_allclose(place, joint_positions(arm, q)[-1], atol=1e-14)
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-14)
+    pose = tool_pose(arm, q)
+    np.testing.assert_allclose(pose.rotation, turn, atol=1e-12)
+    quaternion, matrix = np.empty(4), np.empty(9)  # the same angles, by MuJoCo
+    mujoco.mju_euler2Quat(quaternion, np.array(pose.angles), "XYZ")
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    np.testing.assert_allclose(matrix.reshape(3, 3), turn, atol=1e-12)
+    np.testing.assert_allclose(rotation([0, 0, 0, *pose.angles]), turn, atol=1e-12)
+
+
+@pytest.mark.parametrize("arm", [six_joint_arm(), seven_joint_arm()], ids=lambda a: a.name)
+def test_configurations_reach_the_pose_inside_the_limits(arm):
+    goal = 0.7 * np.linspace(-1.0, 1.2, arm.n)
+    pose = tool_pose(arm, goal)
+    found = configurations_at(arm, pose)
+    assert len(found) >= (1 if arm.n == 6 else 10)  # postures; a curve of them
+    assert np.abs(pose_error(arm, pose, found)).max() < 2e-6
+    assert (found >= arm.column("q_min")).all() and (found <= arm.column("q_max")).all()
+    apart = np.linalg.norm(found[:, None] - found, axis=-1) + np.eye(len(found))
+    assert apart.min() >= 0.05
+    nearest = configurations_at(arm, pose, near=goal)[0]
+    np.testing.assert_allclose(nearest, goal, atol=1e-9)
+
+
+def test_a_place_alone_leaves_more_freedom():
+    arm = six_joint_arm()
+    pose = ToolPose(position=tool_pose(arm, np.full(6, 0.3)).position)
+    found = configurations_at(arm, pose)
+    assert pose.size == 3 and pose.rotation is None
+    assert len(found) > 30
+    turns = tool_frame(arm, found)[1][:, :, 2]
+    assert (turns @ turns.T).min() < 0  # the tool points all over
+
+
+def test_bad_poses_are_refused():
+    with pytest.raises(ParameterError, match=r"ToolPose\.position must have shape \(3,\)"):
+        ToolPose(position=(1.0, 2.0))
+    with pytest.raises(ParameterError, match=r"q must have shape \(..., 3\), got \(2,\)"):
+        tool_jacobian(PUMA_560, [0.0, 0.0])
+    with pytest.raises(ParameterError, match="starts must be >= 1, got 0"):
+        configurations_at(PUMA_560, ToolPose(position=(0.5, 0.0, 1.0)), starts=0)

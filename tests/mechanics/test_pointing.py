@@ -1,4 +1,4 @@
-"""Attitude control: shares of the wheels, their limits, settings that are refused."""
+"""Attitude control: jets and whole pulses, wheels and their limits, the law."""
 
 from dataclasses import replace
 
@@ -9,15 +9,84 @@ from ves_gym._util.params import ParameterError
 from ves_gym.mechanics import attitude
 from ves_gym.mechanics.pointing import (
     AttitudeControl,
+    allocated,
+    pulses,
     wheel_axes,
     wheel_torques,
     within_limits,
+    wrench_matrix,
 )
-from ves_gym.mechanics.vehicle import SERVICER
+from ves_gym.mechanics.vehicle import SERVICER, Satellite
+
+JETS = SERVICER.jets
+BIT, THRUST = JETS[0].min_impulse, JETS[0].thrust
+DT = 0.0125
+
+
+def test_twelve_jets_make_any_small_wrench():
+    wrench = np.random.default_rng(0).uniform(-3, 3, (200, 6))
+    force = allocated(JETS, wrench)
+    assert (force >= 0).all()
+    assert (force <= THRUST).all()
+    np.testing.assert_allclose(force @ wrench_matrix(JETS).T, wrench, atol=1e-6)
+
+
+def test_jets_do_not_blow_at_each_other():
+    force = allocated(JETS, np.array([[4.0, 0, 0, 0, 0, 0]]))[0]
+    low = np.array([jet.direction[0] < 0 for jet in JETS])
+    assert force[low].max() < 1e-6
+
+
+def test_a_wrench_beyond_the_jets_keeps_its_direction():
+    asked = np.array([[200.0, 0, -150.0, 10, 0, 0]])
+    got = allocated(JETS, asked) @ wrench_matrix(JETS).T
+    share = got[0, 0] / asked[0, 0]
+    assert 0 < share < 0.2
+    np.testing.assert_allclose(got, share * asked, atol=1e-4)
+
+
+def test_what_no_jet_can_make_is_left():
+    only = (replace(JETS[0], position=(0.0, 0.0, 0.0)),)  # pushes along +x through the origin
+    np.testing.assert_array_equal(allocated(only, np.array([[-5.0, 0, 0, 0, 0, 0]])), [[0.0]])
+    np.testing.assert_allclose(allocated(only, np.array([[5.0, 3, 0, 0, 0, 0]])), [[5.0]])
+
+
+def run(jet, forces):
+    owed, left, out = np.zeros((1, 1)), np.zeros((1, 1)), []
+    for force in forces:
+        given, owed, left = pulses((jet,), owed, left, np.array([[force]]), DT)
+        out.append(given[0, 0])
+    return np.array(out)
+
+
+def test_a_pulse_is_no_smaller_than_the_minimum_impulse_bit():
+    """Asked for a tenth of it a period: nothing for nine periods, then one whole bit."""
+    given = run(JETS[0], [BIT / 10 / DT * (1 + 1e-9)] * 40)
+    fired = given[given > 0]
+    np.testing.assert_allclose(fired, BIT, rtol=1e-6)
+    assert len(fired) == 4
+    assert not given[:9].any()
+
+
+def test_a_request_above_the_bit_is_given_at_once():
+    given = run(JETS[0], [0.06 / DT])
+    assert given[0] == pytest.approx(0.06)
+    assert run(JETS[0], [1e3])[0] == pytest.approx(THRUST * DT)  # no more than on all the time
+
+
+def test_a_pulse_longer_than_a_period_goes_on():
+    """The smallest pulse takes 2.5 periods; the request ends with the first of them."""
+    jet = replace(JETS[0], min_impulse=2.5 * THRUST * DT)
+    given = run(jet, [2.6 * THRUST] + [0.0] * 5)
+    assert given.sum() == pytest.approx(jet.min_impulse, rel=0.05)
+    np.testing.assert_allclose(given[:2], THRUST * DT)
+    assert not given[3:].any()
+
+
+# -------------------------------------------------------------------------- wheels
 
 WHEELS = SERVICER.wheels
 FASTEST = WHEELS[0].speed_max
-DT = 0.0125
 
 
 def test_the_reaction_of_the_wheels_is_the_moment():
@@ -64,33 +133,24 @@ def test_no_moment_is_asked_of_a_body_that_turns_as_it_should_by_itself():
     np.testing.assert_allclose(moment, np.cross(spin, stored), atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("change", "match"),
-    [
-        ({"bandwidth": 0.0}, "bandwidth must be > 0"),
-        ({"dump_below": 0.9}, "dump_below <= dump_above"),
-    ],
-)
-def test_bad_settings_are_refused(change, match):
-    with pytest.raises(ParameterError, match=match):
-        AttitudeControl(**change)
+HUGE = tuple(replace(wheel, inertia=500.0) for wheel in WHEELS)
 
 
 @pytest.mark.parametrize(
-    ("change", "match"),
+    ("make", "match"),
     [
-        ({"axis": (1.0, 1.0, 1.0)}, "axis must have length 1"),
-        ({"inertia": 0.0}, "inertia must be > 0"),
-        ({"torque_max": -1.0}, "torque_max must be > 0"),
-        ({"viscous": -1.0}, "viscous must be >= 0"),
+        (lambda: replace(JETS[0], direction=(1.0, 1.0, 0.0)), "direction must have length 1"),
+        (lambda: replace(WHEELS[0], axis=(1.0, 1.0, 1.0)), "axis must have length 1"),
+        (lambda: replace(WHEELS[0], viscous=-1.0), "viscous must be >= 0"),
+        (lambda: AttitudeControl(dump_below=0.9), "dump_below <= dump_above"),
+        (lambda: replace(SERVICER, wheels=HUGE), "must include its wheels' inertia"),
+        (lambda: replace(SERVICER, thrusters=True), "thrusters = true is any wrench"),
+        (
+            lambda: Satellite(body=SERVICER.body, pointing=SERVICER.pointing),
+            "needs wheels, jets or thrusters",
+        ),
     ],
 )
-def test_bad_wheels_are_refused(change, match):
+def test_what_cannot_be_is_refused(make, match):
     with pytest.raises(ParameterError, match=match):
-        replace(WHEELS[0], **change)
-
-
-def test_wheels_heavier_than_their_satellite_are_refused():
-    huge = tuple(replace(wheel, inertia=500.0) for wheel in WHEELS)
-    with pytest.raises(ParameterError, match="must include its wheels' inertia"):
-        replace(SERVICER, wheels=huge)
+        make()

@@ -8,12 +8,11 @@ import pytest
 from ves_gym._util.params import ParameterError
 from ves_gym.engine.mjcf import TO_Y, pinocchio_model
 from ves_gym.envs.build import build_task
-from ves_gym.mechanics.arm import Arm, Inertial, diagonal
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.kinematics import tool_frame, tool_twists
 from ves_gym.mechanics.limits import LimitError, require_limits
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING
 from ves_gym.planners.coupling_map import coupling_map
 from ves_gym.planners.query import Query
@@ -147,21 +146,6 @@ def test_a_run_is_the_same_on_both_engines_and_its_ledger_closes(arm, vehicle):
     print(balance)
     assert balance.relative <= 1e-5
     assert np.abs(logs[0].q - logs[0].q_cmd)[-1].max() < 0.01  # its own servo holds it
-
-
-def test_a_latch_conserves_momentum(arm):
-    body = Inertial(mass=6.0, com=(0.1, 0.0, 0.05), inertia=diagonal(0.2, 0.3, 0.25))
-    payload = Payload(inertial=body, spin=(0.3, -0.2, 0.5), latch_distance=9.0)
-    sim = Simulator(System(arm=arm, vehicle=FREE_FLOATING, payload=payload))
-    q, v = states(1)
-    sim.reset(q=q, v=v, y=[0.1, 0.2, 0.0, 0.3, -0.2, 0.1], yd=[0.1, 0.0, 0.2, 0.1, 0.3, -0.2])
-    momentum, energy = sim.payload.momentum, np.add(*sim.payload.energy)
-    (event,) = sim.grasp()
-    assert np.abs(sim.payload.momentum - momentum).max() <= 1e-11
-    assert (energy - np.add(*sim.payload.energy))[0] == pytest.approx(event.lost, rel=1e-9)
-    for _ in range(20):
-        sim.step()
-    assert np.abs(sim.payload.momentum - momentum).max() <= 1e-8
 
 
 def test_units_and_refusals(arm, tmp_path):

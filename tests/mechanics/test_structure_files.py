@@ -237,10 +237,6 @@ def torn(K):
     K[9] = K[:, 9] = 0.0
 
 
-def boxed(K):
-    K[0, 0] = np.nan
-
-
 @pytest.mark.parametrize(
     ("files", "options", "message"),
     [
@@ -248,7 +244,6 @@ def boxed(K):
         (spoiled("mass", lighter), {}, "M must be positive semidefinite, got an eigenvalue -"),
         (spoiled("stiffness", softer), {}, "must not move freely, got an eigenvalue -"),
         (spoiled("stiffness", torn), {}, "must not move freely"),
-        (spoiled("stiffness", boxed), {}, "stiffness must be finite"),
         (spoiled("mass", as_it_is), {"held": ()}, "must have 0 rigid motions .* got more"),
         (spoiled("mass", as_it_is), {"rigid_modes": 6}, "with 6 rigid motions, got the frequ"),
         (
