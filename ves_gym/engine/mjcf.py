@@ -59,7 +59,7 @@ def build_spec(
         physics_dt: [s].
     """
     spec, platform = _empty_spec(arm.name, gravity, integrator, physics_dt)
-    set_inertial(platform, of_some_mass(expand(arm).arm.base))
+    set_inertial(platform, regularised_inertial(expand(arm).arm.base))
     if base.body is not None:
         set_inertial(platform.add_body(name="satellite"), base.body)
     for what, values in (("armature", base.M), ("damping", base.D), ("stiffness", base.K)):
@@ -182,7 +182,7 @@ def build_laboratory_spec(
         spec.joint(name).armature = PLATFORM_INERTIA
         _add_drive(spec, f"platform_{name}", name, PLATFORM_INERTIA)
     mount = platform.add_body(name="arm_base")
-    set_inertial(mount, of_some_mass(expand(arm).arm.base))
+    set_inertial(mount, regularised_inertial(expand(arm).arm.base))
     mount.add_site(name="mount")
     for name, kind in (
         ("force", mujoco.mjtSensor.mjSENS_FORCE),
@@ -249,7 +249,7 @@ def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
         )
         if link.gear is not None:  # the link turns on, the rotor does not
             body.add_joint(name=f"d_{i}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
-        set_inertial(body, of_some_mass(link.inertial_at_joint))
+        set_inertial(body, regularised_inertial(link.inertial_at_joint))
         rotation, position = link.far_end
         if driven:
             _add_drive(spec, f"drive_{i}", f"q_{i}", 1.0, link.tau_max)
@@ -310,7 +310,7 @@ def _add_tendons(spec: mujoco.MjSpec, what: str, values: Array) -> None:
         setattr(tendon, what, value if what == "armature" else [value, 0.0, 0.0])
 
 
-def of_some_mass(inertial: Inertial) -> Inertial:
+def regularised_inertial(inertial: Inertial) -> Inertial:
     """The same where MuJoCo takes it for a body that moves: not without mass or inertia.
 
     A joint next to another, without a link between them, has neither.

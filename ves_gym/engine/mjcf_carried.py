@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.mujoco_loader import mujoco
-from ves_gym.engine.mjcf import LEAST, of_some_mass, set_inertial
+from ves_gym.engine.mjcf import LEAST, regularised_inertial, set_inertial
 from ves_gym.mechanics.arm import Inertial, matrix
 from ves_gym.mechanics.vehicle import Appendage, BaseModel, ReactionWheel, rotor_inertia
 
@@ -30,7 +30,7 @@ def add_carried(spec: mujoco.MjSpec, base: BaseModel) -> None:
         body = platform.add_body(name=f"carried_{i}")
         kind = mujoco.mjtJoint.mjJNT_HINGE
         if isinstance(part, Appendage):
-            set_inertial(body, of_some_mass(part.body))
+            set_inertial(body, regularised_inertial(part.body))
             if part.joint == "slide":
                 kind = mujoco.mjtJoint.mjJNT_SLIDE
             body.add_joint(

@@ -9,7 +9,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
 from ves_gym.mechanics.pointing import strongest
-from ves_gym.mechanics.vehicle import Satellite, blows
+from ves_gym.mechanics.vehicle import Satellite, has_jets
 from ves_gym.system.system import System
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ class BaseControl:
             )
         if self.wheels and not vehicle.wheels:
             raise ParameterError("base_control.wheels needs a vehicle with wheels, got none")
-        if self.jets and not blows(vehicle):
+        if self.jets and not has_jets(vehicle):
             raise ParameterError("base_control.jets needs a vehicle with jets, got none")
         if self.jets and self.wrench is None and not vehicle.jets:
             raise ParameterError(

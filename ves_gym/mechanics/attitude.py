@@ -196,9 +196,9 @@ def torque_free_step(
 
     def slope(turn: Array) -> Array:
         """Rate of the rotation vector: w plus commutators, enough of them for order four."""
-        now = spin_at(turn)
-        once = np.cross(turn, now)
-        return now + once / 2 + np.cross(turn, once) / 12
+        rate = spin_at(turn)
+        once = np.cross(turn, rate)
+        return rate + once / 2 + np.cross(turn, once) / 12
 
     first = spin
     second = slope(time / 2 * first)

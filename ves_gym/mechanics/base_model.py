@@ -107,12 +107,12 @@ class InternalModes:
         for i in range(self.m):
             way = self.coupling[:3, i]
             mass = float(way @ way)
-            own = float(self.damping[6 + i, 6 + i])
+            loss = float(self.damping[6 + i, 6 + i])
             out.append(
                 Oscillator(
                     mass=mass,
                     stiffness=mass * float(self.omega[i]) ** 2,
-                    damping=mass * own,
+                    damping=mass * loss,
                     direction=tuple((way / math.sqrt(mass)).tolist()),
                 )
             )
@@ -163,10 +163,10 @@ class BaseModel:
         """(6, 6) inertia of the body and of what it carries, their joints locked as relaxed."""
         if self.body is None:
             return np.zeros((6, 6))
-        own = self.body.spatial()
+        rigid = self.body.spatial()
         if not self.carried:
-            return own
-        out: Array = own + carried_inertia(self.carried, np.zeros(len(self.carried)))[0]
+            return rigid
+        out: Array = rigid + carried_inertia(self.carried, np.zeros(len(self.carried)))[0]
         return out
 
     @property

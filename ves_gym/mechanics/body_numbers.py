@@ -75,13 +75,15 @@ def is_body(numbers: npt.ArrayLike) -> bool:
     return bool(np.linalg.eigvalsh(J)[0] >= -_ROUNDING * max(float(np.abs(J).max()), 1e-300))
 
 
-def nearest_body(numbers: npt.ArrayLike, precision: npt.ArrayLike, seen: Array) -> Array:
+def nearest_body(
+    numbers: npt.ArrayLike, precision: npt.ArrayLike, combinations: Array
+) -> Array:
     """Return what is seen of the body whose numbers are the most probable.
 
     Args:
         numbers: (k,) estimated.
         precision: (k, k), the inverse of their covariance.
-        seen: (k, 10) which combinations of `PARAMETERS` they are.
+        combinations: (k, 10) which combinations of `PARAMETERS` they are.
 
     Returns:
         (k,) numbers that a body has, its radius of gyration 1 mm along each axis or more and,
@@ -96,7 +98,7 @@ def nearest_body(numbers: npt.ArrayLike, precision: npt.ArrayLike, seen: Array) 
     core = np.diag([_LEAST**2] * 3 + [0.0])
 
     def numbers_seen(J: Array) -> Array:
-        return np.asarray(seen @ numbers_of_moments(J + J[3, 3] * core))
+        return np.asarray(combinations @ numbers_of_moments(J + J[3, 3] * core))
 
     def within_reach(entries: Array) -> Array:
         L = np.zeros((4, 4))
@@ -109,11 +111,11 @@ def nearest_body(numbers: npt.ArrayLike, precision: npt.ArrayLike, seen: Array) 
         L = within_reach(entries)
         return np.asarray(root @ (numbers_seen(L @ L.T) - x))
 
-    guess = pseudo_inertia(np.linalg.pinv(seen) @ x)
+    guess = pseudo_inertia(np.linalg.pinv(combinations) @ x)
     value, axes = np.linalg.eigh(guess)
     size = max(float(value.max()), 1e-6)
     clipped = (axes * np.maximum(value, 1e-4 * size)) @ axes.T
     first = np.linalg.cholesky(clipped)[_LOWER]
-    found = scipy.optimize.least_squares(miss, first, x_scale="jac", max_nfev=_TRIES)
-    L = within_reach(found.x)
+    fit = scipy.optimize.least_squares(miss, first, x_scale="jac", max_nfev=_TRIES)
+    L = within_reach(fit.x)
     return numbers_seen(L @ L.T)

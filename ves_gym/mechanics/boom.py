@@ -400,7 +400,9 @@ class Boom:
         places = [i for i, event in enumerate(events) if event.joint is not None]
         # outermost joint first, so that the inner axes are still where they are at zero
         for i, angle in reversed(list(zip(places, angles.tolist(), strict=True))):
-            R = Rotation.from_rotvec(angle * events[i].axis).as_matrix().round(15)  # keeps zeros
+            R = (
+                Rotation.from_rotvec(angle * events[i].axis).as_matrix().round(15)
+            )  # keeps zeros
             p = events[i].origin
             events[i] = replace(events[i], body=events[i].body.turned(R, p))
             events[i + 1 :] = [event.turned(R, p) for event in events[i + 1 :]]

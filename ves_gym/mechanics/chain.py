@@ -335,8 +335,10 @@ def _too_fast(arm: Arm) -> list[int]:
     if not any(rubbing):
         return []
     H = inertia(arm, drawn_configurations(arm))[:, 6:, 6:]
-    felt = 1 / np.diagonal(np.linalg.inv(H), axis1=1, axis2=2).max(axis=0)
-    return [i for i, (c, J) in enumerate(zip(rubbing, felt, strict=True)) if c > _DECAY * J]
+    effective = 1 / np.diagonal(np.linalg.inv(H), axis1=1, axis2=2).max(axis=0)
+    return [
+        i for i, (c, J) in enumerate(zip(rubbing, effective, strict=True)) if c > _DECAY * J
+    ]
 
 
 def _down(value: float) -> float:

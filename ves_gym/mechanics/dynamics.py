@@ -171,13 +171,13 @@ def inertia_parts(arm: Mechanism, q: npt.ArrayLike) -> InertiaParts:
     pairs += (turning[..., :, None, :] * angular[..., None, :, :]).sum(axis=-1)
     joints = np.where(np.tri(n, dtype=bool), np.swapaxes(pairs, -1, -2), pairs)
     joints[..., range(n), range(n)] += bodies.rotor
-    own = moments(
+    base_turned = moments(
         bodies.mass[..., 0], bodies.com[..., 0, :], packed(bodies.inertia[..., 0, :, :])
     )
     base = spatial_inertia(
         mass[..., 0] + bodies.mass[..., 0],
-        first[..., 0, :] + own[0],
-        second[..., 0, :] + own[1],
+        first[..., 0, :] + base_turned[0],
+        second[..., 0, :] + base_turned[1],
     )
     return InertiaParts(base, across, joints)
 
@@ -264,9 +264,9 @@ def newton_euler(
     )
     moving, turning = twists(arm, at)
     tau = (moving * force).sum(axis=-1) + (turning * moment).sum(axis=-1) + bodies.rotor * a
-    com, own = bodies.com[..., 0, :], packed(bodies.inertia[..., 0, :, :])
+    com, base_turned = bodies.com[..., 0, :], packed(bodies.inertia[..., 0, :, :])
     moved = accel + swing(spin, turn, com)
-    base = body_loads(bodies.mass[..., 0], com, own, spin, turn, moved)
+    base = body_loads(bodies.mass[..., 0], com, base_turned, spin, turn, moved)
     wrench = room(force, *force.shape[:-2], 6)
     wrench[..., :3], wrench[..., 3:] = force[..., 0, :] + base[0], moment[..., 0, :] + base[1]
     return tau, wrench

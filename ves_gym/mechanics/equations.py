@@ -134,8 +134,8 @@ def motion(model: Model, x: Array, u: Array, step: float | None = None) -> State
             mass = mass + implicit
         if model.carried:
             mass, loads = with_carried(model, mass, loads, pose, moving, c, cd)
-        found = solve_symmetric(mass, loads[..., None])[..., 0]
-        zdd, cdd = found[..., : pose.shape[-1]], found[..., pose.shape[-1] :]
+        solution = solve_symmetric(mass, loads[..., None])[..., 0]
+        zdd, cdd = solution[..., : pose.shape[-1]], solution[..., pose.shape[-1] :]
     joint = zdd[..., 6:]
     zdd, ddd = (
         np.concatenate([zdd[..., :6], joint[..., model.driven]], axis=-1),
@@ -363,8 +363,8 @@ def merged(bodies: Sequence[tuple[Any, Any, Any]]) -> tuple[Any, Any, Any]:
     mass = sum(k[0] for k in bodies)
     com = sum(k[0] * k[1] for k in bodies) / mass
     inertia = 0.0
-    for own, centre, moments in bodies:
+    for share, centre, moments in bodies:
         r = centre - com
         square = (r * r).sum(axis=-1)
-        inertia = inertia + moments + own * (square * np.eye(3) - r[:, None] * r)
+        inertia = inertia + moments + share * (square * np.eye(3) - r[:, None] * r)
     return mass, com, inertia

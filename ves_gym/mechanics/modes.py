@@ -129,8 +129,8 @@ def reduced(K: Array, M: Array, b: Array) -> tuple[Array, Array]:
     def forward(b: Array) -> Array:
         out = 0 * b
         for i in range(k):
-            known = (L[..., i, :i, None] * out[..., :i, :]).sum(axis=-2)
-            out[..., i, :] = (b[..., i, :] - known) * L[..., i, i, None]
+            solved = (L[..., i, :i, None] * out[..., :i, :]).sum(axis=-2)
+            out[..., i, :] = (b[..., i, :] - solved) * L[..., i, i, None]
         return out
 
     half = np.swapaxes(forward(K), -1, -2)

@@ -228,31 +228,31 @@ class Contact:
         return 1 if any(round_ones) else 4
 
 
-def net_wrench(found: Array, tool: Array) -> Array:
+def net_wrench(contacts: Array, tool: Array) -> Array:
     """Return the wrench on the tool of all contact points (..., 6), linear part first.
 
     Args:
-        found: (..., k, 14) of each point: 1 or 0, force on the other body along normal and two
-            tangents [N], overlap with a minus sign [m], place (3), normal from tool to body
+        contacts: (..., k, 14) of each point: 1 or 0, force on the other body along normal and
+            two tangents [N], overlap with a minus sign [m], place (3), normal from tool to body
             (3), first tangent (3).
         tool: (..., 3) place of the tool, about which the moment is taken [m].
     """
-    normal, tangent = found[..., 8:11], found[..., 11:14]
+    normal, tangent = contacts[..., 8:11], contacts[..., 11:14]
     axes = np.stack([normal, tangent, np.cross(normal, tangent)], axis=-2)
-    there = found[..., :1] > 0
-    force = np.where(there, -np.einsum("...i,...ij->...j", found[..., 1:4], axes), 0.0)
-    arm = np.where(there, found[..., 5:8] - tool[..., None, :], 0.0)
+    there = contacts[..., :1] > 0
+    force = np.where(there, -np.einsum("...i,...ij->...j", contacts[..., 1:4], axes), 0.0)
+    arm = np.where(there, contacts[..., 5:8] - tool[..., None, :], 0.0)
     out: Array = np.concatenate([force, np.cross(arm, force)], axis=-1).sum(axis=-2)
     return out
 
 
-def spring_energy(found: Array, stiffness: float) -> Array:
+def spring_energy(contacts: Array, stiffness: float) -> Array:
     """Return what the springs of all contact points store (...,) [J].
 
     Args:
-        found: see `net_wrench`.
+        contacts: see `net_wrench`.
         stiffness: of each point [N/m].
     """
-    depth = np.where(found[..., 0] > 0, np.minimum(found[..., 4], 0.0), 0.0)
+    depth = np.where(contacts[..., 0] > 0, np.minimum(contacts[..., 4], 0.0), 0.0)
     out: Array = 0.5 * stiffness * np.sum(depth**2, axis=-1)
     return out

@@ -92,9 +92,9 @@ def allocated(jets: tuple[Jet, ...], wrench: Array) -> Array:
     most = np.array([jet.thrust for jet in jets])
     rows = np.vstack([scale[:, None] * wrench_matrix(jets), _THRIFT * np.eye(k)])
     out = np.zeros((len(wrench), k))
-    for i, asked in enumerate(wrench):
-        if asked.any():
-            out[i] = nnls(rows, np.r_[scale * asked, np.zeros(k)])[0]
+    for i, request in enumerate(wrench):
+        if request.any():
+            out[i] = nnls(rows, np.r_[scale * request, np.zeros(k)])[0]
     over = np.max(out / most, axis=1, initial=1.0)
     return np.asarray(out / over[:, None], dtype=np.float64)
 
@@ -111,17 +111,17 @@ def strongest(jets: tuple[Jet, ...], point: tuple[float, ...]) -> Array:
         Three forces [N], three moments [N m]; read-only. 0 along an axis that they cannot push.
     """
     about = np.vstack([np.eye(6), -np.eye(6)])
-    asked = _FULL * about
-    asked[:, 3:] += np.cross(point, asked[:, :3])
-    given = allocated(jets, asked) @ wrench_matrix(jets).T
-    given[:, 3:] -= np.cross(point, given[:, :3])
-    out: Array = np.maximum((given * about).sum(axis=1).reshape(2, 6).min(axis=0), 0.0)
+    request = _FULL * about
+    request[:, 3:] += np.cross(point, request[:, :3])
+    obtained = allocated(jets, request) @ wrench_matrix(jets).T
+    obtained[:, 3:] -= np.cross(point, obtained[:, :3])
+    out: Array = np.maximum((obtained * about).sum(axis=1).reshape(2, 6).min(axis=0), 0.0)
     out.flags.writeable = False
     return out
 
 
 def pulses(
-    jets: tuple[Jet, ...], owed: Array, left: Array, force: Array, dt: float
+    jets: tuple[Jet, ...], owed: Array, remaining: Array, force: Array, dt: float
 ) -> tuple[Array, Array, Array]:
     """Return the impulses that jets give in a control period: none, or no less than a pulse.
 
@@ -131,22 +131,26 @@ def pulses(
     Args:
         jets: k of them.
         owed: (n, k) impulse asked for and not given yet [N s].
-        left: (n, k) impulse that pulses under way have still to give [N s].
+        remaining: (n, k) impulse that pulses under way have still to give [N s].
         force: (n, k) mean force asked for [N].
         dt: control period [s].
 
     Returns:
-        Impulses of this period, then `owed` and `left` after it; (n, k) [N s].
+        Impulses of this period, then `owed` and `remaining` after it; (n, k) [N s].
     """
     full = np.array([jet.thrust for jet in jets]) * dt
     least = np.array([jet.min_impulse for jet in jets])
     owed = np.minimum(owed + force * dt, full + least)
-    begins = (left <= 0) & (owed >= least) & (owed > 0)
-    left = np.where(begins, least, left)
-    on = begins | (left > 0)
-    given = np.where(on, np.minimum(full, np.maximum(owed, left)), 0.0)
-    left = np.maximum(left - given, 0.0)
-    return given, np.maximum(owed - given, 0.0), np.where(left < 1e-12 * full, 0.0, left)
+    begins = (remaining <= 0) & (owed >= least) & (owed > 0)
+    remaining = np.where(begins, least, remaining)
+    on = begins | (remaining > 0)
+    impulse = np.where(on, np.minimum(full, np.maximum(owed, remaining)), 0.0)
+    remaining = np.maximum(remaining - impulse, 0.0)
+    return (
+        impulse,
+        np.maximum(owed - impulse, 0.0),
+        np.where(remaining < 1e-12 * full, 0.0, remaining),
+    )
 
 
 def propellant(jets: tuple[Jet, ...], impulse: Array) -> Array:
@@ -212,12 +216,14 @@ class AttitudeControl:
         """
         w = 2 * np.pi * self.bandwidth
         # kp e = kd (kp / kd) e: a large error asks for a spin, and no more than spin_max
-        asked = w / (2 * self.damping_ratio) * attitude.difference(target, q)
-        size = np.linalg.norm(asked, axis=-1, keepdims=True)
-        asked = asked / np.maximum(size / self.spin_max, 1.0)
-        faster = 2 * self.damping_ratio * w * (asked - spin)
-        held = np.cross(spin, matvec(inertia, spin) + stored)
-        out: Array = np.clip(matvec(inertia, faster) + held, -self.moment_max, self.moment_max)
+        request = w / (2 * self.damping_ratio) * attitude.difference(target, q)
+        size = np.linalg.norm(request, axis=-1, keepdims=True)
+        request = request / np.maximum(size / self.spin_max, 1.0)
+        faster = 2 * self.damping_ratio * w * (request - spin)
+        gyroscopic = np.cross(spin, matvec(inertia, spin) + stored)
+        out: Array = np.clip(
+            matvec(inertia, faster) + gyroscopic, -self.moment_max, self.moment_max
+        )
         return out
 
 

@@ -174,8 +174,8 @@ def solve(A: Array, b: Array) -> Array:
         return np.asanyarray(np.linalg.solve(A, b[..., None])[..., 0])
     except np.linalg.LinAlgError:  # of one matrix; the others have their answers
         bad = np.linalg.det(A) == 0
-        whole = np.where(bad[..., None, None], np.eye(b.shape[-1]), A)
-        return np.where(bad[..., None], np.nan, np.linalg.solve(whole, b[..., None])[..., 0])
+        regular = np.where(bad[..., None, None], np.eye(b.shape[-1]), A)
+        return np.where(bad[..., None], np.nan, np.linalg.solve(regular, b[..., None])[..., 0])
 
 
 def solve_symmetric(A: Array, b: Array) -> Array:
@@ -190,11 +190,11 @@ def solve_symmetric(A: Array, b: Array) -> Array:
     """
     L, out, size = 0 * A, 0 * b, A.shape[-1]
     for k in reversed(range(size)):
-        row, right, inverse = A[..., k, :k], b[..., k, :], 1.0 / A[..., k, k, None]
+        row, side, inverse = A[..., k, :k], b[..., k, :], 1.0 / A[..., k, k, None]
         L[..., k, :k] = factor = row * inverse
-        out[..., k, :] = right * inverse
+        out[..., k, :] = side * inverse
         A = A[..., :k, :k] - factor[..., None] * row[..., None, :]
-        b = b[..., :k, :] - factor[..., None] * right[..., None, :]
+        b = b[..., :k, :] - factor[..., None] * side[..., None, :]
     for k in range(1, size):
         out[..., k:, :] -= L[..., k:, k - 1, None] * out[..., k - 1, None, :]
     return out

@@ -63,8 +63,8 @@ def _shape(arm: Arm) -> _Shape | None:
     sines = [round(math.sin(k.alpha), 9) for k in links]
     straight = (links[0].a, *(k.a for k in links[3:]), links[4].d)
     parallel = abs(links[1].alpha) < _TINY and abs(links[5].alpha) < _TINY
-    right = all(abs(abs(sines[i]) - 1) < _TINY for i in (0, 2, 3, 4))
-    if not parallel or not right or any(abs(k) > _TINY for k in straight):
+    square_on = all(abs(abs(sines[i]) - 1) < _TINY for i in (0, 2, 3, 4))
+    if not parallel or not square_on or any(abs(k) > _TINY for k in straight):
         return None
     if min(abs(links[1].a), math.hypot(links[2].a, links[3].d)) < _TINY:
         return None
@@ -92,10 +92,10 @@ def shortest_way(arm: Arm, q: Array, place: Array, turn: Array) -> Array:
             f"joint angles in closed form need an arm with a spherical wrist, got {arm.name}"
         )
     angles = q + arm.column("offset")
-    now = _Turn(np.cos(angles), np.sin(angles))
+    present = _Turn(np.cos(angles), np.sin(angles))
     best, least = q, np.zeros(())
     for k, end in enumerate(_every(arm, shape, place, turn)):
-        gap = end.times(now.back())
+        gap = end.times(present.back())
         way, cost = _within(arm, q, np.arctan2(gap.sine, gap.cosine))
         if k == 0:
             best, least = way, cost
@@ -115,15 +115,15 @@ def _within(arm: Arm, q: Array, way: Array) -> tuple[Array, Array]:
     low, high = arm.column("q_min") + _MARGIN, arm.column("q_max") - _MARGIN
     over = arm.column("v_max") ** -2
 
-    def cost(some: Array) -> Array:
-        end = q + some
+    def cost(angle: Array) -> Array:
+        end = q + angle
         beyond = np.clip(end - high, 0.0, 7.0) + np.clip(low - end, 0.0, 7.0)
-        return some * some * over + beyond * beyond * _BEYOND
+        return angle * angle * over + beyond * beyond * _BEYOND
 
     other = np.where(way < 0.0, way + 2 * math.pi, way - 2 * math.pi)
-    here, there = cost(way), cost(other)
-    round_ = there < here
-    return np.where(round_, other, way), np.where(round_, there, here).sum(axis=-1)
+    near, there = cost(way), cost(other)
+    round_ = there < near
+    return np.where(round_, other, way), np.where(round_, there, near).sum(axis=-1)
 
 
 def _every(arm: Arm, shape: _Shape, place: Array, turn: Array) -> Iterator[_Turn]:

@@ -267,8 +267,8 @@ def _name(element: Element, what: str) -> str:
 
 def _child(element: Element, tag: str) -> Element:
     """The element of a tag, or an empty one."""
-    found = element.find(tag)
-    return _NONE if found is None else found
+    child = element.find(tag)
+    return _NONE if child is None else child
 
 
 def _origin(element: Element, where: str) -> Pose:

@@ -128,10 +128,10 @@ class Satellite(Saved):
             )
         if self.pointing is not None and not (self.wheels or self.jets or self.thrusters):
             raise ParameterError("Satellite.pointing needs wheels, jets or thrusters to act by")
-        left = np.array(self.body.inertia, float)
+        remainder = np.array(self.body.inertia, float)
         for wheel in self.wheels or ():
-            left -= rotor_inertia(wheel)
-        a, b, c = np.linalg.eigvalsh(left)
+            remainder -= rotor_inertia(wheel)
+        a, b, c = np.linalg.eigvalsh(remainder)
         if self.wheels and not (a > 0 and c <= a + b):
             raise ParameterError(
                 "Satellite.body must include its wheels' inertia: without them principal"
@@ -146,7 +146,7 @@ class Satellite(Saved):
         return BaseModel(zero, zero, zero, self.body, internal=modes, carried=carried)
 
 
-def blows(vehicle: Vehicle) -> bool:
+def has_jets(vehicle: Vehicle) -> bool:
     """Return True of a vehicle on which jets of some kind may act."""
     return isinstance(vehicle, Satellite) and (vehicle.thrusters or bool(vehicle.jets))
 
@@ -330,8 +330,8 @@ def altered(vehicle: Vehicle, base: BaseModel) -> Vehicle:
     """
     if base.body is not None:
         if isinstance(vehicle, Satellite):
-            own = None if base.internal is None else base.internal.oscillators()
-            return replace(vehicle, body=base.body, extra=own)
+            extra = None if base.internal is None else base.internal.oscillators()
+            return replace(vehicle, body=base.body, extra=extra)
         return Satellite(body=base.body, source=vehicle.source)
     parts: dict[str, Any] = {name: matrix(getattr(base, name)) for name in "MDK"}
     drag = None if base.drag is None else tuple(base.drag.tolist())

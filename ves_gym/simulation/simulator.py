@@ -13,7 +13,7 @@ from ves_gym.engine.backends.registry import make_backend
 from ves_gym.hardware.admittance import Nonlinear
 from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo
 from ves_gym.mechanics.spatial import matvec, rate_matrix
-from ves_gym.mechanics.vehicle import blows
+from ves_gym.mechanics.vehicle import has_jets
 from ves_gym.simulation.arguments import broadcast, numbers, simulation_ids
 from ves_gym.simulation.assigned_systems import AssignedSystems
 from ves_gym.simulation.base_actuators import BaseActuators
@@ -90,7 +90,7 @@ class Simulator:
         free = system.mode == "ideal" and is_free(system.actual.base)
         self._charts = Charts(self.n) if free else None
         self.base_actuators: BaseActuators | None = None  # wheels and jets
-        acts = blows(system.vehicle) or bool(system.base.carried)
+        acts = has_jets(system.vehicle) or bool(system.base.carried)
         if system.mode == "ideal" and acts:
             self.base_actuators = BaseActuators(system, self.n)
         self.on_divergence = on_divergence
@@ -738,7 +738,7 @@ class Simulator:
         acts, jets, motors = self.base_actuators, None, None
         kind = type(self.system.vehicle).__name__
         if wrench is not None:
-            if not blows(self.system.vehicle):
+            if not has_jets(self.system.vehicle):
                 raise ParameterError(
                     f"base_wrench needs a vehicle with thrusters or jets, got {kind}"
                 )

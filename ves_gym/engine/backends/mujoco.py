@@ -29,7 +29,7 @@ from ves_gym.engine.mjcf_carried import add_carried, add_jets
 from ves_gym.engine.mjcf_contact import add_contact
 from ves_gym.mechanics.attitude import from_matrix
 from ves_gym.mechanics.gravity import GRAVITY
-from ves_gym.mechanics.vehicle import BaseModel, ReactionWheel, blows
+from ves_gym.mechanics.vehicle import BaseModel, ReactionWheel, has_jets
 from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
@@ -83,7 +83,7 @@ def model_spec(system: System, full: bool = False, acting: bool = False) -> mujo
         if full:
             _add_whole_tendons(spec, base)
         add_carried(spec, base)
-        if acting and blows(system.vehicle):
+        if acting and has_jets(system.vehicle):
             add_jets(spec)
     add_hidden(spec, system.arm, system.base if system.mode == "ideal" else None)
     if system.drive == "prescribed":

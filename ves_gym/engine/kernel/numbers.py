@@ -24,7 +24,7 @@ from ves_gym.mechanics.arm import STILL, Chain, JointFrame, LinkBodies
 from ves_gym.mechanics.carried import ReactionWheel
 from ves_gym.mechanics.dynamics import expand
 from ves_gym.mechanics.equations import InnerModes, Model, Springs, merged
-from ves_gym.mechanics.vehicle import blows
+from ves_gym.mechanics.vehicle import has_jets
 from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.system import PRESCRIBED_INERTIA
 
@@ -178,7 +178,7 @@ def _read(system: System, read: _Reader) -> Model:
         read.carried(f"carried{i}", part)
         for i, part in enumerate(base.carried if ideal else (), start=1)
     )
-    jets = ideal and blows(system.vehicle)
+    jets = ideal and has_jets(system.vehicle)
     rigid = _Joints(arm.joints, arm.start, host, links, rotors, list(range(n)))
     places = rigid if flexible is None else flexible
     chain, driven, passive = places.unfolded(set(arm.geared))
