@@ -230,9 +230,7 @@ REDUCED = users(damped=False).reduced(2)
     ("make", "message"),
     [
         (lambda: dataclasses.replace(FLEXIBLE, modes=-1), "modes must be 0 to 120, got -1"),
-        (lambda: dataclasses.replace(FLEXIBLE, modes=True), "got True"),
         (lambda: dataclasses.replace(FLEXIBLE, damping_ratio=None), "needs damping_ratio"),
-        (lambda: dataclasses.replace(FLEXIBLE, damping_ratio=-0.1), "must be >= 0"),
         (lambda: dataclasses.replace(MAST, damping_ratio=0.1), "needs damping_ratio or"),
         (lambda: dataclasses.replace(MAST, damping_ratios=(0.1,)), r"must have shape \(9,\)"),
         (lambda: FlexibleBase(structure=REDUCED, modes=2), "or a structure with its own"),

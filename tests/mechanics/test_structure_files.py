@@ -206,67 +206,50 @@ def test_a_free_structure_has_exactly_no_stiffness(tmp_path):
     assert found.M[0, 0] == pytest.approx(BENT_THESIS.mass)
 
 
-def spoiled(name, change):
-    def write_it(folder):
-        matrices = {"mass": MASS.toarray(), "stiffness": STIFF.toarray()}
-        change(matrices[name])
-        np.savez(folder / "both.npz", **matrices)
-        return folder / "both.npz"
-
-    return write_it
-
-
-def as_it_is(M):
-    pass
-
-
-def skewed(K):
+def skewed(M, K):
     i, j = np.unravel_index(np.abs(np.triu(K, 1)).argmax(), K.shape)
     K[i, j] *= 1.01
 
 
-def lighter(M):
+def lighter(M, K):
     M[20, 20] = -5.0
 
 
-def softer(K):
+def softer(M, K):
     K[30, 30] -= 1e9
 
 
-def torn(K):
+def torn(M, K):
     K[9] = K[:, 9] = 0.0
 
 
+def spoiled(folder, change):
+    M, K = MASS.toarray(), STIFF.toarray()
+    if change is not None:
+        change(M, K)
+    np.savez(folder / "both.npz", mass=M, stiffness=K)
+    return folder / "both.npz"
+
+
 @pytest.mark.parametrize(
-    ("files", "options", "message"),
+    ("change", "options", "message"),
     [
-        (spoiled("stiffness", skewed), {}, r"K must be symmetric, got \[\d+,\d+\] = .* and"),
-        (spoiled("mass", lighter), {}, "M must be positive semidefinite, got an eigenvalue -"),
-        (spoiled("stiffness", softer), {}, "must not move freely, got an eigenvalue -"),
-        (spoiled("stiffness", torn), {}, "must not move freely"),
-        (spoiled("mass", as_it_is), {"held": ()}, "must have 0 rigid motions .* got more"),
-        (spoiled("mass", as_it_is), {"rigid_modes": 6}, "with 6 rigid motions, got the frequ"),
-        (
-            spoiled("mass", as_it_is),
-            {"interface": TIP[::-1], "held": (), "rigid_modes": 6},
-            "order",
-        ),
-        (spoiled("mass", as_it_is), {"units": "mm"}, "units must be one of m-kg-s"),
-        (spoiled("mass", as_it_is), {"interface": 103}, "do not number nodes"),
-        (
-            spoiled("mass", as_it_is),
-            {"names": {"M": "MGG"}},
-            "no matrix 'MGG'; known: mass, stiff",
-        ),
-        (lambda folder: write(folder, "DMIG wide"), {"interface": 99}, "node 99 must have the"),
-        (lambda folder: {"M": folder / "M.mat", "K": ""}, {}, "expected one of .npy, .npz"),
-        (lambda folder: {"M": folder / "M.npy"}, {}, "cannot be read"),
+        (skewed, {}, r"K must be symmetric, got \[\d+,\d+\] = .* and"),
+        (lighter, {}, "M must be positive semidefinite, got an eigenvalue -"),
+        (softer, {}, "must not move freely, got an eigenvalue -"),
+        (torn, {}, "must not move freely"),
+        (None, {"held": ()}, "must have 0 rigid motions .* got more"),
+        (None, {"rigid_modes": 6}, "with 6 rigid motions, got the frequ"),
+        (None, {"interface": TIP[::-1], "held": (), "rigid_modes": 6}, "order"),
+        (None, {"units": "mm"}, "units must be one of m-kg-s"),
+        (None, {"interface": 103}, "do not number nodes"),
+        (None, {"names": {"M": "MGG"}}, "no matrix 'MGG'; known: mass, stiff"),
     ],
 )
-def test_what_is_no_structure_is_refused_with_its_number(files, options, message, tmp_path):
+def test_what_is_no_structure_is_refused_with_its_number(change, options, message, tmp_path):
     everything = {"interface": TIP, "held": CLAMP, "units": "m-kg-s", **options}
     with pytest.raises(ParameterError, match=message):
-        read_structure(files(tmp_path), **everything)
+        read_structure(spoiled(tmp_path, change), **everything)
 
 
 def test_nothing_in_a_file_is_executed(tmp_path):
@@ -289,7 +272,7 @@ def test_nothing_in_a_file_is_executed(tmp_path):
         ("a.pch", "DMIG    K              0       9       2       0", "must be square"),
         ("a.pch", "DMIG    K              1       1", "must begin with its header"),
         ("a.mtx", "no matrix", "cannot be read as .mtx"),
-        ("a.sti", "1 1 x", "cannot be read as .sti"),
+        ("a.mat", "", "expected one of .npy, .npz"),
     ],
 )
 def test_files_that_are_not_what_they_say_are_refused(name, text, message, tmp_path):
@@ -299,15 +282,14 @@ def test_files_that_are_not_what_they_say_are_refused(name, text, message, tmp_p
 
 
 def test_a_large_structure_is_judged_by_the_sparse_solver(tmp_path, monkeypatch):
-    files = spoiled("mass", as_it_is)(tmp_path)
+    files = spoiled(tmp_path, None)
     monkeypatch.setattr("ves_gym.mechanics.structure._DENSE", 0)
     monkeypatch.setattr("ves_gym.mechanics.craig_bampton._DENSE", 0)
     structure = read_structure(files, interface=TIP, held=CLAMP, units="m-kg-s")
     assert structure.reduce(4).omega == pytest.approx(TRUE.omega, rel=1e-6)
     with pytest.raises(ParameterError, match="an eigenvalue -"):
-        read_structure(
-            spoiled("mass", lighter)(tmp_path), interface=TIP, held=CLAMP, units="m-kg-s"
-        )
+        files = spoiled(tmp_path, lighter)
+        read_structure(files, interface=TIP, held=CLAMP, units="m-kg-s")
 
 
 def test_names_given_twice_are_no_names(tmp_path):
