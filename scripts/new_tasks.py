@@ -62,7 +62,7 @@ def draw(found: dict[str, Any], picture: Path = PICTURE) -> None:
     """Return on the validation episodes against decisions, a panel per task."""
     from matplotlib.figure import Figure
 
-    from ves_gym.report.figures import write_figure
+    from ves_gym.report.figures import write_figures
 
     figure = Figure(figsize=(11, 2.8), layout="constrained")
     for axes, (name, task) in zip(figure.subplots(1, len(found)), found.items(), strict=True):
@@ -84,7 +84,7 @@ def draw(found: dict[str, Any], picture: Path = PICTURE) -> None:
         axes.legend(fontsize=6)
     figure.supxlabel("decisions, thousands", fontsize=9)
     figure.supylabel("return", fontsize=9)
-    write_figure(figure, picture)
+    write_figures({picture.with_suffix(""): figure})
 
 
 def stored() -> dict[str, Any]:

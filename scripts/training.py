@@ -176,7 +176,7 @@ def draw_curves(found: Sequence[TrainConfig]) -> None:
     """Return on the validation episodes against decisions, a panel per task."""
     from matplotlib.figure import Figure
 
-    from ves_gym.report.figures import write_figure
+    from ves_gym.report.figures import write_figures
 
     rows = -(-len(found) // 4)
     figure = Figure(figsize=(11, 2.5 * rows), layout="constrained")
@@ -198,7 +198,7 @@ def draw_curves(found: Sequence[TrainConfig]) -> None:
         axes.grid(alpha=0.3)
     figure.supxlabel("decisions, millions", fontsize=9)
     figure.supylabel("return", fontsize=9)
-    write_figure(figure, PICTURES / "training.png")
+    write_figures({PICTURES / "training": figure})
 
 
 # ---------------------------------------------------------------------------- page

@@ -173,33 +173,31 @@ def plan(
 
     case = Case() if case is None else case
     system = _system(case.system if system is None else system)
-    arm, known = system.arm, case.query
+    arm = system.arm
     if isinstance(surroundings, (str, os.PathLike)):
         surroundings = read_surroundings(surroundings)
-    given: dict[str, Any] = {
+    parts: dict[str, Any] = {
+        "start": _vector(start, arm.n, "start"),
+        "goal": None if isinstance(goal, ToolPose) else _vector(goal, arm.n, "goal"),
         "duration": duration,
+        "a_max": _vector(a_max, arm.n, "a_max"),
         "surroundings": surroundings,
         "servo": servo,
         "weight": weight,
-        "start": None if start is None else _vector(start, arm.n, "start"),
-        "a_max": None if a_max is None else _vector(a_max, arm.n, "a_max"),
     }
-    given = {key: value for key, value in given.items() if value is not None}
-    if goal is not None and not isinstance(goal, ToolPose):
-        given["goal"] = _vector(goal, arm.n, "goal")
+    parts = {key: value for key, value in parts.items() if value is not None}
     if v_max is not None:
-        given["v_max"] = speed_limits(arm, v_max)
-    if known is not None:
-        query = dataclasses.replace(known, system=system, **given)
+        parts["v_max"] = speed_limits(arm, v_max)
+    if case.query is not None:
+        query = dataclasses.replace(case.query, system=system, **parts)
     elif goal is None:
         raise ParameterError("plan needs a goal: joint angles, a tool pose, or a case's query")
     else:
-        rest = tuple(np.clip(0.0, arm.column("q_min"), arm.column("q_max")).tolist())
-        own = case.servo if system.arm == case.system.arm else OWN_GAINS
-        usual = {"duration": 2.0, "servo": own, "start": rest}
-        limits = {"v_max": speed_limits(arm)}
-        given = {**usual, **limits, **given}
-        query = Query(system=system, **{"goal": given["start"], **given})
+        home = tuple(np.clip(0.0, arm.column("q_min"), arm.column("q_max")).tolist())
+        usual: dict[str, Any] = {"start": home, "duration": 2.0, "v_max": speed_limits(arm)}
+        usual["servo"] = case.servo if arm == case.system.arm else OWN_GAINS
+        parts = {**usual, **parts}
+        query = Query(system=system, **{"goal": parts["start"], **parts})
     method = _planner(planner) if weights is None else weighted(_planner(planner), weights)
     seed = case.seed if seed is None else seed
     if isinstance(goal, ToolPose):
@@ -273,25 +271,21 @@ def coupling_map(
     system = _system(system)
     arm, n = system.arm, system.arm.n
     fixed = np.clip(np.zeros(n), arm.column("q_min"), arm.column("q_max"))
-    names = {f"q{k + 1}": k for k in range(n)}
+    names = [f"q{k + 1}" for k in range(n)]
     for name, value in at.items():
         if name not in names:
             raise ParameterError(
                 f"coupling_map: a joint must be one of {', '.join(names)}, got {name!r}"
             )
-        fixed[names[name]] = value
+        fixed[names.index(name)] = value
     if joints is None:
-        free = [k for name, k in names.items() if name not in at]
-        if len(free) < 2:
+        joints = tuple(k for k, name in enumerate(names, 1) if name not in at)[:2]  # type: ignore[assignment]
+        if len(joints or ()) < 2:
             raise ParameterError(
                 f"coupling_map sweeps two joints, got {', '.join(at)} fixed of {n}"
             )
-        pair = free[0], free[1]
-    else:
-        pair = _pair(joints, n)
-    return swept(
-        system, pair, fixed, duration=duration, points=points, others=others, progress=progress
-    )
+    how: dict[str, Any] = {"duration": duration, "points": points, "others": others}
+    return swept(system, _pair(joints, n), fixed, progress=progress, **how)
 
 
 def diagnose(
@@ -354,12 +348,13 @@ def diagnose(
         raise ParameterError(f"system must be a System or a MjcfMachine, got {system!r}")
     if not as_logged:
         require_as_logged(inputs.machine, inputs.runs, inputs.mistakes)
-    own = {c.kind for c in candidates}
+    replaced = {c.kind for c in candidates}
+    library = (c for c in inputs.candidates if c.kind not in replaced)
     return name_missing(
         inputs.machine,
         inputs.runs,
         inputs.final,
-        candidates=(*(c for c in inputs.candidates if c.kind not in own), *candidates),
+        candidates=(*library, *candidates),
         limits=Thresholds(most=most),
         progress=progress,
         seed=seed,
@@ -424,18 +419,11 @@ def evaluate(
     from ves_gym.baselines.comparison import compare_controllers, line_up
 
     id = id if "/" in id else f"ves/{id}"
-    one = isinstance(controllers, (str, os.PathLike)) or hasattr(controllers, "act")
-    chosen: Any = [controllers] if one else controllers
-    return compare_controllers(
-        id,
-        line_up(id, chosen, seed),
-        episodes=episodes,
-        seed=seed,
-        n_envs=n_envs,
-        threads=threads,
-        progress=progress,
-        **settings,
-    )
+    single = isinstance(controllers, (str, os.PathLike)) or hasattr(controllers, "act")
+    chosen: Any = [controllers] if single else controllers
+    settings |= {"n_envs": n_envs, "threads": threads, "progress": progress}
+    rivals = line_up(id, chosen, seed)
+    return compare_controllers(id, rivals, episodes=episodes, seed=seed, **settings)
 
 
 def train(
@@ -485,13 +473,14 @@ def train(
     from ves_gym.baselines.training_result import TrainingResult
 
     chosen = config if isinstance(config, TrainConfig) else choose_config(config, algorithm)
-    changes: dict[str, Any] = {} if imitate is None else {"learner": "native"}
-    given = {"imitate": imitate, "learner": learner, "total_timesteps": steps}
-    changes |= {name: value for name, value in given.items() if value is not None}
-    if seeds is not None:
-        changes["seeds"] = tuple(seeds)
-    if settings is not None:
-        changes["settings"] = {**chosen.settings, **settings}
+    changes: dict[str, Any] = {
+        "imitate": imitate,
+        "learner": "native" if learner is None and imitate is not None else learner,
+        "total_timesteps": steps,
+        "seeds": None if seeds is None else tuple(seeds),
+        "settings": None if settings is None else {**chosen.settings, **settings},
+    }
+    changes = {name: value for name, value in changes.items() if value is not None}
     chosen = dataclasses.replace(chosen, **changes)
     if workers < 1:
         raise ParameterError(f"workers must be >= 1, got {workers}")
@@ -499,15 +488,8 @@ def train(
     tracking = Tracking(tensorboard=os.fspath(tensorboard), wandb=wandb)
     tracking.require()
     where = Path("out", "train", chosen.name) if folder is None else Path(folder)
-    curves = train_seeds(
-        chosen,
-        chosen.seeds,
-        where,
-        workers=workers,
-        resume=resume,
-        progress=progress,
-        tracking=tracking,
-    )
+    how: dict[str, Any] = {"workers": workers, "resume": resume, "tracking": tracking}
+    curves = train_seeds(chosen, chosen.seeds, where, progress=progress, **how)
     return TrainingResult(chosen, where, curves)
 
 
@@ -684,8 +666,8 @@ def _planner(planner: str | Planner) -> Planner:
     return get_planner(planner) if isinstance(planner, str) else planner
 
 
-def _vector(value: npt.ArrayLike, n: int, name: str) -> Vector:
-    return tuple(finite(value, (n,), name).tolist())
+def _vector(value: npt.ArrayLike | None, n: int, name: str) -> Vector | None:
+    return None if value is None else tuple(finite(value, (n,), name).tolist())
 
 
 def _pair(joints: Any, n: int) -> tuple[int, int]:

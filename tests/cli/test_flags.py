@@ -23,11 +23,11 @@ PLACE = Place("--x", PUMA_560)
     [
         (flags.joints, "90,-45,.5", np.deg2rad([90, -45, 0.5])),
         (flags.per_joint("deg/s"), "180,0,90", [np.pi, 0, np.pi / 2]),
-        (flags.per_joint("deg/s", none=True), "none", "none"),
+        (flags.word_or("none", flags.integer(), "none"), "none", None),
         (flags.pose, "1,2,3,0,0,180", [1, 2, 3, 0, 0, np.pi]),
         (flags.number("s", above=0), "2.5", 2.5),
-        (flags.whole(1), "3", 3),
-        (flags.wholes, "0,-1", (0, -1)),
+        (flags.integer(1), "3", 3),
+        (flags.integers, "0,-1", (0, -1)),
         (flags.names, "a, b", ["a", "b"]),
     ],
 )
@@ -39,15 +39,15 @@ def test_values_become_si(read, text, value):
         assert got == value
 
 
-def test_only_what_is_given_is_passed_on():
+def test_only_what_is_set_is_passed_on():
     table = (
         Flag("LOG", many=True),
         Flag("--q", "A,B,C", flags.joints),
         Flag("--fast"),
-        Flag("--via", "A", flags.whole(), to="points", many=True),
+        Flag("--via", "A", flags.integer(), to="points", many=True),
     )
-    given = {"log": ["a", "b"], "q": "1,1,1", "fast": False, "points": ["1", "2"]}
-    got = values(table, {**given, "radians": True}, PUMA_560)
+    texts = {"log": ["a", "b"], "q": "1,1,1", "fast": False, "points": ["1", "2"]}
+    got = values(table, {**texts, "radians": True}, PUMA_560)
     assert got.pop("q").tolist() == [1, 1, 1]
     assert got == {"log": ("a", "b"), "points": (1, 2)}
 

@@ -190,7 +190,8 @@ def test_pictures_are_left_out_and_the_rest_is_done(command, tmp_path, words, wr
     status, out, err = command(EVERYTHING, *words, "--out", "out")
     assert status == 0 and not err, err
     assert (
-        "no picture: drawing needs the package matplotlib: pip install 'ves-gym[report]'" in out
+        "no pictures: drawing needs the package matplotlib: pip install 'ves-gym[report]'"
+        in out
     )
     assert (tmp_path / "out" / written).exists()
     assert not list(tmp_path.rglob("*.png"))

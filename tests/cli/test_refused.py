@@ -199,7 +199,7 @@ STRUCTURE = [
     ((), "the files hold no damping: --damping must give a ratio"),
     (("--damping", "0.01", "--interface", "9"), "node 9 must have the components"),
     (("--damping", "0.01", "--interface", "4,5"), "a node or six freedoms, got '4,5'"),
-    (("--damping", "0.01", "--interface", "four"), "must be whole numbers like"),
+    (("--damping", "0.01", "--interface", "four"), "a node or six freedoms, got 'four'"),
     (("--damping", "0.01", "--units", "si"), "units must be one of m-kg-s"),
     (("--damping", "0.01", "--modes", "-1"), "--modes must be a whole number >= 0 or auto"),
     (("--damping", "0.01", "--modes", "99"), "modes must be 0 to 12, got 99"),

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from ves_gym._util import optional
+from ves_gym.rendering import live
 from ves_gym.rendering import opengl as gl
-from ves_gym.rendering import render
 from ves_gym.rendering.opengl import Probe, RenderError
 from ves_gym.system.runlog import RunLog
 
@@ -78,30 +78,21 @@ def test_missing_libraries_are_named(refused, run_log, monkeypatch):
         assert word in line
 
 
-@pytest.mark.parametrize(
-    ("code", "reason"),
-    [
-        ("import os; os.abort()", "crashes (signal 6)"),
-        ("import time; time.sleep(60)", "hangs (gave up after 0.5 s)"),
-        ("raise OSError('no such screen')", "OSError: no such screen"),
-    ],
-)
-def test_broken_opengl_is_survived(monkeypatch, code, reason):
-    monkeypatch.setattr(gl, "_TRY", code)
-    timeout = 0.5 if "hangs" in reason else 20.0
-    found = gl.probe.__wrapped__("cgl", timeout)
-    assert not found.works and reason in found.reason
+def test_broken_opengl_is_survived(monkeypatch):
+    monkeypatch.setattr(gl, "_TRY", "raise OSError('no such screen')")
+    tried = gl.probe.__wrapped__("cgl")
+    assert tried == Probe("cgl", False, "OSError: no such screen")
 
 
 def test_drawing_that_fails_midway_writes_nothing(refused, run_log, monkeypatch):
     pytest.importorskip("PIL.Image")
-    monkeypatch.setattr(render, "choose_backend", lambda: "nonsense")
+    monkeypatch.setattr(live, "choose_backend", lambda: "nonsense")
     assert "drawing with nonsense failed" in refused("view", run_log, *TINY)
 
 
 def test_drawing_that_hangs_is_given_up(refused, run_log, monkeypatch, opengl):
     pytest.importorskip("PIL.Image")
-    monkeypatch.setattr(render, "_STALL", 0.001)  # s: no process starts as fast
+    monkeypatch.setattr(live, "_STALL", 0.001)  # s: no process starts as fast
     assert f"drawing with {opengl} hung: no frame for 0.001 s" in refused(
         "view", run_log, *TINY
     )

@@ -1,33 +1,17 @@
 """The page of a diagnosis: everything in one file, and says what was and was not found."""
 
-import html.parser
 import json
 import re
 
 import pytest
 
+from tests.report.conftest import Elements
 from ves_gym._util.params import ParameterError
 from ves_gym.report.diagnosis import render_page, write_page
 
 pytest.importorskip("matplotlib")
 HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>"
 NAMES = ("joint/coulomb at joint 2", "joint/stribeck at joint 2")
-
-
-class Elements(html.parser.HTMLParser):
-    """Start tags with attributes, and all text."""
-
-    def __init__(self, page):
-        super().__init__()
-        self.tags, self.text = [], ""
-        self.feed(page)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-
-    def handle_data(self, data):
-        self.text += data
 
 
 def separation(where, likeness, sigma):

@@ -8,23 +8,28 @@ import pytest
 from ves_gym._util.params import ParameterError
 from ves_gym.report.figures import (
     anytime_figure,
+    benchmark_figures,
     pareto_figure,
     time_figure,
-    write_figure,
     write_figures,
 )
 
 ALL = ["ratio.png", "energy.png", "coupling.png", "prediction.png"]
 
 
+def write(result, folder, form="png"):
+    figures = benchmark_figures(result)
+    return write_figures({folder / name: figures[name] for name in figures}, form)
+
+
 def written(result, folder):
-    return [path.name for path in write_figures(result, folder)]
+    return [path.name for path in write(result, folder)]
 
 
 def test_four_figures_with_something_on_them(tmp_path, make_result):
     from PIL import Image
 
-    paths = write_figures(make_result(durations=(1.0, 2.0), points=21), tmp_path)
+    paths = write(make_result(durations=(1.0, 2.0), points=21), tmp_path)
     assert [path.name for path in paths] == ALL
     for path in paths:
         pixels = np.asarray(Image.open(path).convert("RGB"))
@@ -36,11 +41,11 @@ def test_four_figures_with_something_on_them(tmp_path, make_result):
 @pytest.mark.parametrize(("form", "start"), [("svg", b"<?xml"), ("pdf", b"%PDF")])
 def test_a_paper_gets_lines_instead_of_pixels(tmp_path, make_result, form, start):
     result = make_result(queries=1, points=9)
-    paths = write_figures(result, tmp_path, form)
+    paths = write(result, tmp_path, form)
     assert [p.name for p in paths] == [name.replace("png", form) for name in ALL]
     assert all(p.read_bytes().startswith(start) for p in paths)
-    write_figure(time_figure(result, "E"), tmp_path / f"again.{form}")
-    assert (tmp_path / f"again.{form}").read_bytes() == paths[1].read_bytes()
+    (second,) = write_figures({tmp_path / "second": time_figure(result, "E")}, form)
+    assert second.read_bytes() == paths[1].read_bytes()
 
 
 def test_weights_add_a_figure(tmp_path, make_result):
@@ -102,8 +107,8 @@ def test_a_stopped_run_and_the_run_in_space_are_drawn(make_emulated):
 
 def test_figures_are_reproducible(tmp_path, make_result):
     result = make_result(queries=3, durations=(1.0,), points=9)
-    first = [path.read_bytes() for path in write_figures(result, tmp_path / "a")]
-    repeated = [path.read_bytes() for path in write_figures(result, tmp_path / "b")]
+    first = [path.read_bytes() for path in write(result, tmp_path / "a")]
+    repeated = [path.read_bytes() for path in write(result, tmp_path / "b")]
     assert first == repeated
 
 
@@ -138,4 +143,4 @@ def test_a_map_without_lines_or_ends_is_drawn(tmp_path, make_result):
 def test_without_matplotlib_the_extra_is_named(tmp_path, make_result, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(ParameterError, match=r"ves-gym\[report\]"):
-        write_figures(make_result(queries=1, points=9), tmp_path)
+        benchmark_figures(make_result(queries=1, points=9))

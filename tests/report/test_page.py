@@ -1,39 +1,15 @@
-"""The page: everything in one file, nothing in it that the data could abuse."""
+"""The page: everything in one file, nothing in it that the data could abuse; it runs."""
 
-import copy
-import html.parser
 import json
 import re
 
 import pytest
 
+from tests.report.conftest import Elements
 from ves_gym._util.params import ParameterError
-from ves_gym.report.page import write_page
+from ves_gym.report.benchmark import write_page
 
 HOSTILE = "</script><script>alert(1)</script><!--<img src=x onerror=alert(2)>{{script}}"
-
-
-class Elements(html.parser.HTMLParser):
-    """Start tags with attributes, and the text of each script element."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.tags, self.scripts, self.inside = [], [], False
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-        self.inside = tag == "script"
-        if self.inside:
-            self.scripts.append("")
-
-    def handle_endtag(self, tag):
-        self.inside = False
-
-    def handle_data(self, text):
-        if self.inside:
-            self.scripts[-1] += text
 
 
 @pytest.fixture
@@ -53,6 +29,7 @@ def embedded(text):
 def test_the_page_holds_the_data_unchanged(page, make_result):
     result = make_result()
     assert embedded(page(result)) == json.loads(json.dumps(result))
+    assert None in [row["t_5"] for row in embedded(page(result))["rows"]]
 
 
 def test_a_result_of_the_laboratory_is_embedded_with_its_stops(page, make_emulated):
@@ -128,11 +105,6 @@ def test_a_result_with_less_in_it_is_written(page, make_result, change):
     assert embedded(page(result))["rows"] == json.loads(json.dumps(result["rows"]))
 
 
-def test_a_missing_time_stays_null(page, make_result):
-    rows = embedded(page(make_result()))["rows"]
-    assert None in [row["t_5"] for row in rows]
-
-
 def test_another_schema_is_refused(tmp_path, make_result):
     result = {**make_result(queries=1), "schema": "ves-benchmark/2"}
     with pytest.raises(ParameterError, match=r"ves-benchmark/1.*ves-benchmark/2"):
@@ -141,7 +113,56 @@ def test_another_schema_is_refused(tmp_path, make_result):
 
 
 def test_not_a_number_is_refused(tmp_path, make_result):
-    result = copy.deepcopy(make_result(queries=1))
+    result = make_result(queries=1)
     result["rows"][0]["E_mean"] = float("nan")
     with pytest.raises(ParameterError, match="finite"):
         write_page(result, tmp_path / "report.html")
+
+
+# ------------------------------------------------------------------ in a browser
+
+
+def test_every_part_is_drawn_and_nothing_is_fetched(browser, make_result, tmp_path):
+    write_page(make_result(queries=2, points=9), tmp_path / "report.html")
+    address = (tmp_path / "report.html").as_uri()
+    browser.open(address)
+    sizes = browser.do("[...document.querySelectorAll('canvas')].map((c) => c.width)")
+    assert browser.errors == []
+    assert len(sizes) > 3 and min(sizes) > 100
+    assert browser.requests == [address]
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_it_has_no_serious_obstacle(browser, make_result, tmp_path, dark):
+    write_page(make_result(queries=2, points=9), tmp_path / "report.html")
+    browser.screen(1280, 900, dark)
+    browser.open((tmp_path / "report.html").as_uri())
+    assert browser.obstacles() == []
+
+
+@pytest.mark.parametrize("width", [360, 768, 1400])
+def test_no_column_of_the_summary_is_out_of_sight(browser, make_result, tmp_path, width):
+    """A narrow frame has a block per row, each number under its heading."""
+    write_page(make_result(queries=2, points=9), tmp_path / "report.html")
+    browser.screen(width, 900)
+    browser.open((tmp_path / "report.html").as_uri())
+    cut = browser.do(
+        "[summary, ...summary.querySelectorAll('tbody :is(th, td)')].filter((e) => {"
+        " const a = e.getBoundingClientRect();"
+        " const b = summary.parentElement.getBoundingClientRect();"
+        " return a.left < b.left - 1 || a.right > b.right + 1; }).length"
+    )
+    assert cut == 0 and browser.errors == []
+    stacked = browser.do("summary.classList.contains('stacked')")
+    headings = "[...summary.querySelectorAll('td .label')].every((e) => e.offsetHeight > 0)"
+    assert stacked == browser.do(headings)
+    assert stacked or width > 768
+    assert browser.obstacles() == []
+
+
+def test_an_obstacle_is_seen(browser, tmp_path):
+    (tmp_path / "bad.html").write_text(
+        '<html lang="en"><title>x</title><img src="data:,"></html>'
+    )
+    browser.open((tmp_path / "bad.html").as_uri())
+    assert browser.obstacles() == ["image-alt: 1 x img"]

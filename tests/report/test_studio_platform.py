@@ -10,7 +10,7 @@ from tests.report.studio_page import open_page, ready
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.query import Query
 from ves_gym.planners.scenes import platform_data
-from ves_gym.report.page import write_page
+from ves_gym.report.benchmark import write_page
 from ves_gym.report.studio import machine_data, references, studio_data
 from ves_gym.report.studio_files import open_item
 from ves_gym.simulation.playback import play_motions

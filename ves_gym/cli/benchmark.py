@@ -8,10 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ves_gym._util.optional import lacking
 from ves_gym._util.params import ParameterError, write_result
 from ves_gym.cli.files import FORMAT
-from ves_gym.cli.flags import Answer, Flag, Place, names, path, text, whole
+from ves_gym.cli.flags import Answer, Flag, Place, floats, integer, names, path, read, text
 from ves_gym.cli.machine import MACHINE
 from ves_gym.cli.plan import WEIGHT
 from ves_gym.planners.benchmark import run_benchmark
@@ -20,8 +19,6 @@ from ves_gym.planners.case import Case
 from ves_gym.planners.objective import parse_weights
 from ves_gym.planners.registry import PLANNERS, get_planner, weighted
 from ves_gym.planners.suites import OBSTACLES, SUITES, get_suite, part_of
-from ves_gym.report.benchmark_text import benchmark_text
-from ves_gym.report.figures import write_figures
 from ves_gym.system.disturbance import MEASURES
 from ves_gym.system.frequency_weight import FAST, FrequencyWeight
 
@@ -33,23 +30,14 @@ def _planners(value: str, place: Place) -> list[str]:
 
 
 def _weights(value: str, place: Place) -> list[str]:
-    """Names of `refined` without weights and with each that is asked for."""
+    """Names of `refined` without weights and with each of these."""
     name, equals, values = value.partition("=")
     if not equals:
         raise ParameterError(
             f"{place.name} must be like acceleration_peak=0.003,0.03,0.3, got {value!r}"
         )
-    weights = [parse_weights(f"{name}={one}") for one in values.split(",")]
+    weights = [parse_weights(f"{name}={part}") for part in values.split(",")]
     return ["refined", *(weighted(get_planner("refined"), w).name for w in weights)]
-
-
-def _durations(value: str, place: Place) -> list[float]:
-    try:
-        return [float(part) for part in value.split(",")]
-    except ValueError:
-        raise ParameterError(
-            f"{place.name} must be numbers like 1,2,4 [s], got {value!r}"
-        ) from None
 
 
 FLAGS = (
@@ -57,16 +45,16 @@ FLAGS = (
     Flag("--planners", "A,B", _planners,
          f"all, or of {', '.join(PLANNERS)}; default the suite's own"),
     Flag("--obstacles", "O", text, f"{', '.join(OBSTACLES)} (reach100; off)"),
-    Flag("--durations", "S,S", _durations,
+    Flag("--durations", "S,S", read(floats, "numbers like 1,2,4 [s]"),
          "only queries of these durations [s]; default all"),
-    Flag("--first", "N", whole(1), "only N queries per duration"),
-    Flag("--skip", "N", whole(), "leave out N of each first (0)"),
+    Flag("--first", "N", integer(1), "only N queries per duration"),
+    Flag("--skip", "N", integer(), "leave out N of each first (0)"),
     Flag("--quick", help="ten queries per duration"),
     Flag("--weights", "NAME=W,W,...", _weights,
          "also `refined` with each of these weights of a disturbance measure (pareto.png):"
          f" {', '.join(MEASURES)}"),
     WEIGHT,
-    Flag("--workers", "N", whole(1), "planning processes"),
+    Flag("--workers", "N", integer(1), "planning processes"),
     Flag("--keep-best", "FILE", path, "merge the least energies into FILE (best known)"),
     Flag("--no-figures", help="skip figures and report"),
     FORMAT,
@@ -90,12 +78,14 @@ def run(
     skip: int = 0,
     keep_best: Path | None = None,
     no_figures: bool = False,
-    format: str = "png",
     out: Path | None = None,
     progress: Any = None,
     **how: Any,
 ) -> Answer:
     """Plan, simulate; the table, JSON, figures and the HTML report."""
+    from ves_gym.report.benchmark import benchmark_text, write_page
+    from ves_gym.report.figures import benchmark_figures
+
     chosen = get_suite(
         suite, system=case.system, vehicle=vehicle, quick=quick, obstacles=obstacles
     )
@@ -114,18 +104,17 @@ def run(
     plain = {key: value for key, value in result.items() if key not in drawn}
     files = [folder / "benchmark.json"]
     write_result(files[0], plain)
-    said = [benchmark_text(result)]
+    lines = [benchmark_text(result)]
     if keep_best is not None:
-        said.append(f"best known: {merge_best(keep_best, result)} new or lower")
+        lines.append(f"best known: {merge_best(keep_best, result)} new or lower")
         files.append(keep_best)
     if not no_figures:
-        from ves_gym.report.page import write_page
-
         files.append(folder / "report.html")
         write_page(result, files[-1])
-        if sentence := lacking("drawing", "matplotlib"):
-            said.append(f"no pictures: {sentence}")
-        else:
-            files += write_figures(result, folder, format)
-    said.append(f"{len(result['rows'])} runs in {result['seconds']:.0f} s")
-    return Answer(text="\n".join(said), plain=plain, files=files)
+    lines.append(f"{len(result['rows'])} runs in {result['seconds']:.0f} s")
+    return Answer(
+        text="\n".join(lines),
+        plain=plain,
+        files=files,
+        figures=lambda: {folder / k: figure for k, figure in benchmark_figures(result).items()},
+    )

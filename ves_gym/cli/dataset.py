@@ -35,27 +35,24 @@ def make(
     if record and any(shipped.get(r.id) != r for r in chosen):
         raise ParameterError(f"--record is for the recipes in {d.RECIPES.name} of the package")
     require("a data set", *PACKAGES)
-    rows: list[dict[str, Any]] = []
-    made = []
+    rows, datasets = [], []
     for k, recipe in enumerate(chosen):
         progress(k / len(chosen), recipe.id)
         begin = time.perf_counter()
         dataset = d.make_dataset(recipe)
         path = write_dataset(dataset, out or Path("out/datasets"))
-        again = replay(path)
-        known = shipped.get(recipe.id) == recipe and not record
-        expected = d.recorded(recipe) if known else None
-        found = dataset.fingerprint
-        row = {k: found[k] for k in ("episodes", "steps", "solved")}
+        expected = d.recorded(recipe) if shipped.get(recipe.id) == recipe else None
+        expected = None if record else expected
+        mark = dataset.fingerprint
+        row: dict[str, Any] = {"id": recipe.id, "folder": str(path)}
+        row |= {k: mark[k] for k in ("episodes", "steps", "solved")}
         row["recorded"] = expected is not None
-        row["bits"] = expected is not None and expected["bits"] == found["bits"]
-        wrong = [] if expected is None else d.differences(found, expected)
-        rows.append(
-            {"id": recipe.id, "folder": str(path), **row, **_replayed(again, wrong, begin)}
-        )
-        made.append(dataset)
+        row["bits"] = expected is not None and expected["bits"] == mark["bits"]
+        wrong = [] if expected is None else d.differences(mark, expected)
+        rows.append({**row, **_replayed(replay(path), wrong, begin)})
+        datasets.append(dataset)
     if record:
-        d.record(made)
+        d.record(datasets)
     return _report(rows)
 
 
@@ -66,9 +63,9 @@ def check(folder: Sequence[str]) -> Answer:
     rows = []
     for path in folder:
         begin = time.perf_counter()
-        again, wrong = replay(path), stored_differences(path)
-        counted = {"id": path, "episodes": again.episodes, "steps": again.steps}
-        rows.append({**counted, **_replayed(again, wrong, begin)})
+        replayed, wrong = replay(path), stored_differences(path)
+        row = {"id": path, "episodes": replayed.episodes, "steps": replayed.steps}
+        rows.append({**row, **_replayed(replayed, wrong, begin)})
     return _report(rows)
 
 
@@ -76,31 +73,31 @@ def show() -> Answer:
     """Recipes of the package."""
     from ves_gym.baselines.dataset import recipes
 
-    said, rows = [], []
+    lines, rows = [], []
     for recipe in recipes().values():
         noise = f", noise {recipe.noise:g}" if recipe.noise else ""
         behaviours = ", ".join(recipe.behaviours)
-        said.append(f"{recipe.id}: {recipe.episodes} episodes of {behaviours}{noise}")
+        lines.append(f"{recipe.id}: {recipe.episodes} episodes of {behaviours}{noise}")
         rows.append({"id": recipe.id, "episodes": recipe.episodes, "env": recipe.env})
-    return Answer(text="\n".join(said), plain={"schema": "ves-dataset-list/1", "sets": rows})
+    return Answer(text="\n".join(lines), plain={"schema": "ves-dataset-list/1", "sets": rows})
 
 
-def _replayed(again: Any, wrong: Sequence[str], begin: float) -> dict[str, Any]:
-    """What playing a data set again has shown, beside what was wrong before."""
+def _replayed(replayed: Any, wrong: Sequence[str], begin: float) -> dict[str, Any]:
+    """The outcome of a replay, beside what was wrong before it."""
     faults = list(wrong)
-    if not again.ends:
+    if not replayed.ends:
         faults.append("replayed episodes end elsewhere")
-    elif not again.sound:
+    elif not replayed.sound:
         faults.append(
-            f"replayed rewards differ by up to {again.rewards:.3g}, observations by"
-            f" {again.observations:.3g}"
+            f"replayed rewards differ by up to {replayed.rewards:.3g}, observations by"
+            f" {replayed.observations:.3g}"
         )
     seconds = round(time.perf_counter() - begin, 2)
-    return {"exact": again.exact, "wrong": faults, "seconds": seconds}
+    return {"exact": replayed.exact, "wrong": faults, "seconds": seconds}
 
 
 def _report(rows: list[dict[str, Any]]) -> Answer:
-    said = []
+    lines = []
     for row in rows:
         words = [f"{row['episodes']} episodes, {row['steps']} steps"]
         if "solved" in row:
@@ -108,11 +105,11 @@ def _report(rows: list[dict[str, Any]]) -> Answer:
         if row.get("recorded"):
             words.append("bits as recorded" if row["bits"] else "as recorded, to rounding")
         words.append("replayed bit for bit" if row["exact"] else "replayed to rounding")
-        said.append(f"{row['id']}: {'WRONG' if row['wrong'] else ', '.join(words)}")
+        lines.append(f"{row['id']}: {'WRONG' if row['wrong'] else ', '.join(words)}")
         for fault in row["wrong"]:
             say(fault, row["id"])
     return Answer(
-        text="\n".join(said),
+        text="\n".join(lines),
         plain={"schema": SCHEMA, "sets": rows},
         negative=any(row["wrong"] for row in rows),
     )

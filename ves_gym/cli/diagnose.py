@@ -6,7 +6,7 @@ import os
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,12 +19,10 @@ from ves_gym._util.params import (
     write_text,
 )
 from ves_gym.cli.files import log_file
-from ves_gym.cli.flags import Answer, Flag, number, path, say, text, whole
-from ves_gym.cli.machine import EFFECT, arm_flag, read
-from ves_gym.mechanics.arm import Arm
+from ves_gym.cli.flags import Answer, Flag, integer, number, path, read, say, text
+from ves_gym.cli.machine import EFFECT, arm_flag
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.planners.case import Case
-from ves_gym.system.effect import Effect
 from ves_gym.system.system import System
 from ves_gym.system.system_library import get_system
 
@@ -51,12 +49,12 @@ FLAGS = (
     Flag("--tolerances", "FILE", text,
          "sizes of tolerances and noise of a System, where they are not the usual ones"),
     Flag("--model", "FILE", path, "with --describe: the robot in URDF or MJCF"),
-    Flag("--final", "N", whole(),
+    Flag("--final", "N", integer(),
          "logs to hold back and open once, at the end: the last N (default: those that say"
          " `held_back`, else the last third)"),
     Flag("--without", "KIND", text, "leave out of the library", many=True),
     Flag("--band", "HZ", number("Hz"), "compare up to (default 12, or the mapping's)"),
-    Flag("--most", "N", whole(1),
+    Flag("--most", "N", integer(1),
          "effects to name at most (default: as many as the evidence bears)"),
     Flag("--no-free-run", help="skip the simulation of the whole loop"),
     Flag("--as-logged", help="ask no questions about units, signs and exchanged channels"),
@@ -66,52 +64,36 @@ FLAGS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Described:
-    """What the options say of the machine."""
+def _inputs(
+    log: Sequence[str], mapping: str | None, machine: dict[str, Any], **how: Any
+) -> DiagnosisInputs:
+    """Runs, machine and library, of a System or of a mapping file."""
+    from ves_gym.diagnosis.inputs import mjcf_inputs, system_inputs
+    from ves_gym.diagnosis.machines.tolerances import StatedErrors
 
-    system: System | None
-    arm: Arm | None
-    effect: Sequence[Effect]
-    mapping: str | None
-    tolerances: str | None
-
-    def inputs(self, log: Sequence[str], **how: Any) -> DiagnosisInputs:
-        """Runs, machine and library."""
-        from ves_gym.diagnosis.inputs import mjcf_inputs, system_inputs
-        from ves_gym.diagnosis.machines.tolerances import StatedErrors
-
-        if self.mapping is None:
-            stated, file = None, self.tolerances
-            if file is not None:
-                stated = from_plain(StatedErrors, read_table(file), file)
-            return system_inputs(
-                log, self.system, arm=self.arm, effects=self.effect, stated=stated, **how
-            )
-        if self.tolerances is not None:
-            raise ParameterError("--tolerances is of a System; a mapping file has its own")
-        if self.effect:
-            raise ParameterError(
-                f"--effect {self.effect[0].kind} belongs to a described System: leave it out,"
-                " or --machine"
-            )
-        for name in ("system", "arm"):
-            if getattr(self, name) is not None:
-                raise ParameterError(
-                    f"--{name} and --machine describe two machines: give one of them"
-                )
-        return mjcf_inputs(log, self.mapping, **how)
+    file = machine.pop("tolerances", None)
+    if mapping is None:
+        stated = None if file is None else from_plain(StatedErrors, read_table(file), file)
+        effects = machine.pop("effect", ())
+        return system_inputs(log, **machine, effects=effects, stated=stated, **how)
+    if file is not None:
+        raise ParameterError("--tolerances is of a System; a mapping file has its own")
+    for effect in machine.pop("effect", ()):
+        raise ParameterError(
+            f"--effect {effect.kind} belongs to a described System: leave it out, or --machine"
+        )
+    for option in machine:
+        raise ParameterError(
+            f"--{option} and --machine describe two machines: give one of them"
+        )
+    return mjcf_inputs(log, mapping, **how)
 
 
 def run(
     log: tuple[str, ...],
     *,
-    system: System | None = None,
-    arm: Arm | None = None,
-    effect: tuple[Effect, ...] = (),
     mapping: str | None = None,
     describe: bool = False,
-    tolerances: str | None = None,
     model: Path | None = None,
     final: int | None = None,
     without: tuple[str, ...] = (),
@@ -124,6 +106,7 @@ def run(
     seed: int = 0,
     out: Path | None = None,
     progress: Any = None,
+    **machine: Any,
 ) -> Answer:
     """Diagnose; the verdict, the better description and the report."""
     from ves_gym._util.version import __version__
@@ -131,19 +114,17 @@ def run(
     from ves_gym.diagnosis.data.sanity_checks import require_as_logged, suspected_mistake
     from ves_gym.diagnosis.inference.cache import AnswerCache
     from ves_gym.diagnosis.inference.model_selection import Thresholds
-    from ves_gym.report.diagnosis_text import diagnosis_text
+    from ves_gym.report.diagnosis import diagnosis_text, write_page
+    from ves_gym.report.diagnosis_figures import overlays
 
-    folder = out or OUT
+    folder, system = out or OUT, machine.get("system")
     if describe:
         if len(log) != 1 or mapping or system:
             raise ParameterError("--describe takes one data file or folder, and no description")
         return _describe(log[0], model, folder)
     if model is not None:
         raise ParameterError("--model goes with --describe; else the mapping file names it")
-    described = _Described(
-        system=system, arm=arm, effect=effect, mapping=mapping, tolerances=tolerances
-    )
-    inputs = described.inputs(log, final=final, leave_out=without, band=band)
+    inputs = _inputs(log, mapping, machine, final=final, leave_out=without, band=band)
     if not as_logged:
         require_as_logged(inputs.machine, inputs.runs, inputs.mistakes)
     folder.mkdir(parents=True, exist_ok=True)
@@ -185,21 +166,18 @@ def run(
     }
     write_result(folder / "diagnosis.json", result)
     write_text(folder / "verdict.txt", diagnosis.sentence + "\n")
-    said = [diagnosis_text(diagnosis, result), *map(str, written.files)]
-    said += designed["files"] if designed else ()
+    lines = [diagnosis_text(diagnosis, result), *map(str, written.files)]
+    lines += designed["files"] if designed else ()
     if not no_figures and (sentence := lacking("its figures", "matplotlib")):
-        said.append(f"no HTML report: {sentence}")
+        lines.append(f"no HTML report: {sentence}")
     elif not no_figures:
-        from ves_gym.report.diagnosis import write_page
-        from ves_gym.report.diagnosis_overlays import overlays
-
         drawn = overlays(diagnosis.selection, diagnosis.residuals)
-        page = {**result, "diff": written.diff, "overlays": drawn}
-        write_page(page, folder / "diagnosis.html")
-        said.append(str(folder / "diagnosis.html"))
+        page = folder / "diagnosis.html"
+        write_page({**result, "diff": written.diff, "overlays": drawn}, page)
+        lines.append(str(page))
     cache.done()
     return Answer(
-        text="\n".join(said),
+        text="\n".join(lines),
         plain=result,
         negative=diagnosis.verdict in (d.UNKNOWN, d.MORE, d.WEAK),
     )

@@ -9,8 +9,6 @@ import importlib.metadata
 import os
 import platform
 import re
-import subprocess
-import sys
 import tempfile
 import tomllib
 from collections.abc import Iterable, Iterator
@@ -23,11 +21,20 @@ from packaging.specifiers import SpecifierSet
 from ves_gym._util.optional import installed
 from ves_gym._util.tables import table
 from ves_gym.cli.flags import Answer
+from ves_gym.rendering.opengl import (
+    RenderError,
+    attempt,
+    candidates,
+    install_hint,
+    probe,
+    state,
+)
 
 SCHEMA = "ves-doctor/1"
 OK, FAIL, NOTE = "ok", "fail", "note"
 _PATIENCE = 90.0  # s for a child process
 _ROOT = Path(__file__).parents[2]
+_VECTORS = ("sse4_2", "avx", "avx2", "fma", "avx512f", "asimd", "sve")
 
 
 class Check(NamedTuple):
@@ -48,10 +55,10 @@ def run(*, out: Path = Path("out"), progress: Any = None) -> Answer:
         checks.append(check)
         progress(done, f"after {check.name}")
     bad = [check.name for check in checks if check.status == FAIL]
-    said = f"the core does NOT work: see {', '.join(bad)}" if bad else "the core works"
+    verdict = f"the core does NOT work: see {', '.join(bad)}" if bad else "the core works"
     rows = table(("check", "", "detail"), checks, title="ves-gym doctor", left=(0, 1, 2))
     plain = {"schema": SCHEMA, "ok": not bad, "checks": [check._asdict() for check in checks]}
-    return Answer(text=f"{rows}\n{said}", plain=plain, negative=bool(bad))
+    return Answer(text=f"{rows}\n{verdict}", plain=plain, negative=bool(bad))
 
 
 def _checks(out: Path) -> Iterator[tuple[float, Check]]:
@@ -59,9 +66,9 @@ def _checks(out: Path) -> Iterator[tuple[float, Check]]:
     parts = (
         lambda: [check_python(python), check_processor()],
         lambda: [check_version(needed) for needed in core],
-        lambda: [check_import("mujoco", "mujoco")],
-        lambda: [check_import("ompl", "ompl.geometric")] if installed("ompl") else [],
-        lambda: [check_import("pin", "pinocchio", NOTE)] if installed("pinocchio") else [],
+        lambda: [check_import("mujoco")],
+        lambda: [check_import("ompl.geometric")] if installed("ompl") else [],
+        lambda: [check_import("pinocchio", NOTE)] if installed("pinocchio") else [],
         check_stepping,
         lambda: [check_opengl()],
         lambda: [check_extra(name, needed) for name, needed in extras.items()],
@@ -111,12 +118,7 @@ def check_python(ranges: str) -> Check:
 
 
 def check_version(needed: Requirement, extra: str = "") -> Check:
-    """A distribution's version against its range.
-
-    Args:
-        needed: the requirement.
-        extra: that asks for it.
-    """
+    """A distribution's version against its range; `extra` is what asks for it."""
     name, ranges = needed.name, needed.specifier
     how = f"pip install '{name}{ranges}'"
     try:
@@ -131,12 +133,7 @@ def check_version(needed: Requirement, extra: str = "") -> Check:
 
 
 def check_extra(name: str, needed: list[Requirement]) -> Check:
-    """Check that an optional set of packages is complete; never a failure.
-
-    Args:
-        name: of the extra.
-        needed: its requirements.
-    """
+    """Check that an optional set of packages is complete; never a failure."""
     checks = [check_version(requirement, name) for requirement in needed]
     lacking = [
         f"{c.name} {c.detail.split(' (')[0].split(':')[0]}" for c in checks if c.status != OK
@@ -149,40 +146,14 @@ def check_extra(name: str, needed: list[Requirement]) -> Check:
 # -------------------------------------------------------------------- child processes
 
 
-def _child(code: str, timeout: float = _PATIENCE) -> tuple[bool, str]:
-    """Run Python code in a child process: whether it ended well, and its last line."""
-    paths = [str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
-    try:
-        done = subprocess.run(
-            [sys.executable, "-c", code],
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
-            capture_output=True,
-            text=True,
-            timeout=timeout,
-        )
-    except subprocess.TimeoutExpired:
-        return False, f"hangs (gave up after {timeout:g} s)"
-    if done.returncode < 0:
-        return False, f"crashes with signal {-done.returncode}"
-    text = done.stdout if done.returncode == 0 else done.stderr
-    lines = [text_line.strip() for text_line in text.splitlines() if text_line.strip()]
-    return done.returncode == 0, lines[-1] if lines else f"exit status {done.returncode}"
-
-
-def check_import(name: str, module: str, otherwise: str = FAIL) -> Check:
-    """Load a native library.
-
-    Args:
-        name: its distribution.
-        module: what is imported.
-        otherwise: status if it does not load.
-    """
-    good, words = _child(f"import {module}; print('loads')")
+def check_import(module: str, otherwise: str = FAIL) -> Check:
+    """Load a native library; `otherwise` is the status if it does not load."""
+    good, words = attempt(f"import {module}; print('loads')", _PATIENCE)
     if good:
         return Check(f"import {module}", OK, words)
     hint = ""
     if module == "mujoco" and "MUJOCO_GL" in os.environ:
-        hint = f" (MUJOCO_GL is {os.environ['MUJOCO_GL']!r}; MuJoCo reads it when it loads)"
+        hint = f" ({state()}; MuJoCo reads it when it loads)"
     return Check(f"import {module}", otherwise, words + hint)
 
 
@@ -206,16 +177,14 @@ print(f"{{took:.2f}} us per physics step, batch of 64")
 
 def check_stepping() -> list[Check]:
     """Step a batch of simulations on each engine, and time it."""
-    good, words = _child(_STEP.format(backend="mujoco"))
-    fast, answer = _child(_STEP.format(backend="kernel"))
+    good, words = attempt(_STEP.format(backend="mujoco"), _PATIENCE)
+    fast, answer = attempt(_STEP.format(backend="kernel"), _PATIENCE)
     kernel = Check("kernel", OK if fast else NOTE, answer if fast else f"MuJoCo runs: {answer}")
     return [Check("batch stepping", OK if good else FAIL, words), kernel]
 
 
 def check_opengl() -> Check:
     """Which OpenGL backends draw; pictures need one, nothing else does."""
-    from ves_gym.rendering.opengl import RenderError, candidates, install_hint, probe
-
     try:
         automatic = candidates()
     except RenderError as error:
@@ -224,10 +193,8 @@ def check_opengl() -> Check:
     every = dict.fromkeys([*automatic, *(("egl", "osmesa", "glfw") if linux else ())])
     probes = [probe(backend) for backend in every]
     detail = "; ".join(f"{p.backend}: {p.reason}" for p in probes)
-    setting = os.environ.get("MUJOCO_GL")
-    state = "MUJOCO_GL is not set" if setting is None else f"MUJOCO_GL is {setting!r}"
     if any(p.works for p in probes if p.backend in automatic):
-        return Check("OpenGL", OK, f"{state}; {detail}")
+        return Check("OpenGL", OK, f"{state()}; {detail}")
     return Check("OpenGL", NOTE, f"no pictures from `view`: {detail}; {install_hint()}")
 
 
@@ -247,10 +214,8 @@ def check_processor() -> Check:
         return Check("processor", OK, f"{kind}, {cores} cores; vector instructions unknown")
     match = re.search(r"^(?:flags|Features)\s*:\s*(.*)$", text, re.MULTILINE)
     flags = set(match[1].split()) if match else set()
-    features = [
-        k for k in ("sse4_2", "avx", "avx2", "fma", "avx512f", "asimd", "sve") if k in flags
-    ]
-    detail = f"{kind}, {cores} cores; {' '.join(features) or 'no known vector instructions'}"
+    features = " ".join(k for k in _VECTORS if k in flags) or "no known vector instructions"
+    detail = f"{kind}, {cores} cores; {features}"
     if kind == "x86_64" and flags and "avx" not in flags:
         return Check("processor", NOTE, f"{detail}; MuJoCo's wheels need AVX")
     return Check("processor", OK, detail)

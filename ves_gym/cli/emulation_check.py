@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 
 import ves_gym.api as vg
-from ves_gym._util.optional import lacking
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.cli.files import FORMAT, NO_FIGURES
+from ves_gym.cli.files import PICTURES
 from ves_gym.cli.flags import Answer, Flag, joints
 from ves_gym.cli.machine import MACHINE
 from ves_gym.cli.simulate import GAINS
-from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.planners.case import Case
 
@@ -23,8 +21,7 @@ FLAGS = (
     Flag("--at", "A,B,C", joints, "joint angles [deg] (default 0,0,0)"),
     GAINS,
     Flag("--no-search", help="do not look for the largest bandwidth"),
-    NO_FIGURES,
-    FORMAT,
+    *PICTURES,
     *MACHINE,
 )
 
@@ -35,8 +32,6 @@ def run(
     at: Array | None = None,
     gains: JointServo | None = None,
     no_search: bool = False,
-    no_figures: bool = False,
-    format: str = "png",
     out: Path | None = None,
     progress: Any = None,
 ) -> Answer:
@@ -48,23 +43,12 @@ def run(
     servo = case.servo if gains is None else gains
     progress(0.0, "linearising the loop")
     check = vg.check_emulation(system, q, servo=servo, search=not no_search)
-    files: list[Path] = []
-    said = [str(check)]
-    if not no_figures and (sentence := lacking("drawing", "matplotlib")):
-        said.append(f"no pictures: {sentence}")
-    elif not no_figures:
-        from ves_gym.report.legs import write_leg_figures
-        from ves_gym.report.loop import write_loop_figures
+
+    def figures() -> dict[Path, Any]:
+        from ves_gym.report.machine_figures import emulation_figures
 
         folder = out or Path("out/emulation-check")
-        folder.mkdir(parents=True, exist_ok=True)
-        files = write_loop_figures(folder, system, q, servo, format)
-        platform = system.emulator_settings.platform
-        if isinstance(platform, LegServo):
-            servos = dict(LEG_SERVOS)
-            if platform not in servos.values():
-                servos["this one"] = platform
-            files += write_leg_figures(folder, servos, format)
-    return Answer(
-        text="\n".join(said), plain=check.to_dict(), files=files, negative=not check.stable
-    )
+        drawn = emulation_figures(system, q, servo)
+        return {folder / name: figure for name, figure in drawn.items()}
+
+    return Answer(text=check, plain=check.to_dict(), figures=figures, negative=not check.stable)

@@ -9,27 +9,22 @@ from typing import Any
 import ves_gym.api as vg
 from ves_gym.baselines.env_settings import with_deviations
 from ves_gym.baselines.registry import CONTROLLERS
-from ves_gym.cli.flags import Answer, Flag, Place, names, text, whole
+from ves_gym.cli.flags import Answer, Flag, integer, names, read, text
 from ves_gym.cli.machine import EFFECT, arm_flag
 from ves_gym.system.effect import Effect
-
-
-def _policy(value: str, place: Place) -> str | Path:
-    return value if value == "released" else Path(value)
-
 
 ARM = replace(arm_flag("that of the environment"), read=text)  # settings have it by name
 FLAGS = (
     Flag("ID", help="an environment, such as ves/PumaDamp-v0"),
     Flag("--controller", "A,B", names,
          f"of {', '.join(CONTROLLERS)}; default zero,random and the released policies"),
-    Flag("--policy", "FILE", _policy,
+    Flag("--policy", "FILE", read(lambda value: value if value == "released" else Path(value)),
          "a policy's .json, a folder that `ves-gym train` made (its seeds as one), the name of"
          " a released policy (`ves-gym list policies`), or `released` for all of them;"
          " repeatable",
          many=True),
-    Flag("--episodes", "N", whole(), "default 100"),
-    Flag("--n-envs", "N", whole(1), "at once; changes no result"),
+    Flag("--episodes", "N", integer(), "default 100"),
+    Flag("--n-envs", "N", integer(1), "at once; changes no result"),
     Flag("--nominal", help="without randomisation"),
     ARM,
     EFFECT,

@@ -35,9 +35,36 @@ class Place(NamedTuple):
 Read: TypeAlias = Callable[[str, Place], Any]
 
 
-def text(value: str, place: Place) -> str:
-    """Take a value as it is."""
-    return value
+def read(convert: Callable[[str], Any], expected: str = "") -> Read:
+    """Read by a function of the text alone.
+
+    Args:
+        convert: raises a ValueError where the text is none of these.
+        expected: what it must be then, for the sentence; none: the function's own stands.
+    """
+
+    def reader(value: str, place: Place) -> Any:
+        try:
+            return convert(value)
+        except ValueError as error:
+            if not expected or isinstance(error, ParameterError):
+                raise
+        raise ParameterError(f"{place.name} must be {expected}, got {value!r}")
+
+    return reader
+
+
+def floats(value: str) -> list[float]:
+    """Numbers with commas between them."""
+    return [float(part) for part in value.split(",")]
+
+
+text = read(str)
+path = read(Path)
+names = read(lambda value: [part.strip() for part in value.split(",")])
+integers = read(
+    lambda value: tuple(int(part) for part in value.split(",")), "whole numbers like 0,1,2"
+)
 
 
 @dataclass(frozen=True)
@@ -45,7 +72,7 @@ class Flag:
     """One option: how it is written, how it is read, and the parameter that takes it."""
 
     name: str  # --goal; without dashes a word of the command line, such as LOG
-    form: str = ""  # of its value, in the help; "": a switch, true where it is given
+    form: str = ""  # of its value, in the help; "": a switch, true where it is set
     read: Read = text
     help: str = ""
     to: str = ""  # parameter of the command; default its own name
@@ -67,22 +94,22 @@ def grouped(group: str, *flags: Flag) -> tuple[Flag, ...]:
     return tuple(replace(flag, group=group) for flag in flags)
 
 
-def values(flags: Sequence[Flag], given: Mapping[str, Any], arm: Arm | None) -> dict[str, Any]:
-    """Return what was given, by parameter and in SI units; what was not is left out.
+def values(flags: Sequence[Flag], texts: Mapping[str, Any], arm: Arm | None) -> dict[str, Any]:
+    """Return what was written, by parameter and in SI units; what was not is left out.
 
     Args:
         flags: of the command.
-        given: texts by parameter, None or False where there is none.
+        texts: by parameter, None or False where there is none.
         arm: whose joints the options are about.
     """
     out: dict[str, Any] = {}
-    angles = next((unit for unit in ("degrees", "radians") if given.get(unit)), None)
+    angles = "degrees" if texts.get("degrees") else "radians" if texts.get("radians") else None
     for flag in flags:
-        value = given.get(flag.parameter)
+        value = texts.get(flag.parameter)
         if value is None or value is False or value == []:
             continue
         place = Place(flag.name, arm, angles)
-        if not flag.form and flag.name.startswith("-"):
+        if value is True:
             out[flag.parameter] = True
         elif flag.many or flag.row:
             out[flag.parameter] = tuple(flag.read(part, place) for part in value)
@@ -95,146 +122,107 @@ def values(flags: Sequence[Flag], given: Mapping[str, Any], arm: Arm | None) -> 
 
 
 def number(unit: str = "", *, above: float | None = None, least: float | None = None) -> Read:
-    """Read one number.
+    """Read one number, in a unit, more than `above` or not less than `least`."""
+    if above is not None:
+        limit = f"> {above:g}"
+    else:
+        limit = "a number" if least is None else f">= {least:g}"
 
-    Args:
-        unit: it is given in.
-        above, least: what it must be more than, or not less than.
-    """
-    said = "" if above is least is None else f" {'>' if least is None else '>='}"
-    said += "" if above is least is None else f" {above if least is None else least:g}"
-
-    def read(value: str, place: Place) -> float:
+    def reader(value: str, place: Place) -> float:
         try:
             out = float(value)
         except ValueError:
             out = math.nan
         inside = (above is None or out > above) and (least is None or out >= least)
         if not (math.isfinite(out) and inside):
-            what = f"{said} {unit}".rstrip() if said else f" a number {unit}".rstrip()
-            raise ParameterError(f"{place.name} must be{what}, got {value}")
+            needed = f"{limit} {unit}".rstrip()
+            raise ParameterError(f"{place.name} must be {needed}, got {value}")
         return out * UNITS.get(unit, 1.0)
 
-    return read
+    return reader
 
 
-def whole(least: int = 0, most: int | None = None) -> Read:
-    """Read a whole number in a range.
+def integer(least: int = 0, most: int | None = None) -> Read:
+    """Read a whole number in a range."""
 
-    Args:
-        least, most: its ends.
-    """
-
-    def read(value: str, place: Place) -> int:
-        try:
-            out = int(value)
-        except ValueError:
-            raise ParameterError(
-                f"{place.name} must be a whole number >= {least}, got {value!r}"
-            ) from None
+    def reader(value: str, place: Place) -> int:
+        out: int = read(int, f"a whole number >= {least}")(value, place)
         if out < least or (most is not None and out > most):
             within = f">= {least}" if most is None else f"from {least} to {most}"
             raise ParameterError(f"{place.name} must be {within}, got {value}")
         return out
 
-    return read
+    return reader
 
 
-def wholes(value: str, place: Place) -> tuple[int, ...]:
-    """Read whole numbers with commas between them."""
-    try:
-        return tuple(int(part) for part in value.split(","))
-    except ValueError:
-        raise ParameterError(
-            f"{place.name} must be whole numbers like 0,1,2, got {value!r}"
-        ) from None
+def word_or(word: str, reader: Read, expected: str, meaning: Any = None) -> Read:
+    """Read a word that stands for something, or what another reader takes.
+
+    Args:
+        word: such as `auto`.
+        reader: of anything else.
+        expected: by both, for the sentence.
+        meaning: of the word.
+    """
+
+    def either(value: str, place: Place) -> Any:
+        if value == word:
+            return meaning
+        try:
+            return reader(value, place)
+        except ParameterError:
+            raise ParameterError(f"{place.name} must be {expected}, got {value!r}") from None
+
+    return either
 
 
-def names(value: str, place: Place) -> list[str]:
-    """Read names with commas between them."""
-    return [part.strip() for part in value.split(",")]
-
-
-def one_of(*known: str) -> Read:
+def one_of(*choices: str) -> Read:
     """Read one of some names."""
 
-    def read(value: str, place: Place) -> str:
-        if value not in known:
+    def reader(value: str, place: Place) -> str:
+        if value not in choices:
             raise ParameterError(
-                f"{place.name} must be one of {', '.join(known)}, got {value!r}"
-                f"{did_you_mean(value, known)}"
+                f"{place.name} must be one of {', '.join(choices)}, got {value!r}"
+                f"{did_you_mean(value, choices)}"
             )
         return value
 
-    return read
+    return reader
 
 
-def path(value: str, place: Place) -> Path:
-    """Read the name of a file or folder."""
-    return Path(value)
-
-
-def pose(value: str, place: Place) -> Array:
-    """Read a pose of the base: x,y,z [m] and angles [deg]."""
-    try:
-        out = np.array([float(part) for part in value.split(",")])
-    except ValueError:
-        out = np.full(6, np.nan)
+def _pose(value: str) -> Array:
+    out = np.array(floats(value))
     if out.shape != (6,) or not np.isfinite(out).all():
-        raise ParameterError(
-            f"{place.name} must be six numbers x,y,z [m] and angles [deg], got {value!r}"
-        )
+        raise ValueError
     return np.r_[out[:3], out[3:] * UNITS["deg"]]
 
 
-def listed(value: str, n: int, place: Place, what: str, like: str) -> Array:
-    """Return n numbers with commas between them.
-
-    Args:
-        value: what was given.
-        n: how many it must be.
-        place: of the option.
-        what: they are, in the plural, for the error.
-        like: an example.
-    """
-    try:
-        out = np.array([float(part) for part in value.split(",")])
-    except ValueError:
-        raise ParameterError(
-            f"{place.name} must be {n} {what}, like {like}, got {value!r}"
-        ) from None
-    if len(out) != n:
-        raise ParameterError(f"{place.name} must be {n} {what}, got {len(out)}: {value!r}")
-    return out
+pose = read(_pose, "six numbers x,y,z [m] and angles [deg]")
 
 
-def per_joint(unit: str, *, none: bool = False) -> Read:
-    """Read a number per joint, such as speeds.
+def per_joint(unit: str, what: str = "numbers") -> Read:
+    """Read a number per joint, such as speeds, in a unit."""
 
-    Args:
-        unit: they are given in.
-        none: `none` is an answer, too, and taken as it is.
-    """
-
-    def read(value: str, place: Place) -> Any:
-        if none and value == "none":
-            return value
+    def reader(value: str, place: Place) -> Array:
         assert place.arm is not None
-        what = "angles in degrees"
-        return listed(value, place.arm.n, place, what, "0,-45,90") * UNITS[unit]
+        needed = f"{place.arm.n} {what} in {unit}"
+        out = np.array(read(floats, f"{needed}, like 0,-45,90")(value, place))
+        if len(out) != place.arm.n:
+            raise ParameterError(f"{place.name} must be {needed}, got {len(out)}: {value!r}")
+        return out * UNITS.get(unit, 1.0)
 
-    return read
+    return reader
 
 
 def joints(value: str, place: Place) -> Array:
     """Read joint angles within the arm's limits; of joints that slide [m]."""
     arm = place.arm
     assert arm is not None
-    said = place.angles or "degrees"
-    given = listed(value, arm.n, place, f"angles in {said}", "0,-45,90")
-    angles = given if said == "radians" else given * UNITS["deg"]
+    unit = place.angles or "degrees"
+    typed = per_joint(unit, "angles")(value, place)
+    angles = typed if unit == "radians" else typed * UNITS["deg"]
     slides = list(arm.sliding)
-    angles[slides] = given[slides]
+    angles[slides] = typed[slides]
     out = arm.require_within_limits(angles, place.name)
     if place.angles is None and (note := radians_note(value, place.name)):
         say(note, "note")
@@ -252,7 +240,7 @@ def radians_note(value: str, name: str) -> str | None:
         name: of the option.
     """
     parts = value.split(",")
-    if max(abs(float(part)) for part in parts) > 2 * math.pi or not any(map(_is_round, parts)):
+    if max(map(abs, floats(value))) > 2 * math.pi or not any(map(_is_round, parts)):
         return None
     meant = ",".join(f"{_nearest(part):g}" for part in parts)
     return (
@@ -285,7 +273,9 @@ class Answer:
     text: object = ""  # printed by `str`
     plain: Mapping[str, Any] | None = None  # None: there is no result
     files: Sequence[Path | str] = ()
-    next: Sequence[Sequence[str | Path]] = ()  # words of commands
+    # names of files without their suffix -> matplotlib's figures, drawn where they are wanted
+    figures: Callable[[], Mapping[Path, Any]] | None = None
+    then: Sequence[Sequence[str | Path]] = ()  # commands that go on from here
     negative: bool = False
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ves_gym._util.one_line import on_one_line
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.cli.flags import Answer, Flag, Place, path, say, text, whole, wholes
+from ves_gym.cli.flags import Answer, Flag, integer, integers, path, read, say, text
 
 
 def make(
@@ -22,7 +22,6 @@ def make(
     *,
     name: str | None = None,
     author: str = "anonymous",
-    seeds: tuple[int, ...] = (0,),
     training: Sequence[tuple[str, str]] = (),
     out: Path | None = None,
     progress: Any = None,
@@ -32,20 +31,19 @@ def make(
     from ves_gym.leaderboard.problems import get_problem
     from ves_gym.leaderboard.run import make_entry
 
-    get_problem(track, problem)  # before anything of one's own is loaded
-    own = _own(method)
-    label = name or (own.name if own is not None else Path(method[0]).stem)
+    get_problem(track, problem)  # before a method of the user's is loaded
+    chosen = _loaded(method)
+    label = name or (Path(method[0]).stem if isinstance(chosen, (str, list)) else chosen.name)
     stem = "_".join((track, problem.removeprefix("ves/"), author, label))
     folder = (out or Path("out/leaderboard")) / stem
-    given = own if own is not None else list(method) if len(method) > 1 else method[0]
     entry = make_entry(
-        folder, track, problem, given, name=name, author=author, seeds=seeds,
+        folder, track, problem, chosen, name=name, author=author,
         training=dict(training) or None, progress=progress, **how,
     )  # fmt: skip
     return Answer(
         text=f"{entry.name} on {entry.problem}: {_summary(entry.results['score'])}",
         plain={"schema": "ves-leaderboard-run/1", "folder": str(folder)},
-        next=[["leaderboard", "verify", folder]],
+        then=[["leaderboard", "verify", folder]],
     )
 
 
@@ -55,14 +53,15 @@ def check(entry: str, *, board: Path | None = None, progress: Any = None, **how:
     from ves_gym.leaderboard.verify import add, verify
 
     try:
-        found = verify(entry, progress=progress, **how)
+        checked = verify(entry, progress=progress, **how)
     except Refused as refused:
         say(on_one_line(str(refused)), "rejected")
         return Answer(negative=True)
-    said = f"{found.level}: {found.name} on {found.problem}: {_summary(found.results['score'])}"
+    text = f"{checked.level}: {checked.name} on {checked.problem}:"
+    text += f" {_summary(checked.results['score'])}"
     if board is not None:
-        said += f"\nadded: {add(board, found)}"
-    return Answer(text=said, plain=found.to_dict())
+        text += f"\nadded: {add(board, checked)}"
+    return Answer(text=text, plain=checked.to_dict())
 
 
 def render(entries: Path, *, out: Path | None = None) -> Answer:
@@ -70,29 +69,29 @@ def render(entries: Path, *, out: Path | None = None) -> Answer:
     from ves_gym.leaderboard.board import make_board, read_board
     from ves_gym.leaderboard.page import write_page
 
-    found = read_board(entries)
-    board = make_board(found)
+    listed = read_board(entries)
+    board = make_board(listed)
     file = (out or Path("out/leaderboard")) / "index.html"
     write_page(board, file)
-    return Answer(text=f"{len(found)} entries", plain=board, files=[file])
+    return Answer(text=f"{len(listed)} entries", plain=board, files=[file])
 
 
-def _training(value: str, place: Place) -> tuple[str, str]:
-    key, equals, rest = value.partition("=")
+def _training(value: str) -> tuple[str, str]:
+    key, equals, figure = value.partition("=")
     if not (key and equals):
-        raise ParameterError(f"{place.name} must be KEY=VALUE, got {value!r}")
-    return key, rest
+        raise ValueError
+    return key, figure
 
 
-def _salt(value: str, place: Place) -> str:
+def _salt(file: str) -> str:
     from ves_gym.leaderboard.seeds import read_salt
 
-    return read_salt(value)
+    return read_salt(file)
 
 
 SHARED = (
-    Flag("--salt", "FILE", _salt, "the maintainer's, of official seeds"),
-    Flag("--workers", "N", whole(1), "processes that plan (1)"),
+    Flag("--salt", "FILE", read(_salt), "the maintainer's, of official seeds"),
+    Flag("--workers", "N", integer(1), "processes that plan (1)"),
 )
 ACTIONS = {
     "run": (
@@ -105,11 +104,11 @@ ACTIONS = {
                  help="a built-in planner, controller or tuner; policies: .json files, a folder"
                  " of ves-gym train, or the name of a released one; or one's own, as"
                  " module:Name"),
-            Flag("--seeds", "A,B", wholes, "of the method: 0,1,... (0)"),
+            Flag("--seeds", "A,B", integers, "of the method: 0,1,... (0)"),
             Flag("--name", "N", text, "on the board; default the method's"),
             Flag("--author", "A", text, "on the board"),
-            Flag("--training", "KEY=VALUE", _training,
-                 "what the method took to make, told on the board; repeatable", many=True),
+            Flag("--training", "KEY=VALUE", read(_training, "KEY=VALUE"),
+                 "what the method took to make, for the board; repeatable", many=True),
             *SHARED,
         ),
         make,
@@ -133,16 +132,16 @@ ACTIONS = {
 }  # fmt: skip
 
 
-def _own(words: Sequence[str]) -> Any:
-    """The object that module:Name stands for, made if it is a class; None of other words."""
+def _loaded(words: Sequence[str]) -> Any:
+    """The object that module:Name stands for, made if it is a class; else the words."""
     module, colon, name = words[0].partition(":")
     if len(words) > 1 or not (colon and name.isidentifier()):
-        return None
+        return list(words) if len(words) > 1 else words[0]
     try:
-        made = getattr(importlib.import_module(module), name)
+        loaded = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError) as error:
         raise ParameterError(f"{words[0]}: cannot be loaded: {error}") from None
-    return made() if isinstance(made, type) else made
+    return loaded() if isinstance(loaded, type) else loaded
 
 
 def _summary(scores: Array) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ves_gym._util.params import ParameterError
 from ves_gym._util.tables import table
-from ves_gym.cli.flags import Answer, Flag, Place, one_of
+from ves_gym.cli.flags import Answer, Flag, one_of
 from ves_gym.cli.machine import MACHINE
 from ves_gym.planners.case import Case
 
@@ -23,15 +23,15 @@ Rows = list[dict[str, Any]]
 
 def run(case: Case, *, machine: dict[str, Any], what: str | None = None) -> Answer:
     """Return one table per kind."""
-    wanted = [*KINDS, BLOCKS] if what is None else [what]
-    tables = {name: KINDS[name]() for name in wanted if name in KINDS}
-    if BLOCKS in wanted:
+    kinds = [*KINDS, BLOCKS] if what is None else [what]
+    tables = {name: KINDS[name]() for name in kinds if name in KINDS}
+    if BLOCKS in kinds:
         tables |= _blocks(case)
     elif machine:
         option = next(iter(machine)).replace("_", "-")
         raise ParameterError(f"--{option} is for `list {BLOCKS}`, got `list {what}`")
-    said = "\n".join(_table(name, rows) for name, rows in tables.items())
-    return Answer(text=said, plain={"schema": SCHEMA, **tables})
+    text = "\n".join(_table(name, rows) for name, rows in tables.items())
+    return Answer(text=text, plain={"schema": SCHEMA, **tables})
 
 
 def _blocks(case: Case) -> dict[str, Rows]:
@@ -51,14 +51,17 @@ def _arms() -> Rows:
     from ves_gym.mechanics.arm_library import arm_names, get_arm
     from ves_gym.mechanics.servo import own_gains
 
-    out = []
-    for name in arm_names():
-        arm = get_arm(name)
-        reach = float(sum(np.hypot(link.a, link.d) for link in arm.links))
-        row = {"name": name, "joints": arm.n, "mass": f"{arm.mass:.4g} kg"}
-        row |= {"length": f"{reach:.3g} m", "servo": own_gains(arm).source}
-        out.append({**row, "source": arm.source})
-    return out
+    return [
+        {
+            "name": name,
+            "joints": arm.n,
+            "mass": f"{arm.mass:.4g} kg",
+            "length": f"{sum(np.hypot(link.a, link.d) for link in arm.links):.3g} m",
+            "servo": own_gains(arm).source,
+            "source": arm.source,
+        }
+        for name, arm in ((name, get_arm(name)) for name in arm_names())
+    ]
 
 
 def _vehicles() -> Rows:
@@ -66,20 +69,20 @@ def _vehicles() -> Rows:
     from ves_gym.planners.coupling import modes
     from ves_gym.system.system import System
 
-    out = []
+    rows = []
     for name, vehicle in VEHICLES.items():
         system = System(vehicle=vehicle)
-        rates = modes(system, np.zeros(system.arm.n)).omega / (2 * np.pi)
-        frequencies = [] if not system.base.K.any() else [float(f"{f:.4g}") for f in rates]
-        out.append(
+        hertz = modes(system, np.zeros(system.arm.n)).omega / (2 * np.pi)
+        stiff = bool(system.base.K.any())
+        rows.append(
             {
                 "name": name,
                 "kind": type(vehicle).kind,
-                "frequencies_hz": frequencies,
+                "frequencies_hz": [float(f"{f:.4g}") for f in hertz] if stiff else [],
                 "source": vehicle.source,
             }
         )
-    return out
+    return rows
 
 
 def _planners() -> Rows:
@@ -92,37 +95,35 @@ def _suites() -> Rows:
     from ves_gym.planners.suites import SUITES, get_suite
     from ves_gym.system.system import System
 
-    out = []
-    for name in SUITES:
-        suite = get_suite(name, system=System())
-        out.append(
-            {
-                "name": name,
-                "queries": len(suite.queries),
-                "durations_s": sorted({q.duration for _, q in suite.queries}),
-                "vehicles": sorted({v for v, _ in suite.queries}),
-                "planners": list(suite.planners),
-            }
-        )
-    return out
+    return [
+        {
+            "name": name,
+            "queries": len(suite.queries),
+            "durations_s": sorted({q.duration for _, q in suite.queries}),
+            "vehicles": sorted({v for v, _ in suite.queries}),
+            "planners": list(suite.planners),
+        }
+        for name, suite in ((name, get_suite(name, system=System())) for name in SUITES)
+    ]
 
 
 def _effects() -> Rows:
     from ves_gym.effects import EFFECTS
 
-    out = []
-    for kind in sorted(EFFECTS):
-        effect = EFFECTS[kind]
-        fields = dataclasses.fields(effect)  # type: ignore[arg-type]
-        parts = []
-        for f in fields:
-            low, high = f.metadata["bounds"]
-            size = " x ".join("any" if k is None else str(k) for k in f.metadata["shape"])
-            unit = "" if f.metadata["unit"] == "1" else f" {f.metadata['unit']}"
-            parts.append(f"{f.name}{f' ({size})' if size else ''} {low:g} to {high:g}{unit}")
-        summary = (effect.__doc__ or "").split("\n\n")[0]
-        out.append({"name": kind, "parameters": parts, "summary": " ".join(summary.split())})
-    return out
+    def parameter(field: Any) -> str:
+        (low, high), unit = field.metadata["bounds"], field.metadata["unit"]
+        size = " x ".join("any" if k is None else str(k) for k in field.metadata["shape"])
+        name = f"{field.name} ({size})" if size else field.name
+        return f"{name} {low:g} to {high:g}{'' if unit == '1' else f' {unit}'}"
+
+    return [
+        {
+            "name": kind,
+            "parameters": [parameter(f) for f in dataclasses.fields(effect)],  # type: ignore[arg-type]
+            "summary": " ".join((effect.__doc__ or "").split("\n\n")[0].split()),
+        }
+        for kind, effect in sorted(EFFECTS.items())
+    ]
 
 
 def _platforms() -> Rows:
@@ -145,7 +146,7 @@ def _environments() -> Rows:
     from ves_gym.envs.registration import ENTRY_POINT
     from ves_gym.envs.spaces import goal_space, observation_space
 
-    out = []
+    rows = []
     for id, spec in gym.registry.items():
         if spec.entry_point != ENTRY_POINT:  # another package's, or the user's own
             continue
@@ -155,7 +156,7 @@ def _environments() -> Rows:
         box = observation_space(task)
         parts = goal_space(task, box) if goal else {"": box}
         shapes = {name: list(part.shape or ()) for name, part in parts.items()}
-        out.append(
+        rows.append(
             {
                 "name": id,
                 "version": spec.version,
@@ -165,7 +166,7 @@ def _environments() -> Rows:
                 "max_episode_steps": spec.max_episode_steps,
             }
         )
-    return out
+    return rows
 
 
 def _backends() -> Rows:
@@ -178,20 +179,16 @@ def _policies() -> Rows:
     from ves_gym._util.params import read_table
     from ves_gym.baselines.policy import RELEASED
 
-    out = []
-    for path in sorted(RELEASED.glob("*/*.json")):
-        plain = read_table(path)
-        about = plain["about"]
-        out.append(
-            {
-                "environment": about["env"],
-                "name": path.stem,
-                "seed": about["seed"],
-                "steps": about["steps"],
-                "layers": plain["network"]["sizes"],
-            }
-        )
-    return out
+    return [
+        {
+            "environment": plain["about"]["env"],
+            "name": path.stem,
+            "seed": plain["about"]["seed"],
+            "steps": plain["about"]["steps"],
+            "layers": plain["network"]["sizes"],
+        }
+        for path, plain in ((k, read_table(k)) for k in sorted(RELEASED.glob("*/*.json")))
+    ]
 
 
 def _commands() -> Rows:
@@ -212,14 +209,8 @@ KINDS: dict[str, Callable[[], Rows]] = {
     "policies": _policies,
     "commands": _commands,
 }
-
-
-def _what(value: str, place: Place) -> str:
-    return str(one_of(*KINDS, BLOCKS)(value, place))
-
-
 FLAGS = (
-    Flag("WHAT", "", _what, optional=True,
+    Flag("WHAT", "", one_of(*KINDS, BLOCKS), optional=True,
          help=f"{', '.join([*KINDS, BLOCKS])} (the options below say of which emulated system);"
          " default all of them"),
     *MACHINE,
@@ -240,8 +231,7 @@ def _text(value: Any) -> str:
     if isinstance(value, list):
         return ", ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in value) or "-"
     if isinstance(value, dict):
-        parts = [f"{k} ({_text(v)})" if v else k for k, v in value.items()]
-        return ", ".join(parts) or "-"
+        return ", ".join(f"{k} ({_text(v)})" if v else k for k, v in value.items()) or "-"
     if isinstance(value, bool):
         return "yes" if value else "no"
     return str(value) or "-"

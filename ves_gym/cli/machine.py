@@ -10,7 +10,7 @@ from typing import Any
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.cli.effect_text import parse_effect
-from ves_gym.cli.flags import Flag, Place, Read, grouped, number, say
+from ves_gym.cli.flags import Flag, grouped, number, read, say
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.arm_library import arm_names, get_arm
@@ -23,17 +23,8 @@ from ves_gym.system.system import DRIVES, INTEGRATORS, MODES, System
 from ves_gym.system.system_library import SYSTEMS, get_system
 
 
-def read(function: Any) -> Read:
-    """Read by a function of the text alone."""
-    return lambda value, place: function(value)
-
-
 def arm_flag(default: str) -> Flag:
-    """Option --arm, by name or file.
-
-    Args:
-        default: in words.
-    """
+    """Option --arm, by name or file; its default in words."""
     help = f"{', '.join(arm_names())}, or a URDF, MJCF or TOML file; FILE#LINK names the tool"
     return Flag("--arm", "A", read(get_arm), f"{help} (default {default})")
 
@@ -49,7 +40,7 @@ EFFECT = Flag(
 )
 
 
-def _platform(text: str, place: Place) -> PoseServo | LegServo:
+def _platform(text: str) -> PoseServo | LegServo:
     if text in LEG_SERVOS:
         return LEG_SERVOS[text]
     try:
@@ -61,10 +52,6 @@ def _platform(text: str, place: Place) -> PoseServo | LegServo:
         ) from None
 
 
-ANGLES = (
-    Flag("--degrees", help="joint angles are meant in degrees, however small (ask nothing)"),
-    Flag("--radians", help="joint angles are given in radians"),
-)
 MACHINE = (
     *grouped(
         "system",
@@ -81,12 +68,13 @@ MACHINE = (
         Flag("--physics-dt", "S", number("s"), "physics step [s]"),
         Flag("--control-dt", "S", number("s"), "control period [s]"),
         EFFECT,
-        *ANGLES,
+        Flag("--degrees", help="joint angles are in degrees, however small (ask nothing)"),
+        Flag("--radians", help="joint angles are given in radians"),
     ),
     *grouped(
         "laboratory (mode emulated)",
         Flag("--operation", "O", help=", ".join(OPERATIONS)),
-        Flag("--platform", "P", _platform,
+        Flag("--platform", "P", read(_platform),
              f"bandwidth of a pose-space servo [Hz], or legs: {', '.join(LEG_SERVOS)}"),
         Flag("--no-compensation", help="the thesis's plain admittance loop"),
         Flag("--zero", help="zero the sensor from the estimate at the start"),
@@ -98,25 +86,25 @@ _FIELDS = ("arm", "vehicle", "mode", "drive", "integrator", "physics_dt", "contr
 _LABORATORY = ("operation", "platform", "no_compensation", "zero", "calibration")
 
 
-def case_from(given: Mapping[str, Any], mode: str = "ideal", seed: int | None = None) -> Case:
+def case_from(options: Mapping[str, Any], mode: str, seed: int | None) -> Case:
     """Return the case that the options describe: a file's or the default, single changes of it.
 
-    A case whose motion is then played on another machine is told so.
+    A note says where a case's motion is then played on another machine.
 
     Args:
-        given: what the options of `MACHINE` have been given, by parameter.
+        options: of `MACHINE`, those that are set, by parameter.
         mode: where nothing says it.
         seed: None for the case's.
     """
-    case = given.get("case", Case())
-    if "case" in given and "system" in given:
+    case = options.get("case", Case())
+    if "case" in options and "system" in options:
         raise ParameterError("--case and --system both say what the machine is: leave one")
-    system = _changed(given.get("system", case.system), given, mode)
+    system = _changed(options.get("system", case.system), options, mode)
     if case.query is not None or case.motion is not None:
         if system == case.system:
             return case if seed is None else replace(case, seed=seed)
         say(f"the case is of {case.system!r}, this machine is {system!r}", "note")
-    servo = case.servo if "case" in given and system.arm == case.system.arm else OWN_GAINS
+    servo = case.servo if "case" in options and system.arm == case.system.arm else OWN_GAINS
     query = case.query
     if query is not None:
         query = replace(query, system=system, servo=servo)
@@ -124,35 +112,38 @@ def case_from(given: Mapping[str, Any], mode: str = "ideal", seed: int | None = 
     return replace(case, system=system, query=query, servo=servo, seed=seed)
 
 
-def _changed(system: System, given: Mapping[str, Any], mode: str) -> System:
+def _changed(system: System, options: Mapping[str, Any], mode: str) -> System:
     """The system with single changes."""
-    changes = {key: given[key] for key in _FIELDS if key in given}
-    if "case" not in given and "system" not in given:
+    changes = {key: options[key] for key in _FIELDS if key in options}
+    if "case" not in options and "system" not in options:
         changes.setdefault("mode", mode)  # a file says its own
     if changes.get("mode") == "ideal" and system.mode != "ideal":
         system = system.ideal()
-    system = system.replace(**changes) if changes else system
-    effects = system.effects + given.get("effect", ())
-    named = [key for key in _LABORATORY if key in given]
-    if named and system.mode != "emulated":
-        raise ParameterError(f"--{named[0].replace('_', '-')} needs --mode emulated")
+    effects = {}
+    if "effect" in options:
+        effects["effects"] = system.effects + options["effect"]
+    named = [key for key in _LABORATORY if key in options]
     if not named:
-        return system.replace(effects=effects) if "effect" in given else system
-    lab, clock = _laboratory(system.emulator_settings, given), {}
-    if "platform" in given and isinstance(lab.platform, LegServo):
-        steps = dict(zip(("control_dt", "physics_dt"), leg_clock(lab.platform), strict=True))
-        clock = {key: given.get(key, step) for key, step in steps.items()}
-    return system.replace(emulator=lab, effects=effects, **clock)
+        return system.replace(**changes, **effects) if changes or effects else system
+    system = system.replace(**changes) if changes else system
+    if system.mode != "emulated":
+        raise ParameterError(f"--{named[0].replace('_', '-')} needs --mode emulated")
+    lab = _laboratory(system.emulator_settings, options)
+    changes = {"emulator": lab, **effects}
+    if "platform" in options and isinstance(lab.platform, LegServo):
+        steps = zip(("control_dt", "physics_dt"), leg_clock(lab.platform), strict=True)
+        changes |= {key: options.get(key, step) for key, step in steps}
+    return system.replace(**changes)
 
 
-def _laboratory(lab: EmulatorSettings, given: Mapping[str, Any]) -> EmulatorSettings:
+def _laboratory(lab: EmulatorSettings, options: Mapping[str, Any]) -> EmulatorSettings:
     """The emulator with the laboratory's own options applied."""
-    changes: dict[str, Any] = {k: given[k] for k in ("operation", "platform") if k in given}
-    if "no_compensation" in given:
+    changes: dict[str, Any] = {k: options[k] for k in ("operation", "platform") if k in options}
+    if "no_compensation" in options:
         changes["payload_compensation"] = False
-    if "zero" in given:
+    if "zero" in options:
         changes["zero_at_start"] = True
-    if calibration := given.get("calibration"):
+    if calibration := options.get("calibration"):
         changes["gravity"] = calibration.model
         changes["sensor"] = lab.sensor.calibrated(calibration.C, calibration.offset)
     return dataclasses.replace(lab, **changes)

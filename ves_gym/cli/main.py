@@ -12,15 +12,16 @@ import shlex
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
 from typing import Any, NoReturn
 
 from ves_gym._util.one_line import on_one_line
-from ves_gym._util.optional import explain
+from ves_gym._util.optional import explain, lacking
 from ves_gym._util.params import write_text
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.version import __version__
-from ves_gym.cli.flags import Answer, Flag, path, say, values, whole
-from ves_gym.cli.progress import Bars
+from ves_gym.cli.flags import Answer, Flag, integer, path, say, values
 
 COMMANDS = {  # name -> what it does; the module of the same name is loaded when asked for
     "benchmark": "planners x queries x durations: table, figures, HTML report",
@@ -51,7 +52,7 @@ DONE, NEGATIVE, BAD_INPUT = 0, 1, 2
 EVERY = (  # options of every command
     Flag("--json", "FILE", help="write the result as JSON; -: print it in place of the text"),
     Flag("--out", "DIR", path, "folder for files this command makes"),
-    Flag("--seed", "N", whole(), "default 0"),
+    Flag("--seed", "N", integer(), "default 0"),
 )
 
 
@@ -142,28 +143,43 @@ def _add(
 
 
 def _carry_out(args: argparse.Namespace) -> int:
-    """Give a command what it takes, tell what it answers."""
-    given, wanted = vars(args), inspect.signature(args.run).parameters
-    every = values(EVERY, given, None)
-    with Bars(args.command) as progress:
-        arm, more = None, {**every, "progress": progress}
-        if "case" in wanted:
+    """Pass a command what it takes, and print its answer."""
+    texts, accepted = vars(args), inspect.signature(args.run).parameters
+    every = values(EVERY, texts, None)
+    arm, flags = None, args.flags
+    with ExitStack() as bars:
+        context: dict[str, Any] = {**every, "progress": Bars(args.command, bars)}
+        if "case" in accepted:
             from ves_gym.cli.machine import MACHINE, case_from
 
-            machine = values([flag for flag in args.flags if flag in MACHINE], given, None)
+            machine = values([flag for flag in flags if flag in MACHINE], texts, None)
+            flags = [flag for flag in flags if flag not in MACHINE]
             mode = getattr(sys.modules[args.run.__module__], "MODE", "ideal")
-            more["case"] = case_from(machine, mode, every.get("seed"))
-            more["machine"], arm = machine, more["case"].system.arm
-            flags = [flag for flag in args.flags if flag not in MACHINE]
-        else:
-            flags = args.flags
-        taken = values(flags, given, arm)
-        taken |= {key: more[key] for key in more.keys() & wanted.keys()}
-        answer: Answer = args.run(**taken)
-    return _tell(answer, every.get("json"))
+            case = case_from(machine, mode, every.get("seed"))
+            context, arm = {**context, "case": case, "machine": machine}, case.system.arm
+        taken = values(flags, texts, arm)
+        form = taken.pop("format", "png")
+        skipped = taken.get("no_figures", False)
+        if "no_figures" not in accepted:
+            taken.pop("no_figures", None)
+        taken |= {key: value for key, value in context.items() if key in accepted}
+        answer = args.run(**taken)
+        if answer.figures is not None and not skipped:
+            answer = _draw(answer, form)
+    return _print(answer, every.get("json"))
 
 
-def _tell(answer: Answer, file: str | None) -> int:
+def _draw(answer: Answer, form: str) -> Answer:
+    """Write the pictures of an answer, or say what is missing for them."""
+    assert answer.figures is not None
+    if sentence := lacking("drawing", "matplotlib"):
+        return replace(answer, text=f"{answer.text}\nno pictures: {sentence}")
+    from ves_gym.report.figures import write_figures
+
+    return replace(answer, files=[*answer.files, *write_figures(answer.figures(), form)])
+
+
+def _print(answer: Answer, file: str | None) -> int:
     """Write an answer as JSON and print it; the exit status."""
     files = [str(path) for path in answer.files] + ([file] if file not in (None, "-") else [])
     if file is not None and answer.plain is not None:
@@ -174,13 +190,47 @@ def _tell(answer: Answer, file: str | None) -> int:
         else:
             write_text(file, text + "\n")
     if file != "-":
-        if said := str(answer.text):
-            print(said)
+        if text := str(answer.text):
+            print(text)
         if answer.files:
             print(f"written: {'  '.join(files)}")
-        for words in answer.next:
+        for words in answer.then:
             print(f"next: {shlex.join(['ves-gym', *map(str, words)])}")
     return NEGATIVE if answer.negative else DONE
+
+
+class Bars:
+    """What verbs take as `progress`: the last number it is called with is the fraction done.
+
+    What stands before the fraction names a bar of its own, what is after it stands beside it.
+    Bars are for a terminal; a pipe gets nothing.
+    """
+
+    def __init__(self, command: str, stack: ExitStack) -> None:
+        self.command, self.stack = command, stack  # which ends the bars
+        self.bars: Any = None  # none before the first call
+        self.tasks: dict[str, Any] = {}
+
+    def __call__(self, *words: Any) -> None:
+        if not sys.stderr.isatty():
+            return
+        at = max(k for k, word in enumerate(words) if isinstance(word, (int, float)))
+        name = " ".join(map(str, (self.command, *words[:at])))
+        note = " ".join(map(str, words[at + 1 :]))
+        if self.bars is None:
+            self.bars = self.stack.enter_context(_bars())
+        if name not in self.tasks:
+            self.tasks[name] = self.bars.add_task(name, total=1.0, note=note)
+        self.bars.update(self.tasks[name], completed=words[at], note=note)
+
+
+def _bars() -> Any:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TimeRemainingColumn
+
+    percent, note = "{task.percentage:3.0f} %", "{task.fields[note]}"
+    columns = ("{task.description}", BarColumn(), percent, TimeRemainingColumn(), note)
+    return Progress(*columns, console=Console(stderr=True), transient=True)
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *where: Any) -> None:

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
 from typing import Any
 
-from ves_gym._util.optional import installed
 from ves_gym._util.params import write_text
 from ves_gym.cli.files import FORMAT
-from ves_gym.cli.flags import Answer, Flag, path, whole
+from ves_gym.cli.flags import Answer, Flag, integer, path
 from ves_gym.cli.sweep import WORKERS, say_failures
 
 SCHEMA = "ves-matrix/1"
 FLAGS = (
     Flag("FILE", read=path, help="a .toml file (docs/sweeps.md)"),
-    Flag("--episodes", "N", whole(), "instead of the file's"),
-    Flag("--seeds", "N", whole(), "only the first N of the file's"),
-    Flag("--steps", "N", whole(), "of every training, instead of its own"),
+    Flag("--episodes", "N", integer(), "instead of the file's"),
+    Flag("--seeds", "N", integer(), "only the first N of the file's"),
+    Flag("--steps", "N", integer(), "of every training, instead of its own"),
     Flag("--partial",
          help="run nothing: page and picture of the cells that have all their results"),
     FORMAT,
@@ -32,7 +32,6 @@ def run(
     seeds: int | None = None,
     steps: int | None = None,
     partial: bool = False,
-    format: str = "png",
     out: Path | None = None,
     progress: Any = None,
     **how: Any,
@@ -52,28 +51,29 @@ def run(
     folder = out or Path("out/matrix", file.stem)
     report = Report(folder) if partial else run_matrix(matrix, folder, progress=progress, **how)
     say_failures(report)
-    files, results = [], []
+    results = entries(matrix, folder) if report.complete else []
+    files = []
     if report.complete:
-        results = entries(matrix, folder)
         title = "Methods on machines that are not as described"
         files.append(folder / "matrix.md")
         write_text(files[0], matrix_page(matrix, results, title))
-        if installed("matplotlib"):
-            from ves_gym.report.figures import write_figure
-
-            files.append(folder / f"crossover.{format}")
-            write_figure(crossover_figure(matrix, results), files[-1])
     plain = {"schema": SCHEMA, **report.to_dict(), "entries": [_plain(k) for k in results]}
-    said = "" if partial else report.summary
-    return Answer(text=said, plain=plain, files=files, negative=not report.complete)
+    return Answer(
+        text="" if partial else report.summary,
+        plain=plain,
+        files=files,
+        figures=(lambda: {folder / "crossover": crossover_figure(matrix, results)})
+        if files
+        else None,
+        negative=not report.complete,
+    )
 
 
-def _plain(entry: object) -> dict[str, object]:
+def _plain(entry: Any) -> dict[str, Any]:
     """Figures as plain data; what is infinite becomes null."""
-    out: dict[str, object] = {}
-    for field in dataclasses.fields(entry):  # type: ignore[arg-type]
-        value = getattr(entry, field.name)
-        if isinstance(value, tuple):
-            value = [x if abs(x) < float("inf") else None for x in value]
-        out[field.name] = value
-    return out
+    return {
+        name: [x if math.isfinite(x) else None for x in value]
+        if isinstance(value, tuple)
+        else value
+        for name, value in vars(entry).items()
+    }

@@ -16,13 +16,15 @@ from ves_gym.cli.flags import (
     Answer,
     Flag,
     Place,
+    floats,
     grouped,
+    integer,
     number,
     per_joint,
+    read,
     text,
-    whole,
 )
-from ves_gym.cli.machine import MACHINE, read
+from ves_gym.cli.machine import MACHINE
 from ves_gym.cli.simulate import DURATION, GOAL, START
 from ves_gym.mechanics.tool_pose import ToolPose
 from ves_gym.planners.case import Case
@@ -40,18 +42,26 @@ from ves_gym.system.frequency_weight import FAST, FrequencyWeight
 
 def _pose(value: str, place: Place) -> ToolPose:
     """Read the tool pose that `--tool` describes."""
-    try:
-        values = [float(part) for part in value.split(",")]
-    except ValueError:
-        values = []
-    if len(values) not in (3, 6):
-        raise ParameterError(
-            "--tool must be three lengths in m, or these and three angles in degrees, like"
-            f" 0.6,0.2,1.1 or 0.6,0.2,1.1,0,90,0, got {value!r}"
-        )
+    x, y, z, *angles = read(_lengths_and_angles, _TOOL)(value, place)
     factor = 1.0 if place.angles == "radians" else UNITS["deg"]
-    turn = tuple(k * factor for k in values[3:])
-    return ToolPose(position=tuple(values[:3]), angles=turn or None)
+    return ToolPose(position=(x, y, z), angles=tuple(k * factor for k in angles) or None)
+
+
+def _lengths_and_angles(value: str) -> list[float]:
+    numbers = floats(value)
+    if len(numbers) not in (3, 6):
+        raise ValueError
+    return numbers
+
+
+_TOOL = (
+    "three lengths in m, or these and three angles in degrees, like 0.6,0.2,1.1 or"
+    " 0.6,0.2,1.1,0,90,0"
+)
+
+
+def _v_max(value: str, place: Place) -> Any:
+    return value if value == "none" else per_joint("deg/s")(value, place)
 
 
 WEIGHT = Flag(
@@ -70,7 +80,7 @@ FLAGS = (
          " the base least energy is chosen", against="goal"),
     DURATION,
     Flag("--planner", "P", text, f"{', '.join(PLANNERS)} (direct; robust with --robust-from)"),
-    Flag("--v-max", "A,B,C", per_joint("deg/s", none=True),
+    Flag("--v-max", "A,B,C", _v_max,
          "joint speed limits [deg/s], or none (default: those of the arm)"),
     Flag("--a-max", "A,B,C", per_joint("deg/s^2"),
          "joint acceleration limits [deg/s^2] (none)"),
@@ -89,7 +99,7 @@ FLAGS = (
     *grouped(
         "search (planners ompl-...)",
         Flag("--algorithm", "A", text, f"{', '.join(ALGORITHMS)} (bitstar)"),
-        Flag("--evaluations", "N", whole(1), "budget of edge costs"),
+        Flag("--evaluations", "N", integer(1), "budget of edge costs"),
         Flag("--seconds", "S", number("s", above=0), "budget of time [s]"),
     ),
     *MACHINE,
@@ -109,60 +119,55 @@ def run(
     evaluations: int | None = None,
     seconds: float | None = None,
     out: Path | None = None,
-    **asked: Any,
+    **how: Any,
 ) -> Answer:
     """Plan, simulate beside the straight line; negative if the path breaks a limit."""
-    said = []
+    lines = []
+    method: Planner
     if robust_from is not None:
         file, uncertain = robust_from
-        method: Planner = _robust(planner or "robust", uncertain)
-        said.append("uncertain: " + "; ".join(uncertain.lines))
+        method = _robust(planner or "robust", uncertain)
+        lines.append("uncertain: " + "; ".join(uncertain.lines))
         if uncertain.estimate is not None:
-            if machine:
+            for option in machine:
                 raise ParameterError(
-                    f"--robust-from {file} says what the machine is: leave out"
-                    f" --{next(iter(machine))}"
+                    f"--robust-from {file} says what the machine is: leave out --{option}"
                 )
             case = Case(system=uncertain.estimate, seed=case.seed)
     else:
         method = get_planner(planner or "direct")
     budget = {"algorithm": algorithm, "evaluations": evaluations, "seconds": seconds}
     budget = {name: value for name, value in budget.items() if value is not None}
+    for option in budget if not isinstance(method, Ompl) else ():
+        raise ParameterError(f"--{option} is for planners ompl-..., got {method.name}")
     if budget:
-        if not isinstance(method, Ompl):
-            raise ParameterError(
-                f"--{next(iter(budget))} is for planners ompl-..., got {method.name}"
-            )
-        method = replace(method, **budget)  # type: ignore[arg-type]
+        method = replace(method, **budget)  # type: ignore[type-var]
     plan = vg.plan(
         case=case,
         goal=goal if tool is None else tool,
         planner=method,
         weights=parse_weights("+".join(weights)) if weights else None,
-        **asked,
+        **how,
     )
     if tool is not None:
         at = ", ".join(f"{k + 0.0:.2f}" for k in np.rad2deg(plan.query.goal))
-        said.append(f"goal: {at} deg")
+        lines.append(f"goal: {at} deg")
     report = report_plan(plan)
-    answer = Answer(
-        text="\n".join([*said, str(report)]),
-        plain=report.to_dict(),
-        negative=not plan.feasible,
-    )
+    text = "\n".join([*lines, str(report)])
+    answer = Answer(text=text, plain=report.to_dict(), negative=not plan.feasible)
     if plan.motion is None:
         return answer
     path = (out or Path("out/plan")) / "case.toml"
     replace(plan.case, log=str(path.with_name("run.csv"))).save(path)
-    return replace(answer, files=[path], next=[["simulate", "--case", path]])
+    return replace(answer, files=[path], then=[["simulate", "--case", path]])
 
 
 def _robust(name: str, uncertain: Uncertainty) -> Robust:
-    named = get_planner(name)
-    if not isinstance(named, Robust):
+    method = get_planner(name)
+    if not isinstance(method, Robust):
         raise ParameterError(
-            f"--robust-from is for planners robust and robust-worst, got {named.name}"
+            f"--robust-from is for planners robust and robust-worst, got {method.name}"
         )
     return Robust(
-        uncertain.ranges, objective=named.objective, name=named.name, around=uncertain.around
+        uncertain.ranges, objective=method.objective, name=method.name, around=uncertain.around
     )

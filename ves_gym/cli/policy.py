@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ves_gym._util.params import ParameterError, read_table, write_text
-from ves_gym.cli.flags import Answer, Flag, path, whole
+from ves_gym.cli.flags import Answer, Flag, integer, path
 
 SCHEMA = "ves-policy-command/1"
 FOLDER = Path("out/policies")
@@ -45,8 +45,10 @@ def export(
         path = (out or FOLDER) / _file(name, ".onnx")
         gap = write_onnx(load_policy(name), path)
         rows.append({"policy": name, "path": str(path), "difference": gap})
-    said = (f"{r['path']}: actions within {r['difference']:.1g} of {r['policy']}" for r in rows)
-    return Answer(text="\n".join(said), plain={"schema": SCHEMA, "onnx": rows})
+    lines = (
+        f"{r['path']}: actions within {r['difference']:.1g} of {r['policy']}" for r in rows
+    )
+    return Answer(text="\n".join(lines), plain={"schema": SCHEMA, "onnx": rows})
 
 
 def card(
@@ -63,15 +65,15 @@ def card(
     rows = []
     for name in _names(policy):
         if figures is None:
-            found = evaluation_for_card(name, episodes, seed)
+            evaluation = evaluation_for_card(name, episodes, seed)
         else:
             file = figures / _file(name, ".json") if figures.is_dir() else figures
-            found = read_table(file)
+            evaluation = read_table(file)
         path = (out or FOLDER) / _file(name, ".md")
-        write_text(path, policy_card(name, found))
+        write_text(path, policy_card(name, evaluation))
         rows.append({"policy": name, "path": str(path)})
-    said = "\n".join(row["path"] for row in rows)
-    return Answer(text=said, plain={"schema": SCHEMA, "cards": rows})
+    text = "\n".join(row["path"] for row in rows)
+    return Answer(text=text, plain={"schema": SCHEMA, "cards": rows})
 
 
 ACTIONS = {
@@ -87,7 +89,7 @@ ACTIONS = {
             Flag("--figures", "PATH", path,
                  "evaluation of the policy as JSON (`ves-gym evaluate --json`), or a folder"
                  " with one per policy, such as docs/training; default: evaluate it now"),
-            Flag("--episodes", "N", whole(1), "of that evaluation (100)"),
+            Flag("--episodes", "N", integer(1), "of that evaluation (100)"),
         ),
         card,
     ),

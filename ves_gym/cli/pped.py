@@ -7,24 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.optional import lacking
-from ves_gym._util.params import Array, ParameterError
-from ves_gym.cli.files import FORMAT, NO_FIGURES
-from ves_gym.cli.flags import Answer, Flag, Place, joints, one_of, pose, whole
+from ves_gym._util.params import Array
+from ves_gym.cli.files import PICTURES
+from ves_gym.cli.flags import Answer, Flag, floats, integer, joints, one_of, pose, read
 from ves_gym.cli.machine import MACHINE
-from ves_gym.damping.gain_comparison import BOTH, GainComparison, compare_gains
+from ves_gym.damping.gain_comparison import BOTH, compare_gains
 from ves_gym.damping.tuning import OBJECTIVES, Bounds
 from ves_gym.planners.case import Case
 
 
-def _bounds(value: str, place: Place) -> Bounds:
-    try:
-        low_K, high_K, low_B, high_B = (float(k) for k in value.split(","))
-    except ValueError:
-        raise ParameterError(
-            f"{place.name} must be four numbers, least and largest K and B, like"
-            f" 1,1e4,0.1,1e3, got {value!r}"
-        ) from None
+def _bounds(value: str) -> Bounds:
+    low_K, high_K, low_B, high_B = floats(value)
     return Bounds(K=(low_K, high_K), B=(low_B, high_B))
 
 
@@ -34,14 +27,14 @@ FLAGS = (
          "strain: integral of strain energy; worst: the same, worst displacement; estimator:"
          " thesis eq. 4.4; both: strain and estimator (both)"),
     Flag("--full", help="full symmetric gain matrices as well"),
-    Flag("--bounds", "K,K,B,B", _bounds,
+    Flag("--bounds", "K,K,B,B",
+         read(_bounds, "four numbers, least and largest K and B, like 1,1e4,0.1,1e3"),
          "least and largest K [N m/rad] and B [N m s/rad] (1,10000,0.1,1000)"),
     Flag("--disturb", "Y", pose,
          "displacement let go: x,y,z [m] and angles [deg] (0.1,0.1,0.1,0,0,0)", to="y"),
     Flag("--map", help="also look for the best configuration"),
-    Flag("--points", "N", whole(2, 101), "of a map, per axis (11)"),
-    NO_FIGURES,
-    FORMAT,
+    Flag("--points", "N", integer(2, 101), "of a map, per axis (11)"),
+    *PICTURES,
     *MACHINE,
 )  # fmt: skip
 
@@ -53,8 +46,6 @@ def run(
     objective: str = "both",
     map: bool = False,
     points: int = 11,
-    no_figures: bool = False,
-    format: str = "png",
     out: Path | None = None,
     progress: Any = None,
     **how: Any,
@@ -64,7 +55,7 @@ def run(
     if q is None:
         usual = np.deg2rad([45.0, 0.0, 0.0]) if arm.n == 3 and not arm.sliding else 0.0
         q = np.clip(usual, arm.column("q_min"), arm.column("q_max"))
-    found = compare_gains(
+    comparison = compare_gains(
         case.system,
         q,
         objectives=BOTH if objective == "both" else (objective,),
@@ -73,29 +64,11 @@ def run(
         progress=progress,
         **how,
     )
-    files: list[Path] = []
-    said = [str(found)]
-    if not no_figures and (sentence := lacking("drawing", "matplotlib")):
-        said.append(f"no pictures: {sentence}")
-    elif not no_figures:
-        files = _figures(found, out or Path("out/pped"), format)
-    return Answer(text="\n".join(said), plain=found.to_dict(), files=files)
 
+    def figures() -> dict[Path, Any]:
+        from ves_gym.report.damping import damping_figures
 
-def _figures(found: GainComparison, folder: Path, format: str) -> list[Path]:
-    from ves_gym.report.damping import map_figure, pole_figure, response_figure
-    from ves_gym.report.figures import write_figure
-    from ves_gym.simulation.stability import poles_in_space
+        folder = out or Path("out/pped")
+        return {folder / f"pped_{k}": v for k, v in damping_figures(comparison).items()}
 
-    locked = poles_in_space(found.plant.mass, *found.system.base.full()[1:])
-    names = [row.name for row in found.rows]
-    figures = {
-        "poles": pole_figure([(row.name, row.damping.poles) for row in found.rows], locked),
-        "responses": response_figure(names, found.linear, found.simulated),
-    }
-    if found.maps:
-        figures["configurations"] = map_figure(found.maps)
-    paths = [folder / f"pped_{name}.{format}" for name in figures]
-    for figure, path in zip(figures.values(), paths, strict=True):
-        write_figure(figure, path)
-    return paths
+    return Answer(text=comparison, plain=comparison.to_dict(), figures=figures)

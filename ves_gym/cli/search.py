@@ -21,9 +21,9 @@ def run(
     from ves_gym.experiments.search import search
 
     folder = out or Path("out/search", spec.stem)
-    found = search(spec, folder, seed=seed, progress=progress, **how)
-    for trial in found.trials:
+    result = search(spec, folder, seed=seed, progress=progress, **how)
+    for trial in result.trials:
         if trial["state"] == "fail":
             say(f"trial {trial['number']}: {trial['why']}", "failed")
-    plain = {"folder": str(folder), **found.to_dict()}
-    return Answer(text=found, plain=plain, negative=found.best is None)
+    plain = {"folder": str(folder), **result.to_dict()}
+    return Answer(text=result, plain=plain, negative=result.best is None)

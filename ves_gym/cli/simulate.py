@@ -9,11 +9,22 @@ from typing import Any
 import numpy as np
 
 import ves_gym.api as vg
-from ves_gym._util.optional import lacking
 from ves_gym._util.params import Array, ParameterError, from_plain, read_table
 from ves_gym.cli.files import FORMAT, log_files, log_path
-from ves_gym.cli.flags import Answer, Flag, Place, grouped, joints, number, pose, say, whole
-from ves_gym.cli.machine import MACHINE, read
+from ves_gym.cli.flags import (
+    Answer,
+    Flag,
+    Place,
+    floats,
+    grouped,
+    integer,
+    joints,
+    number,
+    pose,
+    read,
+    say,
+)
+from ves_gym.cli.machine import MACHINE
 from ves_gym.mechanics.limits import require_limits, usual_goal
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import FREE, HIGH_GAINS, OWN_GAINS, PPED_GAINS, JointServo
@@ -21,7 +32,6 @@ from ves_gym.planners.case import Case
 from ves_gym.simulation import calibration_poses, learn_gravity, weigh_poses
 from ves_gym.simulation.run_summary import summarise
 from ves_gym.system.energy import TAIL
-from ves_gym.system.runlog import RunLog
 
 NAMED = {"own": OWN_GAINS, "high": HIGH_GAINS, "pped": PPED_GAINS, "free": FREE}
 
@@ -36,7 +46,7 @@ def _gains(text: str, place: Place) -> JointServo:
     if text in NAMED:
         return NAMED[text].for_arm(place.arm)
     try:
-        kp, kd = (tuple(float(k) for k in part.split(",")) for part in text.split("/"))
+        kp, kd = (tuple(floats(part)) for part in text.split("/"))
     except ValueError:
         kp = kd = ()
     if {len(kp), len(kd)} - {1, n}:
@@ -88,8 +98,8 @@ FLAGS = (
              read(lambda file: from_plain(Motion, read_table(file), file)),
              "what the platform follows under --operation position: a table with duration [s]"
              " and control, the points of its path, rows of 6 [m, rad]"),
-        Flag("--learn", "N", whole(1), "learn the weight in N slow repetitions"),
-        Flag("--poses", "N", whole(1), "weigh the arm in N poses, for `calibrate`"),
+        Flag("--learn", "N", integer(1), "learn the weight in N slow repetitions"),
+        Flag("--poses", "N", integer(1), "weigh the arm in N poses, for `calibrate`"),
     ),
 )  # fmt: skip
 
@@ -109,7 +119,6 @@ def run(
     grasp: tuple[float, ...] = (),
     release: tuple[float, ...] = (),
     log: str | None = None,
-    format: str = "png",
     platform_motion: Motion | None = None,
     learn: int | None = None,
     poses: int | None = None,
@@ -118,12 +127,16 @@ def run(
     progress: Any = None,
 ) -> Answer:
     """Play the motion; write log, case and picture."""
-    file = _place(case, log, out, json)
+    folder = out or ("out/simulate" if log is None else "")
+    path = Path(folder, log or "run.csv")
+    if log is None and out is None and case.log is not None:
+        path = Path(case.log)
+    file = log_path(path, json)
     _check_experiment(case, locals())
     if poses is not None:
         return _weigh(case, poses, file)
     servo = _servo(case, gains, no_feedforward)
-    motion, said = _motion(case, start, goal, via, duration), ""
+    motion, lines = _motion(case, start, goal, via, duration), []
     query = None if case.query is None else replace(case.query, servo=servo)
     case = replace(case, motion=motion, query=query, servo=servo, log=str(file))
     latch = [*((t, "grasp") for t in grasp), *((t, "release") for t in release)]
@@ -136,7 +149,7 @@ def run(
         )  # fmt: skip
         if learnt.recording is None:
             raise ParameterError(f"the first repetition was aborted: {learnt.aborted}")
-        recorded, said = learnt.recording.log(0), f"{learnt}\n"
+        recorded, lines = learnt.recording.log(0), [str(learnt)]
     else:
         y = np.zeros(6) if disturb is None else disturb
         recorded = vg.simulate(
@@ -152,18 +165,20 @@ def run(
     beside = file.with_suffix(".case.toml")
     recorded.save(file)
     case.save(beside)
-    files = [*log_files(file), beside]
-    if sentence := lacking("drawing", "matplotlib"):
-        said += f"no picture: {sentence}\n"
-    else:
-        files.append(_picture(recorded, case, space, file.with_suffix(f".{format}")))
     if summary.stop is not None:
         say(f"{summary.stop}; the log ends there")
+
+    def figures() -> dict[Path, Any]:
+        from ves_gym.report.machine_figures import run_figure
+
+        return {file.with_suffix(""): run_figure(recorded, case.system, motion.duration, space)}
+
     return Answer(
-        text=f"{said}{summary}",
+        text="\n".join([*lines, str(summary)]),
         plain={**summary.to_dict(), "log": str(file)},
-        files=files,
-        next=[["view", beside]],
+        files=[*log_files(file), beside],
+        figures=figures,
+        then=[["view", beside]],
         negative=summary.stop is not None,
     )
 
@@ -176,20 +191,20 @@ def _motion(
     duration: float | None,
 ) -> Motion:
     """The motion that the options describe; the case's, where there is one."""
-    given = {"start": start, "goal": goal, "via": via or None, "duration": duration}
-    named = [name for name, value in given.items() if value is not None]
-    known = case.motion
-    if known is None and case.query is not None:
-        known = case.query.straight
-    if known is not None:
-        if named:
-            raise ParameterError(f"--case FILE already says it: leave out --{named[0]}")
-        return known
+    stated = case.motion
+    if stated is None and case.query is not None:
+        stated = case.query.straight
+    if stated is not None:
+        options = {"start": start, "goal": goal, "via": via or None, "duration": duration}
+        for name, value in options.items():
+            if value is not None:
+                raise ParameterError(f"--case FILE already says it: leave out --{name}")
+        return stated
     if goal is None and via:
         raise ParameterError("--via needs --goal: way-points lie between start and goal")
     arm, seconds = case.system.arm, duration or 2.0
-    rest = np.clip(0.0, arm.column("q_min"), arm.column("q_max"))
-    begin = rest if start is None else start
+    home = np.clip(0.0, arm.column("q_min"), arm.column("q_max"))
+    begin = home if start is None else start
     end = usual_goal(arm, begin, seconds) if goal is None else goal
     return Motion.through(np.stack([begin, *via, end]), seconds)
 
@@ -203,21 +218,23 @@ def _servo(case: Case, gains: JointServo | None, no_feedforward: bool) -> JointS
     return replace(servo, feedforward=False) if no_feedforward else servo
 
 
-def _check_experiment(case: Case, given: dict[str, Any]) -> None:
-    for option in ("platform_motion", "learn", "poses"):
-        if given[option] is not None and case.system.mode != "emulated":
-            raise ParameterError(f"--{option.replace('_', '-')} needs --mode emulated")
-    if given["learn"] is not None and given["poses"] is not None:
+def _check_experiment(case: Case, options: dict[str, Any]) -> None:
+    unset = [k for k, v in options.items() if v is None or (isinstance(v, tuple) and not v)]
+    chosen = {k.replace("_", "-") for k in options if k not in unset}
+    for option in ("platform-motion", "learn", "poses"):
+        if option in chosen and case.system.mode != "emulated":
+            raise ParameterError(f"--{option} needs --mode emulated")
+    if {"learn", "poses"} <= chosen:
         raise ParameterError("--learn and --poses are two experiments: give one of them")
-    for option in ("disturb", "record_dt", "grasp", "release"):
-        if given["learn"] is not None and given[option] not in (None, ()):
+    for option in ("disturb", "record-dt", "grasp", "release"):
+        if {"learn", option} <= chosen:
             raise ParameterError(
-                f"--learn starts every repetition at home and records every control period:"
-                f" leave out --{option.replace('_', '-')}"
+                "--learn starts every repetition at home and records every control period:"
+                f" leave out --{option}"
             )
-    if given["platform_motion"] is None:
+    if "platform-motion" not in chosen:
         return
-    if given["disturb"] is not None:
+    if "disturb" in chosen:
         raise ParameterError(
             "--platform-motion says where the platform starts: leave out --disturb"
         )
@@ -233,30 +250,7 @@ def _weigh(case: Case, poses: int, file: Path) -> Answer:
     log.save(file)
     return Answer(
         text=f"weighed {poses} poses",
-        plain={
-            "schema": "ves-poses/1",
-            "log": str(file),
-            "digest": log.digest,
-            "poses": poses,
-        },
+        plain={"schema": "ves-poses/1", "log": str(file), "digest": log.digest, "poses": poses},
         files=log_files(file),
-        next=[["calibrate", file]],
+        then=[["calibrate", file]],
     )
-
-
-def _place(case: Case, log: str | None, out: Path | None, json: str | None) -> Path:
-    """Return where the run log goes: --log from --out, else as the case says."""
-    if log is None and out is None and case.log is not None:
-        return log_path(Path(case.log), json)
-    return log_path(
-        Path(out or ("out/simulate" if log is None else ""), log or "run.csv"), json
-    )
-
-
-def _picture(log: RunLog, case: Case, space: RunLog | None, path: Path) -> Path:
-    from ves_gym.report.figures import write_figure
-    from ves_gym.report.run import run_figure
-
-    assert case.motion is not None
-    write_figure(run_figure(log, case.system, case.motion.duration, space), path)
-    return path

@@ -30,8 +30,7 @@ FLAGS = (
 def run(case: Case, *, planner: str = "direct", out: Path | None = None, **how: Any) -> Answer:
     """Write the page; --out is its folder, or its name if that ends in .html."""
     if case.query is not None:
-        known = {name: getattr(case.query, name) for name in ("start", "goal", "duration")}
-        how = {**known, **how}
+        how = {name: getattr(case.query, name) for name in ("start", "goal", "duration")} | how
     studio = Studio(
         case.system, planner=None if planner == "none" else planner, seed=case.seed, **how
     )
@@ -39,5 +38,5 @@ def run(case: Case, *, planner: str = "direct", out: Path | None = None, **how: 
     path = path if path.suffix == ".html" else path / "studio.html"
     studio.save(path)
     size = len(studio.page.encode()) / 1e6
-    said = f"{size:.2f} MB; open it in any browser"
-    return Answer(text=said, plain=studio.data, files=[path])
+    text = f"{size:.2f} MB; open it in any browser"
+    return Answer(text=text, plain=studio.data, files=[path])

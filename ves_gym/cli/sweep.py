@@ -5,28 +5,24 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ves_gym._util.params import ParameterError
-from ves_gym.cli.flags import Answer, Flag, Place, path, say, whole
+from ves_gym.cli.flags import Answer, Flag, integer, path, read, say
 from ves_gym.experiments.sweep import Report, merge, sweep, write_rows
 
 SCHEMA = "ves-sweep/1"
-_SHOWN = 10  # failures that are printed
+_FAILURES = 10  # that are printed
 
 
-def _part(value: str, place: Place) -> tuple[int, int]:
-    try:
-        k, n = (int(word) for word in value.split("/"))
-    except ValueError:
-        raise ParameterError(f"{place.name} must be K/N, like 1/4, got {value!r}") from None
+def _part(value: str) -> tuple[int, int]:
+    k, n = (int(word) for word in value.split("/"))
     return k, n
 
 
-WORKERS = Flag("--workers", "N", whole(1), "processes; default one per processor")
+WORKERS = Flag("--workers", "N", integer(1), "processes; default one per processor")
 FLAGS = (
     Flag("SPEC", read=path, help="a .toml file (docs/sweeps.md)"),
     WORKERS,
     Flag("--again", help="do finished units again (default: skip them)"),
-    Flag("--part", "K/N", _part, "every N-th unit from the K-th"),
+    Flag("--part", "K/N", read(_part, "K/N, like 1/4"), "every N-th unit from the K-th"),
 )
 
 
@@ -50,10 +46,6 @@ def run(
 
 
 def say_failures(report: Report) -> None:
-    """Say on stderr why the first of the units that failed did.
-
-    Args:
-        report: of a sweep, or of a matrix.
-    """
-    for why in list(report.failed.values())[:_SHOWN]:
+    """Say on stderr why the first of the units of a sweep or matrix that failed did."""
+    for why in list(report.failed.values())[:_FAILURES]:
         say(why, "failed")

@@ -79,7 +79,7 @@ def run(
     return Answer(
         plain={**plain, "log": str(path), "digest": recorded.digest},
         files=log_files(path),
-        next=[["view", path]],
+        then=[["view", path]],
         negative=teleop.diverged,
     )
 

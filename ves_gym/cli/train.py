@@ -9,7 +9,7 @@ import ves_gym.api as vg
 from ves_gym.baselines.config import LEARNERS, choose_config
 from ves_gym.baselines.env_settings import with_deviations
 from ves_gym.cli.evaluate import ARM
-from ves_gym.cli.flags import Answer, Flag, one_of, text, whole, wholes
+from ves_gym.cli.flags import Answer, Flag, integer, integers, one_of, text
 from ves_gym.cli.machine import EFFECT
 from ves_gym.system.effect import Effect
 
@@ -19,9 +19,9 @@ FLAGS = (
     Flag("--learner", "L", one_of(*LEARNERS),
          f"{', '.join(LEARNERS)}; native: PPO in NumPy, faster (default the configuration's)"),
     Flag("--imitate", "C", text, "a controller whose actions are learned first (native)"),
-    Flag("--steps", "N", whole(), "instead of the configuration's"),
-    Flag("--seeds", "0,1", wholes, "default the configuration's; --seed is added to each"),
-    Flag("--workers", "N", whole(1), "seeds at once"),
+    Flag("--steps", "N", integer(), "instead of the configuration's"),
+    Flag("--seeds", "0,1", integers, "default the configuration's; --seed is added to each"),
+    Flag("--workers", "N", integer(1), "seeds at once"),
     Flag("--resume", help="go on from the checkpoints"),
     Flag("--tensorboard", "DIR", text, "show the curves as they grow there"),
     Flag("--wandb", "PROJECT", text, "likewise on Weights & Biases"),

@@ -1,7 +1,7 @@
 """A system as a picture: arm, beam or legs, base path and wrench as a MuJoCo scene.
 
-Runs in drawing processes only (`movie`, `stage`): it needs MuJoCo with its OpenGL, so MuJoCo
-is imported first and as it is, not by way of `_util.mujoco_loader`, which would do without.
+Runs in drawing processes only (`stage`): it needs MuJoCo with its OpenGL, so MuJoCo is imported
+first and as it is, not by way of `_util.mujoco_loader`, which would do without.
 """
 
 from __future__ import annotations
@@ -15,36 +15,32 @@ import mujoco
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.engine.mjcf import TO_Y, build_spec, places
+from ves_gym.engine.mjcf import LEAST, TO_Y, build_spec, places
+from ves_gym.engine.mjcf_carried import add_carried
+from ves_gym.engine.mjcf_contact import add_shape, geom_of, tool_in_link
+from ves_gym.mechanics.arm import Inertial
 from ves_gym.mechanics.attitude import to_matrix
 from ves_gym.mechanics.dynamics import expand
-from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.spatial import rotation
-from ves_gym.mechanics.vehicle import Beam, FlexibleBase, beam_line
-from ves_gym.rendering.attached import (
-    add_appendages,
-    add_payload_shapes,
-    add_surfaces,
-    appendage_corners,
-    equal_box,
-)
+from ves_gym.mechanics.vehicle import Appendage, Beam, FlexibleBase, beam_line
 from ves_gym.system.system import System
-
-ARROW = 1.2  # m, of the longest force or moment arrow
 
 BACKGROUND = (0.075, 0.090, 0.125)
 _PALE = (0.90, 0.91, 0.93, 1.0)
-JOINT = (0.93, 0.55, 0.16, 1.0)
+_JOINT = (0.93, 0.55, 0.16, 1.0)
 _METAL = (0.52, 0.56, 0.62, 1.0)
 _DARK = (0.30, 0.33, 0.38, 1.0)
 _BEAM = (0.64, 0.70, 0.78, 1.0)
 _GHOST = (0.55, 0.62, 0.75, 0.22)
-TOOL = (0.88, 0.27, 0.27, 1.0)
+_TOOL = (0.88, 0.27, 0.27, 1.0)
 FORCE = (0.35, 0.80, 0.48, 1.0)
 MOMENT = (0.74, 0.52, 0.95, 1.0)
 PATH = (0.32, 0.72, 0.98, 1.0)
 TARGET = (0.98, 0.86, 0.30, 1.0)
 _PAYLOAD = (0.36, 0.66, 0.62, 1.0)
+_PANEL = (0.20, 0.30, 0.62, 1.0)
+_SURFACE = (0.98, 0.86, 0.30, 0.45)
+_CORNERS = np.array(list(itertools.product([-1, 1], repeat=3)))  # of a box
 
 
 class Drawing:
@@ -110,8 +106,8 @@ class Drawing:
         self._add_base(spec)
         self._add_arm(spec)
         if self.feet is None:
-            add_appendages(spec, system.base)
-        add_surfaces(spec, system)
+            self._add_appendages(spec)
+        self._add_surfaces(spec)
         return spec.compile()
 
     def _add_base(self, spec: Any) -> None:
@@ -133,7 +129,7 @@ class Drawing:
             _rod(spec.worldbody, "CYLINDER", *plate, size, _DARK)
             return
         if body is not None:
-            _box(platform, np.array(body.com), *equal_box(body), _METAL)
+            _box(platform, body.com, *equal_box(body), _METAL)
         if self.rest_beam is not None:
             clamp, along = self.rest_beam[0], self.rest_beam[1] - self.rest_beam[0]
             along = along / np.linalg.norm(along)
@@ -150,7 +146,7 @@ class Drawing:
             else:
                 i = chain.driven.index(place)
                 body, r = spec.body(f"link_{i + 1}"), self._radius(i)
-                _rod(body, "CYLINDER", (0, 0, -1.15 * r), (0, 0, 1.15 * r), 1.2 * r, JOINT)
+                _rod(body, "CYLINDER", (0, 0, -1.15 * r), (0, 0, 1.15 * r), 1.2 * r, _JOINT)
             if abs(link.d) > 1e-6:
                 _rod(body, "CAPSULE", (0, 0, 0), knee, r, _PALE)
             if abs(link.a) > 1e-6:
@@ -158,10 +154,31 @@ class Drawing:
         r, last = self._radius(self.system.arm.n), self.system.arm.links[-1]
         along = np.array([1.0, 0, 0]) if abs(last.a) > 1e-6 else np.array([0.0, 0, 1])
         across = np.array([0.0, 1, 0])
-        _sphere(body, end, 1.1 * r, TOOL)
+        _sphere(body, end, 1.1 * r, _TOOL)
         for side in (-1, 1):
             root = end + side * 0.8 * r * across
-            _rod(body, "CAPSULE", root, root + 2.6 * r * along, 0.3 * r, TOOL)
+            _rod(body, "CAPSULE", root, root + 2.6 * r * along, 0.3 * r, _TOOL)
+
+    def _add_appendages(self, spec: Any) -> None:
+        """A box on its hinge or slide for each; wheels are inside the satellite."""
+        add_carried(spec, self.system.base)
+        for i, part in enumerate(self.system.base.carried, start=1):
+            if isinstance(part, Appendage):
+                body = spec.body(f"carried_{i}")
+                _box(body, part.body.com, *equal_box(part.body), _PANEL)
+
+    def _add_surfaces(self, spec: Any) -> None:
+        """What the tool touches with, and what it meets on the base or in space."""
+        contact, n = self.system.contact, self.system.arm.n
+        if contact is None:
+            return
+        for shape in contact.tool:
+            place = tool_in_link(self.system.arm)
+            add_shape(spec.body(f"link_{n}"), shape, *place, rgba=_SURFACE)
+        if contact.on != "payload":
+            body = spec.body("platform") if contact.on == "base" else spec.worldbody
+            for shape in contact.target:
+                add_shape(body, shape, np.zeros(3), np.eye(3), rgba=_SURFACE)
 
     @property
     def _rim(self) -> Array:
@@ -223,11 +240,11 @@ class Drawing:
         """
         if self.rest_beam is None:
             return None
-        line = self.rest_beam + np.tensordot(y, self.bend, 1)
+        bent = self.rest_beam + np.tensordot(y, self.bend, 1)
         if u is not None and self.system.base.m:
             u = u[..., self.system.arm.bends :]
-            line = line + np.tensordot(u - self.system.base.attached(y), self.ripple, 1)
-        return np.asarray(line, dtype=np.float64)
+            bent = bent + np.tensordot(u - self.system.base.attached(y), self.ripple, 1)
+        return np.asarray(bent, dtype=np.float64)
 
     def legs(self, y: Array) -> Array | None:
         """Foot and head of every leg (..., 6, 2, 3) [m]; origin: the platform top at home."""
@@ -236,19 +253,6 @@ class Drawing:
         top = np.array(self.system.emulator_settings.stewart.top)
         head = top @ np.swapaxes(rotation(y), -1, -2) + y[..., None, :3]
         return np.stack([np.broadcast_to(self.feet, head.shape), head], axis=-2)
-
-    def arm(self, y: Array, q: Array) -> Array:
-        """Joints and tool in space.
-
-        Args:
-            y: (..., 6) base poses [m, rad].
-            q: (..., n) joint angles [rad].
-
-        Returns:
-            (..., n + 1, 3) [m].
-        """
-        turned = joint_positions(self.system.arm, q) @ np.swapaxes(rotation(y), -1, -2)
-        return np.asarray(turned + y[..., None, :3], dtype=np.float64)
 
     def add_support(self, scene: Any, y: Array, extent: float, u: Array | None = None) -> None:
         """Add what carries the arm and is no rigid body: the bent beam, or the legs.
@@ -273,25 +277,25 @@ class Drawing:
                 connect(scene, "CAPSULE", a, b, radius, _BEAM)
 
     def add_payload(self, scene: Any, pose: Array) -> None:
-        """Add the payload as its surfaces, or a box, its grapple fixture as a ball.
+        """Add the payload as the surfaces that the tool meets, or a box; its grip as a ball.
 
         Args:
             scene: MuJoCo's, of this frame.
             pose: (7,) place of its origin [m], unit quaternion.
         """
-        payload = self.system.payload
+        payload, contact = self.system.payload, self.system.contact
         if payload is None:
             return
-        turn = to_matrix(pose[3:])
-        if not add_payload_shapes(scene, self.system, pose, turn, _PAYLOAD):
-            geom, shape = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_BOX
-            middle = pose[:3] + turn @ np.array(payload.inertial.com)
-            colour = np.array(_PAYLOAD, np.float32)
-            half = np.ascontiguousarray(payload.edges / 2)
-            mujoco.mjv_initGeom(geom, shape, half, middle, turn.ravel(), colour)
-            scene.ngeom += 1
-        fixture = pose[:3] + turn @ np.array(payload.grip.position)
-        ball(scene, fixture, 0.12 * float(payload.edges.min()), TOOL)
+        place, turn = pose[:3], to_matrix(pose[3:])
+        if contact is not None and contact.on == "payload":
+            for shape in contact.target:
+                at = place + turn @ np.array(shape.place.position)
+                _show(scene, *geom_of(shape), at, turn @ shape.place.rotation, _PAYLOAD)
+        else:
+            middle = place + turn @ np.array(payload.inertial.com)
+            _show(scene, mujoco.mjtGeom.mjGEOM_BOX, payload.edges / 2, middle, turn, _PAYLOAD)
+        grip = place + turn @ np.array(payload.grip.position)
+        ball(scene, grip, 0.12 * float(payload.edges.min()), _TOOL)
 
     def add_path(self, scene: Any, poses: Array, extent: float) -> None:
         """Add the path of a point on the plate's rim.
@@ -309,7 +313,7 @@ class Drawing:
             connect(scene, "CAPSULE", a, b, 0.005 * extent, fade)
 
     def add_wrench(
-        self, scene: Any, y: Array, w: Array, most: tuple[float, float], longest: float = ARROW
+        self, scene: Any, y: Array, w: Array, most: tuple[float, float], longest: float
     ) -> None:
         """Add force and moment on the base.
 
@@ -361,43 +365,38 @@ class Drawing:
         camera.azimuth, camera.elevation = azimuth, elevation
         return camera
 
-    def cameras(self, y: Array, q: Array, aspect: float) -> list[tuple[Any, float]]:
-        """A camera on everything and one on the arm, each with the size of what it sees.
-
-        Args:
-            y, q: (N, 6), (N, n) where the run takes base and joints.
-        """
-        arm = np.vstack([self.arm(y, q).reshape(-1, 3), np.zeros((1, 3))])
-        out = []
-        for points, room, azimuth, elevation in (
-            (*self.framing(arm, y), 110, -14),
-            (arm, 0.4, 130, -18),
-        ):
-            camera = self.camera(points, room, azimuth, elevation, aspect)
-            out.append((camera, float(np.ptp(points, axis=0).max())))
-        return out
-
-    def framing(self, arm: Array, y: Array) -> tuple[Array, float]:
-        """Points of arm and vehicle together, and the room they need around them.
+    def framing(self, arm: Array) -> tuple[Array, float]:
+        """Points of arm and vehicle at rest, and the room they need around them.
 
         Args:
             arm: (N, 3) points of the arm [m].
-            y: (K, 6) base poses [m, rad].
 
         Returns:
             (m, 3) points [m], and the margin [m].
         """
-        body, margin = self.system.base.body, 0.6
-        legs, centreline = self.legs(y), self.beam(y)
+        base, margin, home = self.system.base, 0.6, np.zeros(6)
+        legs, centreline = self.legs(home), self.beam(home)
         if legs is not None:
             return np.vstack([arm, legs.reshape(-1, 3)]), margin
         if centreline is not None:
-            return np.vstack([arm, centreline.reshape(-1, 3)]), margin
-        if body is not None:
-            margin += float(equal_box(body)[0].max())
-            corners = y[0, :3] + appendage_corners(self.system.base) @ rotation(y[0]).T
-            return np.vstack([arm, y[:, :3] + np.array(body.com), corners]), margin
-        return arm, margin
+            return np.vstack([arm, centreline]), margin
+        if base.body is None:
+            return arm, margin
+        points = [arm, np.array([base.body.com])]
+        for part in base.carried:
+            if isinstance(part, Appendage) and part.body.mass > LEAST:
+                half, axes = equal_box(part.body)
+                points.append(np.array(part.body.com) + (_CORNERS * half) @ axes.T)
+        return np.vstack(points), margin + float(equal_box(base.body)[0].max())
+
+
+def equal_box(body: Inertial) -> tuple[Array, Array]:
+    """Return half sizes (3,) [m] and axes (3, 3) of the box with a body's inertia."""
+    moments, axes = np.linalg.eigh(np.array(body.inertia))
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1
+    squares = 6 / max(body.mass, 1e-9) * (moments.sum() - 2 * moments)
+    return np.sqrt(np.maximum(squares, 1e-4)) / 2, axes
 
 
 def _add(body: Any, kind: str, rgba: Any, **options: Any) -> None:
@@ -421,8 +420,16 @@ def _box(body: Any, at: Any, half: Array, axes: Array, rgba: Any) -> None:
     _add(body, "BOX", rgba, size=half, pos=at, quat=quat)
 
 
+def _show(scene: Any, form: Any, size: Array, at: Array, axes: Array, rgba: Any) -> Any:
+    """Add a shape to this frame of the scene."""
+    geom, colour = scene.geoms[scene.ngeom], np.array(rgba, np.float32)
+    mujoco.mjv_initGeom(geom, form, np.ascontiguousarray(size), at, axes.flatten(), colour)
+    scene.ngeom += 1
+    return geom
+
+
 def connect(scene: Any, kind: str, a: Array, b: Array, radius: float, rgba: Any) -> None:
-    """Add a shape from a to b to this frame of the scene; none where they coincide.
+    """Add a shape from a to b (3,) [m] to this frame of the scene; none where they coincide.
 
     Args:
         scene: MuJoCo's, of this frame.
@@ -431,28 +438,16 @@ def connect(scene: Any, kind: str, a: Array, b: Array, radius: float, rgba: Any)
         radius: [m].
         rgba: colour, each from 0 to 1.
     """
-    if np.linalg.norm(b - a) < 1e-9:
-        return
-    geom, shape = scene.geoms[scene.ngeom], getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")
-    zero, colour = np.zeros(3), np.array(rgba, np.float32)
-    mujoco.mjv_initGeom(geom, shape, zero, zero, np.eye(3).ravel(), colour)
-    mujoco.mjv_connector(geom, shape, radius, a, b)
-    scene.ngeom += 1
+    if np.linalg.norm(b - a) > 1e-9:
+        form = getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")
+        geom = _show(scene, form, np.zeros(3), np.zeros(3), np.eye(3), rgba)
+        mujoco.mjv_connector(geom, form, radius, a, b)
 
 
 def ball(scene: Any, at: Array, radius: float, rgba: Any) -> None:
-    """Add a sphere to this frame of the scene.
-
-    Args:
-        scene: MuJoCo's, of this frame.
-        at: (3,) centre [m].
-        radius: [m].
-        rgba: colour, each from 0 to 1.
-    """
-    geom, colour = scene.geoms[scene.ngeom], np.array(rgba, np.float32)
-    shape, size = mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, radius)
-    mujoco.mjv_initGeom(geom, shape, size, at, np.eye(3).ravel(), colour)
-    scene.ngeom += 1
+    """Add a sphere around (3,) [m] to this frame of the scene."""
+    form = mujoco.mjtGeom.mjGEOM_SPHERE
+    _show(scene, form, np.full(3, radius), at, np.eye(3), rgba)
 
 
 def _frame_along(x: Array) -> Array:

@@ -1,6 +1,6 @@
 """A picture that follows a simulation: pixels on request, or a window.
 
-Drawing happens in a child process (`screen`), as in `render`.
+Drawing happens in a child process (`screen`), which alone loads MuJoCo with its OpenGL.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym.rendering.opengl import choose_backend, require_display
-from ves_gym.rendering.process import DrawingProcess
+from ves_gym.rendering.opengl import DrawingProcess, choose_backend, require_display
 from ves_gym.system.system import System
 
 _STALL = 60.0  # s without an answer after which drawing has hung
@@ -37,6 +36,7 @@ class LiveSettings:
     rolling: bool = False  # the strip follows the clock instead of ending with the span
     lines: int = 0  # of text
     title: str = "ves_gym"  # of a window
+    magnify: float = 0.0  # of the base's motion; 0: in the picture of the whole, as it suits
 
     def to_line(self) -> bytes:
         """As a line of JSON."""
@@ -54,9 +54,10 @@ class Live:
     """A picture of one system, brought up to date by samples.
 
     A sample is plain data: `episode` (a key that tells one from the next), `t` [s], `y` (6),
-    `q` (n), `E` and `strain` [J], `w` (6) the wrench on the base, `marker` (k, 3) points in
-    space or None, `text` lines; `payload` (7) where there is one: its place and quaternion;
-    `row` of the simulation where there are several (0).
+    `q` (n), `u` (m) flexures and internal modes or None, `E` and `strain` [J], `w` (6) the
+    wrench on the base or None, `marker` (k, 3) points in space or None, `text` lines; `payload`
+    (7) where there is one: its place and quaternion; `row` of the simulation where there are
+    several (0).
 
     Raises:
         RenderError: nothing can be drawn here; the message says what is missing.
@@ -66,11 +67,11 @@ class Live:
         self.settings = settings
         self.open, self._has_picture = True, False
         self._unsent: list[dict[str, Any]] = []
-        self._due: float | None = None  # when a picture asked for counts as lost
+        self._due: float | None = None  # when the picture under way counts as lost
         if settings.window:
             require_display()
-        backend = "glfw" if settings.window else choose_backend()
-        self._drawer = DrawingProcess(backend, "ves_gym.rendering.screen", read=_read)
+        self.backend = "glfw" if settings.window else choose_backend()
+        self._drawer = DrawingProcess(self.backend, "ves_gym.rendering.screen", read=_read)
         self._drawer.send(settings.to_line())
 
     def picture(self, sample: dict[str, Any]) -> npt.NDArray[np.uint8]:
@@ -83,7 +84,7 @@ class Live:
         """Bring the window up to date; the keys pressed and let go since the last call.
 
         Waits for the first picture only: what comes while one is drawn is shown with the
-        next. Once the window has been closed (`open`) nothing happens.
+        following one. Once the window has been closed (`open`) nothing happens.
         """
         if not self.open:
             return []

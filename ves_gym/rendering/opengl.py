@@ -1,7 +1,7 @@
-"""Which OpenGL draws on this machine: tried in child processes that may hang or crash.
+"""OpenGL in child processes: which backend draws here, and a process that draws with it.
 
-MuJoCo reads its OpenGL backend from MUJOCO_GL when it is imported, and a broken OpenGL
-may hang or abort, so nothing is ever tried in the user's own process.
+MuJoCo reads its OpenGL backend from MUJOCO_GL when it is imported, and a broken OpenGL may
+hang or abort, so nothing is ever tried or drawn in the user's own process.
 """
 
 from __future__ import annotations
@@ -9,11 +9,17 @@ from __future__ import annotations
 import ctypes.util
 import os
 import platform
+import queue
 import subprocess
 import sys
+import tempfile
+import threading
+import weakref
+from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, Any, NamedTuple
 
 _PATIENCE = 30.0  # s a backend may take to draw one small picture
 
@@ -83,35 +89,43 @@ def candidates() -> tuple[str, ...]:
     return platform_backends[:1]
 
 
-@cache
-def probe(backend: str, timeout: float = _PATIENCE) -> Probe:
-    """Try to draw with a backend, in a child process that may hang or crash.
+def attempt(code: str, timeout: float, backend: str | None = None) -> tuple[bool, str]:
+    """Run Python code in a child process that may hang or crash.
 
     Args:
-        backend: a value of MUJOCO_GL.
+        code: of a program.
         timeout: after which it counts as hung [s].
+        backend: value of MUJOCO_GL; None: as it is.
 
     Returns:
-        The outcome; the same one again without another try.
+        Whether it ended well, and the last line that it wrote, or why it ended.
     """
     try:
         done = subprocess.run(
-            [sys.executable, "-c", _TRY],
+            [sys.executable, "-c", code],
             env=environment(backend),
             capture_output=True,
             text=True,
             timeout=timeout,
         )
     except subprocess.TimeoutExpired:
-        return Probe(backend, False, f"drawing hangs (gave up after {timeout:g} s)")
-    if done.returncode == 0:
-        return Probe(backend, True, "works")
+        return False, f"it hangs (gave up after {timeout:g} s)"
+    if done.returncode:
+        return False, exit_reason(done.returncode, done.stderr)
+    lines = done.stdout.strip().splitlines()
+    return True, lines[-1] if lines else "works"
+
+
+@cache
+def probe(backend: str, timeout: float = _PATIENCE) -> Probe:
+    """Try to draw with a backend; asked again, the same outcome without another try."""
+    works, words = attempt(_TRY, timeout, backend)
     library, _ = _LIBRARIES.get(backend, ("", ""))
-    if library and ctypes.util.find_library(library) is None:
-        return Probe(backend, False, f"lib{library} is missing")
-    if backend in ("glfw", "glx") and not has_display():
-        return Probe(backend, False, "no display (DISPLAY is not set)")
-    return Probe(backend, False, exit_reason(done.returncode, done.stderr))
+    if not works and library and ctypes.util.find_library(library) is None:
+        words = f"lib{library} is missing"
+    elif not works and backend in ("glfw", "glx") and not has_display():
+        words = "no display (DISPLAY is not set)"
+    return Probe(backend, works, words)
 
 
 def choose_backend() -> str:
@@ -125,33 +139,113 @@ def choose_backend() -> str:
     raise RenderError(f"no OpenGL to draw with ({'; '.join(tried)}); {install_hint()}")
 
 
+def state() -> str:
+    """The setting of MUJOCO_GL, in words."""
+    setting = os.environ.get("MUJOCO_GL")
+    return "MUJOCO_GL is not set" if setting is None else f"MUJOCO_GL is {setting!r}"
+
+
 def install_hint() -> str:
     """Advice for a machine on which no backend draws."""
-    setting = os.environ.get("MUJOCO_GL")
-    state = "is not set" if setting is None else f"is {setting!r}"
     packages = ", or ".join(packages for _, packages in _LIBRARIES.values())
-    return f"MUJOCO_GL {state}; on Debian or Ubuntu: apt-get install {packages}"
+    return f"{state()}; on Debian or Ubuntu: apt-get install {packages}"
 
 
 def exit_reason(status: int, stderr: str) -> str:
-    """Explain why a process ended.
-
-    Args:
-        status: exit status, negative for a signal.
-        stderr: what it wrote there.
-
-    Returns:
-        The reason in words.
-    """
-    lines = [text.strip() for text in stderr.splitlines() if text.strip()]
+    """Say why a process ended: a signal, or the last line of its `stderr`."""
     if status < 0:
         return f"it crashes (signal {-status})"
+    lines = [text.strip() for text in stderr.splitlines() if text.strip()]
     return lines[-1] if lines else f"it ends with status {status}"
 
 
-def environment(backend: str) -> dict[str, str]:
-    """Environment of a drawing process: the backend, and this very package."""
+def environment(backend: str | None) -> dict[str, str]:
+    """Environment of a child process: the backend, and this very package."""
     root = str(Path(__file__).parents[2])
     paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
-    environment = {k: v for k, v in os.environ.items() if k != "PYOPENGL_PLATFORM"}
-    return {**environment, "MUJOCO_GL": backend, "PYTHONPATH": os.pathsep.join(paths)}
+    out = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    if backend is not None:
+        out["MUJOCO_GL"] = backend
+        out.pop("PYOPENGL_PLATFORM", None)  # MuJoCo sets its own
+    return out
+
+
+class DrawingProcess:
+    """`python -m MODULE WORDS` with what it writes in a queue.
+
+    It ends with its standard input: no process outlives the one that wants its pictures.
+
+    Args:
+        read: takes the next piece from its standard output, None at the end.
+    """
+
+    def __init__(
+        self, backend: str, module: str, *words: str, read: Callable[[IO[bytes]], Any]
+    ) -> None:
+        self.backend = backend
+        self.errors = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", module, *words],
+            env=environment(backend),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self.errors,
+            start_new_session=True,  # an interrupt from the keyboard is for its owner
+        )
+        self.pieces: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        reader = threading.Thread(
+            target=_queue_output, args=(self.process.stdout, read, self.pieces), daemon=True
+        )
+        reader.start()
+        self.close = weakref.finalize(self, _stop, self.process, reader, self.errors)
+
+    def send(self, data: bytes) -> None:
+        """Write to it. Where it has ended, `get` says why."""
+        assert self.process.stdin is not None
+        with suppress(OSError):
+            self.process.stdin.write(data)
+            self.process.stdin.flush()
+
+    def ready(self) -> bool:
+        """True if `get` would not wait."""
+        return not self.pieces.empty()
+
+    def get(self, patience: float | None) -> Any:
+        """The next piece, None when it has ended well; a RenderError where there is none.
+
+        Args:
+            patience: s to wait, None: for ever.
+        """
+        try:
+            piece = self.pieces.get(timeout=patience)
+        except queue.Empty:
+            self.close()
+            raise RenderError(
+                f"drawing with {self.backend} hung: no frame for {patience:g} s"
+            ) from None
+        if piece is None and (status := self.process.wait()) != 0:
+            self.errors.seek(0)
+            words = exit_reason(status, self.errors.read())
+            self.close()
+            raise RenderError(f"drawing with {self.backend} failed: {words}")
+        return piece
+
+
+def _queue_output(
+    pipe: IO[bytes], read: Callable[[IO[bytes]], Any], pieces: queue.SimpleQueue[Any]
+) -> None:
+    """Queue what a process writes, and None when it has ended."""
+    with pipe:
+        while (piece := read(pipe)) is not None:
+            pieces.put(piece)
+    pieces.put(None)
+
+
+def _stop(process: subprocess.Popen[bytes], reader: threading.Thread, errors: IO[str]) -> None:
+    process.kill()  # does nothing to one that has ended
+    process.wait()
+    reader.join()
+    assert process.stdin is not None
+    with suppress(OSError):  # it had not read everything
+        process.stdin.close()
+    errors.close()

@@ -1,36 +1,29 @@
-"""Draw a run log with MuJoCo's renderer: a GIF, an MP4 or a window.
-
-All drawing happens in a child process (`python -m ves_gym.rendering.movie`) under the OpenGL
-backend that `opengl` chose, watched so that a hang ends in an error.
-"""
+"""Draw a run log: a GIF, an MP4 or a window, as `live` draws what runs."""
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import os
 import tempfile
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError, require_positive, unit, write_bytes
-from ves_gym.rendering.opengl import RenderError, choose_backend, probe, require_display
-from ves_gym.rendering.process import DrawingProcess
+from ves_gym.rendering.live import Live, LiveSettings
 from ves_gym.system.energy import log_base_energy
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
-_STALL = 180.0  # s without a finished frame after which drawing has hung
+FORMATS = {".gif": "PIL", ".mp4": "imageio_ffmpeg"}  # suffix -> module that writes it
 
-FORMATS = {  # suffix -> modules that write it; Pillow draws the labels
-    ".gif": ("PIL",),
-    ".mp4": ("PIL", "imageio_ffmpeg"),
-}
+Frames = Iterator[npt.NDArray[np.uint8]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,50 +69,67 @@ def render(
     """
     path, view = Path(path), view or View()
     _require_format(path, view)
-    clip = _clip(log, view)
-    backend = choose_backend()
-    with tempfile.TemporaryDirectory(prefix="ves-render-") as folder:
-        picture = Path(folder) / f"out{path.suffix}"
-        _run_child(clip, view, picture, backend, progress)
-        write_bytes(path, picture.read_bytes())
-    return {"frames": len(clip["t"]), "backend": backend}
+    system, samples = log_samples(log, view)
+    live = Live(_settings(system, samples, view))
+
+    def frames() -> Frames:
+        for k, sample in enumerate(samples):
+            yield live.picture(sample)
+            if progress is not None:
+                progress((k + 1) / len(samples))
+
+    write = _write_gif if path.suffix == ".gif" else _write_mp4
+    try:
+        with tempfile.TemporaryDirectory(prefix="ves-render-") as folder:
+            movie = Path(folder) / f"movie{path.suffix}"
+            write(movie, frames(), view)
+            write_bytes(path, movie.read_bytes())
+    finally:
+        live.close()
+    return {"frames": len(samples), "backend": live.backend}
 
 
 def show(log: RunLog, view: View | None = None) -> None:
-    """Replay a run log in a window until it is closed.
+    """Replay a run log in a window, over and over, until it is closed.
 
     Args:
         log: with a system in its metadata.
-        view: frame rate [1/s] and magnification.
+        view: size [px], frame rate [1/s] and magnification.
 
     Raises:
         RenderError: no display, or its OpenGL does not work.
     """
     view = view or View()
-    clip = _clip(log, view)
-    require_display()
-    result = probe("glfw")
-    if not result.works:
-        raise RenderError(f"a window needs glfw's OpenGL, which fails here: {result.reason}")
-    with tempfile.TemporaryDirectory(prefix="ves-render-") as folder:
-        _run_child(clip, view, Path(folder) / "window", "glfw", None)
+    system, samples = log_samples(log, view)
+    live = Live(_settings(system, samples, view, window=True, title="ves-gym view"))
+    try:
+        due = time.monotonic()
+        for k in count():
+            episode, at = divmod(k, len(samples))
+            live.show({**samples[at], "episode": episode})
+            if not live.open:
+                return
+            due = max(due + 1 / view.fps, time.monotonic() - 1.0)  # no catching up
+            time.sleep(max(0.0, due - time.monotonic()))
+    finally:
+        live.close()
 
 
-def _require_format(path: Path, view: View) -> None:
-    if path.suffix not in FORMATS:
-        raise ParameterError(f"{path}: expected a {' or '.join(FORMATS)} name")
-    require(f"{path.suffix[1:].upper()} output", *FORMATS[path.suffix])
-    period = 100 / view.fps  # a GIF counts hundredths of a second
-    if path.suffix == ".gif" and (round(period) < 1 or abs(period - round(period)) > 1e-6):
-        near = 100 / max(2, round(period))
-        raise ParameterError(
-            "a GIF shows each frame for a whole number of 1/100 s: fps must be 100 / k"
-            f" (50, 25, 20, 10, ...), got {view.fps:g}; nearest {near:.4g}"
-        )
+def _settings(
+    system: System, samples: list[dict[str, Any]], view: View, **window: Any
+) -> LiveSettings:
+    return LiveSettings(
+        system=system,
+        width=view.width,
+        height=view.height,
+        span=max(samples[-1]["t"], 1e-3),
+        magnify=view.magnify,
+        **window,
+    )
 
 
-def _clip(log: RunLog, view: View) -> dict[str, Any]:
-    """Arrays of every frame from a log, the base's motion magnified."""
+def log_samples(log: RunLog, view: View) -> tuple[System, list[dict[str, Any]]]:
+    """The system of a log, and a sample of it for every picture, as `Live` takes them."""
     if "system" not in log.meta:
         raise ParameterError("the log does not say what to draw: its metadata has no 'system'")
     system = System.from_dict(log.meta["system"], "log metadata: system")
@@ -132,44 +142,75 @@ def _clip(log: RunLog, view: View) -> dict[str, Any]:
     def at(values: Array) -> Array:
         return np.stack([np.interp(t, log.t, column) for column in values.T], axis=1)
 
-    E = log_base_energy(log, system).total
-    clip = {
+    energy = log_base_energy(log, system)
+    wrench = log.w if log.wg is None else log.wg  # less the weight, where there is any
+    # attitudes of neighbouring samples may differ in sign: not interpolated
+    nearest = np.abs(log.t - t[:, None]).argmin(axis=1)
+    columns: dict[str, Array | None] = {
         "t": t - log.t[0],
         "q": at(log.q),
-        "y": view.magnify * at(log.y),
-        "E": np.interp(t, log.t, E),
+        "y": at(log.y),
+        "u": at(log.u) if log.u is not None and system.mode == "ideal" else None,
+        "E": np.interp(t, log.t, energy.total),
+        "strain": np.interp(t, log.t, energy.strain),
+        "w": None if wrench is None else at(wrench),
+        "payload": None if log.p is None else log.p[nearest],
     }
-    if log.u is not None and system.mode == "ideal":
-        clip["u"] = view.magnify * at(log.u)
-    if log.p is not None:  # attitudes of neighbouring samples may differ in sign
-        clip["p"] = log.p[np.abs(log.t - t[:, None]).argmin(axis=1)]
-    wrench = log.w if log.wg is None else log.wg  # less the weight, where there is any
-    if wrench is not None:
-        clip["w"] = at(wrench)
-    return {"system": system, **clip}
+    lists = {k: [None] * len(t) if v is None else v.tolist() for k, v in columns.items()}
+    samples = [dict(zip(lists, row, strict=True)) for row in zip(*lists.values(), strict=True)]
+    return system, [{"episode": 0, "marker": None, "text": [], **k} for k in samples]
 
 
-def _run_child(
-    clip: dict[str, Any],
-    view: View,
-    target: Path,
-    backend: str,
-    progress: Callable[[float], None] | None,
-) -> None:
-    job = target.with_name("job.npz")
-    plain = json.dumps({"system": clip["system"].to_dict(), "view": dataclasses.asdict(view)})
-    arrays = {k: v for k, v in clip.items() if k != "system"}
-    np.savez(job, job=np.array(plain), **arrays)
-    patience = _STALL if target.suffix else None  # a window stays as long as it likes
-    words = (str(job), str(target))
-    drawer = DrawingProcess(backend, "ves_gym.rendering.movie", *words, read=_read_message)
-    try:
-        while (message := drawer.get(patience)) is not None:
-            if progress is not None:
-                progress(float(message))  # one per frame: the fraction done
-    finally:
-        drawer.close()
+# --------------------------------------------------------------------------- files
 
 
-def _read_message(pipe: IO[bytes]) -> bytes | None:
-    return pipe.readline() or None
+def _require_format(path: Path, view: View) -> None:
+    if path.suffix not in FORMATS:
+        raise ParameterError(f"{path}: expected a {' or '.join(FORMATS)} name")
+    require(f"{path.suffix[1:].upper()} output", FORMATS[path.suffix])
+    period = 100 / view.fps  # a GIF counts hundredths of a second
+    if path.suffix == ".gif" and (round(period) < 1 or abs(period - round(period)) > 1e-6):
+        near = 100 / max(2, round(period))
+        raise ParameterError(
+            "a GIF shows each frame for a whole number of 1/100 s: fps must be 100 / k"
+            f" (50, 25, 20, 10, ...), got {view.fps:g}; nearest {near:.4g}"
+        )
+
+
+# Colours that a run shows early or late: a GIF's palette has shades of them from the first on.
+_ACCENTS = ((0.93, 0.55, 0.16), (0.88, 0.27, 0.27), (0.35, 0.80, 0.48), (0.74, 0.52, 0.95),
+            (0.32, 0.72, 0.98), (0.55, 0.60, 0.68))  # fmt: skip
+
+
+def _write_gif(path: Path, frames: Frames, view: View) -> None:
+    from PIL import Image
+
+    first = Image.fromarray(next(frames))
+    # one palette for all, so that nothing flickers
+    shades = np.linspace(0.25, 1.0, 16)[:, None, None]
+    swatch = Image.fromarray((255 * shades * np.array(_ACCENTS)).round().astype(np.uint8))
+    sample = first.copy()
+    sample.paste(swatch.resize((first.width, first.height // 4), Image.Resampling.NEAREST))
+    palette = sample.quantize(256, Image.Quantize.MEDIANCUT)
+
+    def reduced(image: Image.Image) -> Image.Image:
+        return image.quantize(palette=palette, dither=Image.Dither.NONE)
+
+    reduced(first).save(
+        path,
+        save_all=True,
+        append_images=(reduced(Image.fromarray(frame)) for frame in frames),
+        duration=round(1000 / view.fps),
+        loop=0,
+    )
+
+
+def _write_mp4(path: Path, frames: Frames, view: View) -> None:
+    import imageio_ffmpeg
+
+    size = (view.width, view.height)
+    writer = imageio_ffmpeg.write_frames(str(path), size, fps=view.fps, macro_block_size=2)
+    writer.send(None)
+    for frame in frames:
+        writer.send(frame)
+    writer.close()

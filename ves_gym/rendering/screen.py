@@ -32,16 +32,11 @@ def answer_pictures(settings: LiveSettings) -> None:
     context.free()
 
 
-def main() -> None:
-    """Show what the first line of stdin says."""
-    settings = LiveSettings.from_line(sys.stdin.readline())
-    if not settings.window:
-        answer_pictures(settings)
-    else:
+if __name__ == "__main__":
+    SETTINGS = LiveSettings.from_line(sys.stdin.readline())
+    if SETTINGS.window:
         from ves_gym.rendering.window import Window  # needs GLFW
 
-        Window(settings).run()
-
-
-if __name__ == "__main__":
-    main()
+        Window(SETTINGS).run()
+    else:
+        answer_pictures(SETTINGS)

@@ -82,10 +82,9 @@ class Stage:
             while self.samples and self.samples[-1]["t"] >= sample["t"]:
                 self.samples.pop()
             self.samples.append(sample)
-        time = self.samples[-1]["t"]
         if self.settings.rolling:
-            old = time - self.settings.span
-            del self.samples[: next(i for i, k in enumerate(self.samples) if k["t"] >= old)]
+            first = self.samples[-1]["t"] - self.settings.span
+            self.samples[:] = [k for k in self.samples if k["t"] >= first]
 
     @property
     def samples(self) -> list[dict[str, Any]]:
@@ -113,12 +112,13 @@ class Stage:
             self.fitted = width, height
         sample, y = self.samples[-1], self._all("y")
         u = None if sample["u"] is None else np.array(sample["u"])
+        factors = (self.settings.magnify or 1.0), self._magnified(y)
         for rect, camera, extent, k in zip(
-            (arm, overview), self.cameras, self.extents, (1.0, self._magnified(y)), strict=True
+            (arm, overview), self.cameras, self.extents, factors, strict=True
         ):
             if rect is arm:  # a base that leaves the picture takes it along
-                away = y[-1, :3] - np.clip(y[-1, :3], -_ROOM, _ROOM)
-                camera.lookat[:] = self.home + away
+                place = k * y[-1, :3]
+                camera.lookat[:] = self.home + place - np.clip(place, -_ROOM, _ROOM)
             modes = None if u is None else k * u
             self.drawing.pose(k * y[-1], np.array(sample["q"]), modes)
             mujoco.mjv_updateScene(
@@ -127,7 +127,7 @@ class Stage:
             )  # fmt: skip
             self.drawing.add_support(self.scene, k * y[-1], extent, modes)
             if rect is arm:
-                self._wrench(sample, y[-1])
+                self._wrench(sample, k * y[-1])
                 self._marker(sample, extent)
                 if sample.get("payload") is not None:
                     self.drawing.add_payload(self.scene, np.array(sample["payload"]))
@@ -150,7 +150,7 @@ class Stage:
             reach += float(payload.edges.max())
         plate = 0.5 * reach * ways[[0, 1, 3, 4]]
         around = np.vstack([shoulder + reach * ways, plate, below])
-        points, room = self.drawing.framing(around, np.zeros((1, 6)))
+        points, room = self.drawing.framing(around)
         fit, shape = self.drawing.camera, overview.width / overview.height
         near = fit(around, 0.1, 130, -18, arm.width / arm.height)
         self.cameras = [near, fit(points, room, 110, -14, shape)]
@@ -158,7 +158,10 @@ class Stage:
         self.home = near.lookat.copy()
 
     def _magnified(self, y: Array) -> float:
-        """A round factor that never grows within an episode."""
+        """The settings' factor, or a round one that never grows within an episode."""
+        if self.settings.magnify:
+            self.history.magnify = self.settings.magnify
+            return self.history.magnify
         move = max(_LEAST, float(np.linalg.norm(y[:, :3], axis=1).max()))
         turn = max(_LEAST, float(np.linalg.norm(y[:, 3:], axis=1).max()))
         most = min(_SWAY * self.extents[1] / move, _TURN / turn)
@@ -167,6 +170,8 @@ class Stage:
 
     def _wrench(self, sample: dict[str, Any], y: Array) -> None:
         """An arrow is full at what moves the arm with 0.3 m/s^2, or at the largest so far."""
+        if sample["w"] is None:
+            return
         mass = sum(k.inertial.mass for k in self.settings.system.arm.links)
         sizes = np.linalg.norm(self._all("w").reshape(-1, 2, 3), axis=2)
         force, moment = sizes.max(axis=0, initial=0.3 * mass)
@@ -192,8 +197,9 @@ class Stage:
         ]
         if self.stiff:
             lines.append((f"strain {sample['strain']:.3g} J", _STRAIN))
-        force, moment = np.linalg.norm(np.array(sample["w"]).reshape(2, 3), axis=1)
-        lines += [(f"force {force:.0f} N", FORCE), (f"moment {moment:.0f} N m", MOMENT)]
+        if sample["w"] is not None:
+            force, moment = np.linalg.norm(np.array(sample["w"]).reshape(2, 3), axis=1)
+            lines += [(f"force {force:.0f} N", FORCE), (f"moment {moment:.0f} N m", MOMENT)]
         if sample["marker"] is not None:
             lines.append(("target", TARGET))
         self._column(arm, lines)
@@ -202,8 +208,9 @@ class Stage:
         )
 
     def _column(self, rect: mujoco.MjrRect, lines: list[tuple[str, Any]]) -> None:
+        """Write lines from the top, as many as half of a small picture takes."""
         top = rect.bottom + rect.height - _EDGE
-        for i, (text, rgb) in enumerate(lines):
+        for i, (text, rgb) in enumerate(lines[: rect.height // (2 * self._text_height)]):
             self._text(text, rect.left + _EDGE, top - (i + 1) * self._text_height, rgb[:3])
 
     @property
@@ -211,7 +218,7 @@ class Stage:
         return round(1.15 * self.context.charHeight)
 
     def _text(self, text: str, start: int, bottom: int, rgb: Any) -> None:
-        """Write at pixels from the lower left; MuJoCo's font knows ASCII."""
+        """Write at pixels from the lower left; MuJoCo's font has ASCII alone."""
         text = text.encode("ascii", "replace").decode()
         width = int(sum(self.context.charWidth[ord(k)] for k in text))
         rect = mujoco.MjrRect(start, bottom, width, self.context.charHeight)
@@ -227,6 +234,7 @@ class Stage:
             points = np.column_stack([t, values])[::-stride].ravel()  # the latest always
             figure.linepnt[index] = len(points) // 2
             figure.linedata[index][: len(points)] = points
+        figure.flg_ticklabel[:] = [int(rect.height > 2 * self._text_height)] * 2
         mujoco.mjr_figure(rect, figure, self.context)
 
 

@@ -11,8 +11,10 @@ from scipy.integrate import cumulative_trapezoid
 from ves_gym.damping.analysis import Complexes
 from ves_gym.damping.configurations import DampingMap
 from ves_gym.damping.free_vibration import FreeVibration
-from ves_gym.report.figures import _IN_SPACE, _darker, _panels
+from ves_gym.damping.gain_comparison import GainComparison
+from ves_gym.report.figures import IN_SPACE, darker, panels_of
 from ves_gym.report.planner_styles import COLOURS
+from ves_gym.simulation.stability import poles_in_space
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,6 +26,21 @@ _TICKS = (-1e4, -3e3, -1e3, -300, -100, -30, -10, -3, -1, -0.5, 0)  # 1/s
 _RESPONSE_TIME = 10.0  # s, of the responses
 
 
+def damping_figures(comparison: GainComparison) -> dict[str, Figure]:
+    """Return the figures of a comparison of gains by name: poles, responses, configurations."""
+    rows = comparison.rows
+    mass, base = comparison.plant.mass, comparison.system.base
+    locked = poles_in_space(mass, *base.full()[1:])
+    names = [row.name for row in rows]
+    figures = {
+        "poles": pole_figure([(row.name, row.damping.poles) for row in rows], locked),
+        "responses": response_figure(names, comparison.linear, comparison.simulated),
+    }
+    if comparison.maps:
+        figures["configurations"] = map_figure(comparison.maps)
+    return figures
+
+
 def pole_figure(sets: Sequence[tuple[str, Complexes]], locked: Complexes) -> Figure:
     """Draw poles of arm and base, a panel per set of gains; rings: the base, joints locked.
 
@@ -33,11 +50,8 @@ def pole_figure(sets: Sequence[tuple[str, Complexes]], locked: Complexes) -> Fig
     Args:
         sets: name and poles [1/s] of each set.
         locked: poles with the joints locked [1/s].
-
-    Returns:
-        The figure.
     """
-    figure, panels = _panels(len(sets), 4.2, 3.8)
+    figure, panels = panels_of(len(sets), 4.2, 3.8)
     every = np.concatenate([locked, *(poles for _, poles in sets)])
     slowest = min(-10.0, 1.6 * every.real.min())
     top = 1.08 * every.imag.max()
@@ -54,8 +68,7 @@ def pole_figure(sets: Sequence[tuple[str, Complexes]], locked: Complexes) -> Fig
         axes.set_xticks([], minor=True)
         axes.xaxis.set_major_formatter("{x:g}")
         axes.set(xlim=(slowest, 0.1), ylim=(0, top), xlabel="1/s", ylabel="rad/s")
-        axes.set_title(name, fontsize="medium", color=_darker(_colour(k)))
-        axes.grid(alpha=0.3)
+        axes.set_title(name, color=darker(_colour(k)))
     panels[0].legend(loc="lower left", fontsize="small")
     return figure
 
@@ -73,16 +86,15 @@ def response_figure(
     Returns:
         The figure: [mm], [J] and [J s] over [s].
     """
-    figure, panels = _panels(3, 8.4, 2.9, columns=1)
+    figure, panels = panels_of(3, 8.4, 2.9, columns=1)
     labels = ("translation [mm]", "strain energy [J]", "its integral [J s]")
     end = min(_RESPONSE_TIME, linear.t[-1])
     for axes, label in zip(panels, labels, strict=True):
         axes.set(ylabel=label, xlim=(0, end))
-        axes.grid(alpha=0.3)
     for k in range(len(names)):
         if simulated is not None:
             _draw_response(panels, simulated, k, color=_colour(k), linewidth=2.0)
-            dashed: dict[str, Any] = {"color": _darker(_colour(k)), **_IN_SPACE}
+            dashed: dict[str, Any] = {"color": darker(_colour(k)), **IN_SPACE}
         else:
             dashed = {"color": _colour(k), "linewidth": 1.6}
         _draw_response(panels, linear, k, **dashed)
@@ -98,9 +110,9 @@ def map_figure(maps: Sequence[DampingMap]) -> Figure:
 
     The star is the configuration that the sections go through.
     """
-    figure, panels = _panels(3 * len(maps), 4.4, 3.7, columns=len(maps))
     from matplotlib.ticker import MaxNLocator
 
+    figure, panels = panels_of(3 * len(maps), 4.4, 3.7, columns=len(maps), grid=False)
     rows = (
         ("coupling", "trace of raw Q [J/rad²]", "Greys"),
         ("estimated", "promised by the modal coupling [J s]", "viridis_r"),
@@ -141,7 +153,7 @@ def _response_legend(figure: Figure, names: Sequence[str], both: bool) -> None:
     lines = [Line2D([], [], color=_colour(k), linewidth=3) for k in range(len(names))]
     labels = list(names)
     if both:
-        lines.append(Line2D([], [], color="black", **_IN_SPACE))
+        lines.append(Line2D([], [], color="black", **IN_SPACE))
         labels.append("by the linear model")
     figure.legend(lines, labels, loc="outside lower center", ncols=2, frameon=False)
 

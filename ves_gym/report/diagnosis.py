@@ -1,12 +1,14 @@
-"""A diagnosis as one HTML file: no server, no network, no script, pictures inside."""
+"""A diagnosis as one HTML file without a script, pictures inside, and as text."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
-from ves_gym._util.params import ParameterError, write_text
+from ves_gym._util.params import write_text
+from ves_gym._util.tables import table
+from ves_gym.diagnosis.diagnose import ONE_OF, UNKNOWN, WIDE, Diagnosis
 from ves_gym.report.diagnosis_figures import (
     LABELLED,
     likeness_figure,
@@ -14,28 +16,20 @@ from ves_gym.report.diagnosis_figures import (
     when_figure,
     where_figure,
 )
-from ves_gym.report.diagnosis_markup import (
-    STYLE,
-    escaped,
-    interval_text,
-    picture,
-    probability_text,
-    range_text,
-    share_text,
-    table,
-    unit_text,
-    value_text,
-)
-from ves_gym.report.pages import part
-from ves_gym.report.planner_styles import css
+from ves_gym.report.figures import png_address
+from ves_gym.report.pages import escaped, html_table, page, require_schema
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCHEMA = "ves-diagnose/1"
-Result = dict[str, Any]
+Result = Mapping[str, Any]
 
+_CHANNELS = 12  # in the table of the text
 _VISIBLE = 0.05  # standard deviations
-_LEAST = 1e-4  # p below which it is not told apart
+_LEAST = 1e-4  # p below which it is not a number
 _ROUND = 100.0  # gain above which tenths do not matter
-_SEEN = 0.001  # probability from which a hypothesis is listed
+_LIKELY = 0.001  # probability from which the page lists a hypothesis; the text: 0.005
 
 
 def write_page(result: Result, path: str | os.PathLike[str]) -> None:
@@ -43,7 +37,7 @@ def write_page(result: Result, path: str | os.PathLike[str]) -> None:
 
     Args:
         result: what `ves-gym diagnose` writes as JSON, with `overlays`
-            (`diagnosis_overlays.overlays`) and `diff` (text) where there are any.
+            (`diagnosis_figures.overlays`) and `diff` (text) where there are any.
 
     Raises:
         ParameterError: another schema, or matplotlib is not installed.
@@ -53,51 +47,35 @@ def write_page(result: Result, path: str | os.PathLike[str]) -> None:
 
 def render_page(result: Result) -> str:
     """The text of the page."""
-    if result.get("schema") != SCHEMA:
-        raise ParameterError(f"result.schema must be {SCHEMA!r}, got {result.get('schema')!r}")
-    sections = (
-        ("What is missing", _missing(result)),
-        ("Where", _where(result)),
-        ("When", _when(result)),
-        ("Before and after", _overlays(result)),
-        ("Candidates", _candidates(result)),
-        ("What these runs can tell apart", _confusable(result)),
-        ("Gap and noise floor", _gaps(result)),
-        ("The whole loop, left to itself", _free(result)),
-        ("Not tested", _untested(result)),
-        ("Change of the description", _change(result)),
-        ("How this was found", _provenance(result)),
+    require_schema(result, SCHEMA)
+    better = bool(result["effects"])
+    shares = ", ".join(
+        f"{k} {_probability(p)}" for k, p in result["hypotheses"].items() if p >= _LIKELY
     )
-    body = "\n".join(
-        f"<section><h2>{title}</h2>\n{content}</section>" for title, content in sections
+    return page(
+        "report/diagnosis.html",
+        title=f"Diagnosis: {result['verdict']}",
+        styles=("report/diagnosis.css",),
+        eyebrow=escaped(_eyebrow(result)),
+        sentence=escaped(result["sentence"]),
+        null=escaped(result["null"]["sentence"]),
+        hypotheses=escaped(f"Probabilities: {shares}."),
+        tiles=_tiles(result),
+        missing=_missing(result),
+        where=png_address(where_figure(result["where"], better)),
+        when=png_address(when_figure(result["when"], better)),
+        overlays=_overlays(result),
+        candidates=_candidates(result),
+        steps=_list(result["steps"], "<p>Taken one by one, in full fits:</p>", "ol"),
+        confusable=_confusable(result),
+        worse=escaped(_worse_channels(result)),
+        free=_free(result),
+        untested=_untested(result),
+        change=_change(result),
+        provenance=_provenance(result),
+        schema=escaped(result["schema"]),
+        **_gaps(result),
     )
-    return f"""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark">
-<meta http-equiv="Content-Security-Policy"
-  content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
-<title>{escaped(f"Diagnosis: {result['verdict']}")}</title>
-<style>
-{css()}{part("page.css")}{STYLE}</style>
-</head>
-<body>
-<header class="top">
-<p class="eyebrow">{escaped(_eyebrow(result))}</p>
-<h1>Where do data and description disagree, and what is missing?</h1>
-<p class="verdict">{escaped(result["sentence"])}</p>
-<p class="note">{escaped(result["null"]["sentence"])} {escaped(_hypotheses(result))}</p>
-</header>
-<main>
-{_tiles(result)}
-{body}
-</main>
-<footer><p class="note">{escaped(_signature(result))}</p></footer>
-</body>
-</html>
-"""
 
 
 # --------------------------------------------------------------------------- sections
@@ -116,70 +94,80 @@ def _tiles(result: Result) -> str:
     tiles = []
     for effect in result["effects"]:
         rivals = effect["class"]
-        big = f"one of {len(rivals)}" if len(rivals) > 1 else share_text(effect["probability"])
+        p = effect["probability"]
+        big = "> 99 %" if p > 0.99 else f"{100 * p:.0f} %"
+        big = f"one of {len(rivals)}" if len(rivals) > 1 else big
         small = "; ".join(rivals) if len(rivals) > 1 else "probability of this kind"
         tiles.append((effect["name"], big, small))
     before, after, _ = _chosen_gaps(result)
     if before:
         worst = max(before, key=lambda k: before[k])
         low = f" to {after[worst]:.2f}" if result["effects"] else ""
-        tiles.append(
-            (
-                f"largest gap: {worst}",
-                f"{before[worst]:.3g}{low}",
-                "standard deviations of noise",
-            )
-        )
-    text = "".join(
+        size = f"{before[worst]:.3g}{low}"
+        tiles.append((f"largest gap: {worst}", size, "standard deviations of noise"))
+    return "".join(
         f'<div class="tile" style="--colour: var(--s{1 + k % 6})">'
         f'<div class="who">{escaped(who)}</div><div class="big">{escaped(big)}</div>'
         f'<div class="detail">{escaped(detail)}</div></div>'
         for k, (who, big, detail) in enumerate(tiles)
     )
-    return f'<div class="tiles">{text}</div>'
 
 
 def _missing(result: Result) -> str:
-    effects, withheld = result["effects"] or result["closest"], _withheld(result)
+    effects, end = result["effects"] or result["closest"], _withheld(result) + _designed(result)
+    named, rows = result["verdict"] != UNKNOWN, []
     if not effects:
-        return f"<p>{_NO_EFFECT[_has_name(result)]}</p>" + withheld + _designed(result)
-    named, rows = _has_name(result), []
+        return f"<p>{_NO_EFFECT[named]}</p>{end}"
     for effect in effects:
         for k, (name, value) in enumerate(effect["value"].items()):
+            ends = effect["interval"][name]
             rows.append(
                 [
                     effect["name"] if k == 0 else "",
                     name,
                     f"{value:.5g}",
-                    interval_text(effect["interval"][name]),
-                    unit_text(effect["unit"][name]),
-                    probability_text(effect["probability"]) if named and k == 0 else "",
+                    "not known" if ends is None else f"{ends[0]:.5g} to {ends[1]:.5g}",
+                    _unit(effect["unit"][name]),
+                    _probability(effect["probability"]) if named and k == 0 else "",
                 ]
             )
     head = ("effect", "number", "value", "90 % interval", "unit", "probability")
-    return ("" if named else f"<p>{_NO_NAME}</p>") + (
-        table(head, rows, numbers=(2, 3, 5))
-        + '<p class="note">Intervals are of the fit with tolerances carried along. The'
-        " probability is that of the kind among everything that could stand in its place, times"
-        " how often a name with such evidence is right.</p>"
-        + "".join(
-            f"<p><b>Next experiment.</b> {escaped(k)}</p>" for k in _next_experiments(result)
-        )
-        + withheld
-        + _designed(result)
+    experiments = "".join(
+        f"<p><b>Next experiment.</b> {escaped(e['sentence'])}</p>"
+        for e in (result["experiments"] if result["effects"] else ())
     )
+    return (
+        ("" if named else f"<p>{_NO_NAME}</p>")
+        + html_table(head, rows, numbers=(2, 3, 5))
+        + f'<p class="note">{_INTERVALS}</p>{experiments}{end}'
+    )
+
+
+_NO_EFFECT = {
+    True: "Nothing of the library is needed to explain these runs.",
+    False: "Nothing of the library explains the gap.",
+}
+_NO_NAME = (
+    "No name is given. The numbers below are the best that the library can do; they leave most"
+    " of the gap, so they stand for something else and are not to be believed."
+)
+_INTERVALS = (
+    "Intervals are of the fit with tolerances carried along. The probability is that of the"
+    " kind among everything that could stand in its place, times how often a name with such"
+    " evidence is right."
+)
 
 
 def _withheld(result: Result) -> str:
-    """Names that are not given, and how often such names are right."""
-    told = ", ".join(
+    """Names that are not printed as found, and how often such names are right."""
+    names = ", ".join(
         f"{escaped(k['name'])} ({100 * k['reliability']:.0f} %)" for k in result["withheld"]
     )
-    if not told:
+    if not names:
         return ""
     return (
         '<p class="note">Withheld, since of names with such evidence most are wrong (share that'
-        f" is right): {told}.</p>"
+        f" is right): {names}.</p>"
     )
 
 
@@ -198,104 +186,41 @@ def _designed(result: Result) -> str:
     )
 
 
-def _next_experiments(result: Result) -> list[str]:
-    """Sentences that say which measurements tell rivals apart."""
-    return [e["sentence"] for e in result["experiments"]] if result["effects"] else []
-
-
-_NO_EFFECT = {
-    True: "Nothing of the library is needed to explain these runs.",
-    False: "Nothing of the library explains the gap.",
-}
-_NO_NAME = (
-    "No name is given. The numbers below are the best that the library can do; they leave most"
-    " of the gap, so they stand for something else and are not to be believed."
-)
-
-
-def _where(result: Result) -> str:
-    return picture(
-        where_figure(result["where"], bool(result["effects"])),
-        "map of the mean square residual by channel and frequency, before and after",
-        "Mean square of the residual of each port in units of the noise there, on the runs that"
-        " were fitted: 1 (white) is noise. Tolerances of the description are taken off in both."
-        " Each port is a part of the machine run alone on its measured input, so a gap shows"
-        " where it arises.",
-    )
-
-
-def _when(result: Result) -> str:
-    return picture(
-        when_figure(result["when"], bool(result["effects"])),
-        "map of the mean square residual by channel and elapsed time",
-        "Mean square of the residual over the time elapsed, stretch by stretch, run after run,"
-        " in units of noise: what drifts grows, what belongs to a motion comes with it. The"
-        " channels that show most; tolerances taken off.",
-    )
-
-
 def _overlays(result: Result) -> str:
     if not result.get("overlays"):
         return "<p>No channel to show.</p>"
-    better = bool(result["effects"])
-    return picture(
-        overlay_figure(result["overlays"], better),
+    return _figure(
+        overlay_figure(result["overlays"], bool(result["effects"])),
         "residuals of two channels over time, and their spectra",
-        f"{_OVERLAY_CHANNELS[better]}, each in the run that shows it most. Left: residual up to"
-        f" the frequency at which the gap ends, as {_LEFT_BY[better]} it. Right: in standard"
-        " deviations of noise (dotted: 1), tolerances taken off.",
+        "The channel in which the gap falls most, where effects are added, and that with the"
+        " largest, each in the run that shows it most. Left: residual up to the frequency at"
+        " which the gap ends, of the description and of that with the effects above. Right: in"
+        " standard deviations of noise (dotted: 1), tolerances taken off.",
     )
 
 
-_OVERLAY_CHANNELS = {
-    True: "The channel in which the gap falls most and, of the others, that with the largest",
-    False: "The channels with the largest gap",
-}
-_LEFT_BY = {
-    True: "the description and the one with the effects above leave",
-    False: "the description leaves",
-}
-
-
-def _hypotheses(result: Result) -> str:
-    """Probabilities of nothing, of members of the library and of none of these."""
-    shown = [
-        f"{k} {probability_text(p)}" for k, p in result["hypotheses"].items() if p >= _SEEN
-    ]
-    return f"Probabilities: {', '.join(shown)}."
-
-
 def _candidates(result: Result) -> str:
-    rows, marks = [], []
+    rows = []
     for r in result["ranking"]:
         digits = 0 if abs(r["gain"]) > _ROUND else 1
         gain = f"{r['gain']:.{digits}f}"
         if r["gain_error"] is not None:
             gain += f" ± {r['gain_error']:.{digits}f}"
-        marks.append("chosen" if r["chosen"] else "")
         rows.append(
             [
                 r["name"],
-                ", ".join(value_text(k, v, r["unit"][k]) for k, v in r["value"].items()),
+                ", ".join(
+                    f"{k} {v:.3g} {_unit(r['unit'][k])}".rstrip() for k, v in r["value"].items()
+                ),
                 "low" if r["screen"] is None else f"{r['screen']:.{digits}f}",
                 gain,
                 f"< {_LEAST:g}" if r["p"] < _LEAST else f"{r['p']:.2g}",
-                "" if r["probability"] is None else probability_text(r["probability"]),
+                "" if r["probability"] is None else _probability(r["probability"]),
             ]
         )
     head = ("candidate", "numbers", "score", "gain ± SE", "p", "probability")
-    steps = "".join(f"<li>{escaped(step)}</li>" for step in result["steps"])
-    return (
-        table(head, rows, numbers=(2, 3, 4, 5), wrap=(1,), marks=marks)
-        + '<p class="note">Each alone on the residual of the description, ranked by a linear'
-        " score less what the numbers cost. Gain is the fall in deviance: by the linear score,"
-        " and by the model itself with these numbers, where much less or less than nothing"
-        " means that the score does not hold. The standard error is from run to run; p is the"
-        " chance that the best of the whole library gains as much from noise. The probability"
-        " is of the full fits, among all that could stand in the same place; empty where a"
-        " candidate was not among those. <strong>Bold</strong>: in the answer.</p>"
-        + (f"<p>Taken one by one, in full fits:</p><ol>{steps}</ol>" if steps else "")
-    )
+    chosen = [r["chosen"] for r in result["ranking"]]
+    return html_table(head, rows, numbers=(2, 3, 4, 5), wrap=(1,), bold=chosen)
 
 
 def _confusable(result: Result) -> str:
@@ -307,16 +232,14 @@ def _confusable(result: Result) -> str:
         ]
         head = ("run or port", "likeness", "apart [standard deviations]")
         caption = f"{e['between'][0]} imitated by {e['between'][1]}"
-        text += table(head, rows, numbers=(1, 2), caption=caption, kind="narrow")
-    alike = result["likeness"]["classes"]
-    if alike:
-        text += "<p>Not to be told apart on these runs:</p><ul>"
-        text += "".join(f"<li>{escaped(', '.join(names))}</li>" for names in alike) + "</ul>"
-    elif result["likeness"]["names"]:
-        text += "<p>No two of the candidates that do best are alike on these runs.</p>"
+        text += html_table(head, rows, numbers=(1, 2), caption=caption, kind="narrow")
+    alike = [", ".join(names) for names in result["likeness"]["classes"]]
+    text += _list(alike, "<p>These runs do not separate:</p>")
     if not result["likeness"]["names"]:
         return text or "<p>No candidate.</p>"
-    return text + picture(
+    if not alike:
+        text += "<p>No two of the candidates that do best are alike on these runs.</p>"
+    return text + _figure(
         likeness_figure(result["likeness"]),
         "matrix of the likeness of candidates",
         "How well the candidate of a column imitates that of a row at its usual size: the"
@@ -326,32 +249,29 @@ def _confusable(result: Result) -> str:
     )
 
 
-def _gaps(result: Result) -> str:
+def _gaps(result: Result) -> dict[str, str]:
     before, after, on_held_back = _chosen_gaps(result)
     sure = result["final_intervals" if on_held_back else "gap_intervals"]
     rows = [
         [
             *name.split("/", 1),
-            f"{before[name]:.2f} ({range_text(sure[name]['before'])})",
-            f"{after[name]:.2f} ({range_text(sure[name]['after'])})",
+            f"{before[name]:.2f} ({_range(sure[name]['before'])})",
+            f"{after[name]:.2f} ({_range(sure[name]['after'])})",
             _removed(before[name], after[name]),
         ]
         for name in sorted(before, key=lambda k: -before[k])
     ]
-    where = "that were fitted"
+    runs = "that were fitted"
     if on_held_back:
-        where = f"held back ({', '.join(result['held_back'])}), which nothing before had seen"
+        runs = f"held back ({', '.join(result['held_back'])}), which nothing before had used"
     within = "within" if result["remaining"] <= result["remaining_allowed"] else "more than"
     head = ("port", "channel", "before", "after", "of the gap above noise removed")
-    return (
-        "<p>Root mean square in standard deviations of noise (noise alone: 1), on the runs"
-        f" {escaped(where)}. What no name explains is worth {result['remaining']:.0f} in"
-        f" deviance on the runs that were fitted: {within} the"
-        f" {result['remaining_allowed']:.0f} of a good description. In brackets: 95 %"
-        " intervals from a bootstrap over stretches of a"
-        f" second.</p><p>{escaped(_worse_channels(result))}</p>"
-        + table(head, rows, numbers=(2, 3, 4), kind="narrow")
-    )
+    return {
+        "runs": escaped(runs),
+        "remaining": f"{result['remaining']:.0f} in deviance on the runs that were fitted:"
+        f" {within} the {result['remaining_allowed']:.0f}",
+        "gaps": html_table(head, rows, numbers=(2, 3, 4), kind="narrow"),
+    }
 
 
 def _worse_channels(result: Result) -> str:
@@ -361,7 +281,7 @@ def _worse_channels(result: Result) -> str:
     if not result["worse"]:
         return "No channel is worse by more than 2 % of its gap, or of noise."
     sure = result["final_intervals"] or result["gap_intervals"]
-    ratios = (f"{k} (after / before: {range_text(sure[k]['ratio'])})" for k in result["worse"])
+    ratios = (f"{k} (after / before: {_range(sure[k]['ratio'])})" for k in result["worse"])
     return f"Worse by more than 2 %: {', '.join(ratios)}."
 
 
@@ -381,9 +301,13 @@ def _free(result: Result) -> str:
         f" signal fed in: {escaped(', '.join(free['runs']))}. A controller hides here what the"
         " ports show. The file written, read back, plays the same within"
         f" {max(free['difference'], result['replay_difference']):.0e}.</p>"
-        + table(("channel", "unit", "before", "after", "noise"), rows, numbers=(2, 3, 4),
-                 kind="narrow")
-    )  # fmt: skip
+        + html_table(
+            ("channel", "unit", "before", "after", "noise"),
+            rows,
+            numbers=(2, 3, 4),
+            kind="narrow",
+        )
+    )
 
 
 def _untested(result: Result) -> str:
@@ -393,27 +317,21 @@ def _untested(result: Result) -> str:
     ]
     lines += [f"{name}: the runs move too little to show it" for name in result["weak"]]
     lines += [f"held back, so opened last: {text}" for text in result.get("doubts", ())]
-    if not lines:
-        return (
-            "<p>All ports could be tested, and the runs move enough to show what joints do.</p>"
-        )
-    return "<ul>" + "".join(f"<li>{escaped(text)}</li>" for text in lines) + "</ul>"
+    return _list(lines) or (
+        "<p>All ports could be tested, and the runs move enough to show what joints do.</p>"
+    )
 
 
 def _change(result: Result) -> str:
     diff = result.get("diff", "")
     if not diff:
         return "<p>None: the description stays as it is.</p>"
-    tags: dict[str, Callable[[str], str]] = {
-        "+": lambda text: f"<ins>{text}</ins>",
-        "-": lambda text: f"<del>{text}</del>",
-    }
-    lines = [tags.get(text[:1], lambda text: text)(escaped(text)) for text in diff.splitlines()]
-    notes = "".join(f"<li>{escaped(note)}</li>" for note in result.get("notes", ()))
+    forms = {"+": "<ins>{}</ins>", "-": "<del>{}</del>"}
+    lines = [forms.get(text[:1], "{}").format(escaped(text)) for text in diff.splitlines()]
     return (
         "<p>Read back and played again at every port, it leaves the same residuals within"
         f" {result['replay_difference']:.0e} of a channel's size.</p>"
-        + (f"<ul>{notes}</ul>" if notes else "")
+        + _list(result.get("notes", ()))
         + f"<pre>{chr(10).join(lines)}</pre>"
     )
 
@@ -432,19 +350,23 @@ def _provenance(result: Result) -> str:
         *([f"time to {name} [s]", f"{s:.1f}"] for name, s in result["seconds"].items()),
         ["time in all [s]", f"{sum(result['seconds'].values()):.1f}"],
     ]
-    return table(("what", "value"), [row for row in rows if row[1]], wrap=(1,))
-
-
-def _signature(result: Result) -> str:
-    return f"{result['schema']}; the same numbers stand in diagnosis.json beside this page."
+    return html_table(("what", "value"), [row for row in rows if row[1]], wrap=(1,))
 
 
 # ----------------------------------------------------------------------- what they share
 
 
-def _has_name(result: Result) -> bool:
-    """True if the effects in the answer are meant as names of what is missing."""
-    return bool(result["verdict"] != "not in the library")
+def _figure(figure: Figure, words: str, caption: str, kind: str = "") -> str:
+    """A picture, with words for whoever does not see it and a caption."""
+    return (
+        f'<figure class="{kind}"><img alt="{escaped(words)}" src="{png_address(figure)}">'
+        f"<figcaption>{caption}</figcaption></figure>\n"
+    )
+
+
+def _list(lines: Iterable[str], title: str = "", tag: str = "ul") -> str:
+    items = "".join(f"<li>{escaped(text)}</li>" for text in lines)
+    return f"{title}<{tag}>{items}</{tag}>" if items else ""
 
 
 def _chosen_gaps(result: Result) -> tuple[dict[str, float], dict[str, float], bool]:
@@ -458,3 +380,76 @@ def _removed(before: float, after: float) -> str:
     """Share of what is above noise; nothing to say where hardly anything is."""
     above = before**2 - 1
     return "" if above < LABELLED - 1 else f"{1 - max(after**2 - 1, 0) / above:.1%}"
+
+
+def _range(ends: Sequence[float]) -> str:
+    return f"{ends[0]:.2f} to {ends[1]:.2f}"
+
+
+def _probability(p: float) -> str:
+    return "> 0.999" if p > 0.999 else "< 0.001" if p < 0.001 else f"{p:.3f}"
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else unit
+
+
+# ------------------------------------------------------------------------------- text
+
+
+def diagnosis_text(diagnosis: Diagnosis, result: Mapping[str, Any]) -> str:
+    """Return what `ves-gym diagnose` prints.
+
+    Args:
+        diagnosis: the verdict.
+        result: what the command writes as JSON.
+    """
+    beliefs = [f"{k} {p:.2f}" for k, p in result["hypotheses"].items() if p >= 5 * _LIKELY]
+    lines = [
+        diagnosis.sentence,
+        result["null"]["sentence"],
+        f"Probabilities: {', '.join(beliefs)}.",
+    ]
+    for experiment in result["experiments"] if diagnosis.verdict == ONE_OF else ():
+        lines.append(f"next experiment: {experiment['sentence']}")
+    if designed := result["next_motion"]:
+        lines += [
+            f"designed: {designed['sentence']}",
+            f"  the motion, at every control period: {designed['files'][1]}",
+            f"  in simulation: {designed['simulate']}",
+            f"  afterwards: {designed['diagnose']}",
+        ]
+    if diagnosis.verdict == UNKNOWN and diagnosis.explanations:
+        lines.append("the best that the library can do, not a name:")
+    for f in diagnosis.explanations:
+        rows = zip(f.candidate.names, f.values, f.std, f.candidate.units, strict=True)
+        numbers = ", ".join(
+            f"{name} = {value:.4g} +- {WIDE * std:.2g} {unit}"
+            for name, value, std, unit in rows
+        )
+        lines.append(f"  {f.candidate.name}: {numbers} (90 %), p = {f.probability:.2f}")
+    for f in diagnosis.withheld:
+        lines.append(
+            f"  withheld: {f.candidate.name}; of names with such evidence"
+            f" {100 * f.reliability:.0f} % are right"
+        )
+    lines.append(_gap_table(diagnosis, result["held_back"]))
+    if result["worse"]:
+        lines.append(f"worse by more than 2 %: {', '.join(result['worse'])}")
+    lines += [f"held back, so opened last: {question}" for question in result["doubts"]]
+    lines += result["notes"]
+    for port, lacks in result["untestable"].items():
+        lines.append(f"not tested: {port}, the logs lack {', '.join(lacks)}")
+    return "\n".join(lines)
+
+
+def _gap_table(diagnosis: Diagnosis, held_back: list[str]) -> str:
+    of = f"held back: {', '.join(held_back)}" if diagnosis.final else "the runs fitted"
+    rows = []
+    for gap in sorted(diagnosis.final or diagnosis.gaps, key=lambda g: -g.before)[:_CHANNELS]:
+        before = f"{gap.before:.2f}", _range(gap.before_interval)
+        after = f"{gap.after:.2f}", _range(gap.after_interval)
+        rows.append((gap.port, gap.channel, *before, *after))
+    title = f"gap in standard deviations of noise, {of}"
+    head = ("port", "channel", "before", "95 %", "after", "95 %")
+    return table(head, rows, title=title, left=(0, 1), width=110)

@@ -1,11 +1,11 @@
-"""The benchmark as static pictures: ratios, energy traces, coupling maps, predictions."""
+"""Figures: how they are made and written, and those of a benchmark."""
 
 from __future__ import annotations
 
+import base64
 import io
 import math
-import os
-from collections.abc import Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,70 +26,113 @@ _PIECE = 3  # points of a line that share their shade
 _COLUMNS = 3  # panels side by side
 _DPI = 150
 _BESIDE: dict[str, Any] = {"textcoords": "offset points", "fontsize": "small"}
-_IN_SPACE: dict[str, Any] = {"linewidth": 0.8, "dashes": (6, 4)}
-_UNDATED = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+IN_SPACE: dict[str, Any] = {"linewidth": 0.8, "dashes": (6, 4)}
+_UNDATED = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 _STYLE: Any = {"svg.hashsalt": "ves-gym", "pdf.fonttype": 42}  # fonts that journals take
 FORMATS = ("png", "svg", "pdf")
 Result = dict[str, Any]
 
 
-def write_figures(
-    result: Result, directory: str | os.PathLike[str], form: str = "png"
-) -> list[Path]:
-    """Write the figures a result has data for.
+def write_figures(figures: Mapping[Path, Figure], form: str = "png") -> list[Path]:
+    """Write figures, each completely or not at all; same figure, same bytes.
 
     Args:
-        result: of a benchmark.
-        directory: the folder for them.
+        figures: by the name of the file without its suffix.
         form: one of `FORMATS`.
 
     Returns:
-        What was written, of ratio.png, energy.png, coupling.png, prediction.png, pareto.png
-        and, where planners search, anytime.png; in mode emulated also
-        base_motion_emulated.png and strain_energy_emulated.png.
+        The files.
+    """
+    import matplotlib
+
+    files = []
+    for stem, figure in figures.items():
+        buffer = io.BytesIO()
+        with matplotlib.rc_context(_STYLE):
+            figure.savefig(buffer, format=form, dpi=_DPI, metadata=_UNDATED.get(form))
+        files.append(stem.with_name(f"{stem.name}.{form}"))
+        write_bytes(files[-1], buffer.getvalue())
+    return files
+
+
+def png_text(figure: Figure, dpi: int = _DPI) -> str:
+    """A picture as base64 text."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi)
+    return base64.b64encode(buffer.getvalue()).decode("ascii")
+
+
+def png_address(figure: Figure) -> str:
+    """A picture as what stands in the `src` of an image."""
+    return f"data:image/png;base64,{png_text(figure)}"
+
+
+def panels_of(
+    count: int, width: float, height: float, columns: int = _COLUMNS, *, grid: bool = True
+) -> tuple[Figure, list[Axes]]:
+    """A figure of `count` axes of a size [inch], without touching pyplot's state."""
+    require("drawing", "matplotlib")
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = min(columns, count)
+    rows = math.ceil(count / columns)
+    figure = Figure(figsize=(width * columns, height * rows + 0.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    with matplotlib.rc_context(
+        {"axes.grid": grid, "grid.alpha": 0.3, "axes.titlesize": "medium"}
+    ):
+        axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
+    for spare in axes[count:]:
+        spare.remove()
+    return figure, axes[:count]
+
+
+def plain_log(axis: Any, subs: Sequence[float] = (1, 2, 5)) -> None:
+    """Plain numbers beside a logarithmic axis."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
+
+
+def darker(colour: str) -> str:
+    """A colour #rrggbb at 45 % of its brightness."""
+    channels = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
+    return "#" + "".join(f"{int(0.45 * c):02x}" for c in channels)
+
+
+# ------------------------------------------------------------------- of a benchmark
+
+
+def benchmark_figures(result: Result) -> dict[str, Figure]:
+    """Return the figures that a result has data for, by name.
+
+    Of ratio, energy, coupling, prediction, pareto and, where planners search, anytime; in mode
+    emulated also base_motion_emulated and strain_energy_emulated.
 
     Raises:
         ParameterError: matplotlib is not installed.
     """
-    figures = {
-        "ratio": ratio_figure(result) if result.get("rows") else None,
-        "energy": time_figure(result, "E") if result.get("traces") else None,
-        "coupling": coupling_figure(result["maps"], _planners(result))
-        if result.get("maps")
-        else None,
-        "prediction": prediction_figure(result) if result.get("rows") else None,
-        "anytime": anytime_figure(result) if result.get("anytime") else None,
-        "pareto": pareto_figure(result) if _has_tradeoff(result) else None,
-    }
+    figures = {}
+    if result.get("rows"):
+        figures["ratio"] = ratio_figure(result)
+    if result.get("traces"):
+        figures["energy"] = time_figure(result, "E")
+    if result.get("maps"):
+        figures["coupling"] = coupling_figure(result["maps"], _planners(result))
+    if result.get("rows"):
+        figures["prediction"] = prediction_figure(result)
+    if result.get("anytime"):
+        figures["anytime"] = anytime_figure(result)
+    if any(s.get(f"{k}_ratio_median") for s in result.get("summary", ()) for k in TRADED):
+        figures["pareto"] = pareto_figure(result)
     if result.get("traces") and result.get("mode") == "emulated":
         figures["base_motion_emulated"] = time_figure(result, "distance")
         figures["strain_energy_emulated"] = time_figure(result, "strain")
-    written = []
-    for name, figure in figures.items():
-        if figure is None:
-            continue
-        written.append(Path(directory) / f"{name}.{form}")
-        write_figure(figure, written[-1])
-    return written
-
-
-def write_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as one of `FORMATS`, completely or not at all; same figure, same bytes.
-
-    Args:
-        figure: of matplotlib.
-        path: its suffix chooses the format.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    import matplotlib
-
-    buffer = io.BytesIO()
-    metadata = _UNDATED.get(path.suffix)
-    with matplotlib.rc_context(_STYLE):
-        figure.savefig(buffer, format=path.suffix[1:], dpi=_DPI, metadata=metadata)
-    write_bytes(path, buffer.getvalue())
+    return figures
 
 
 def ratio_figure(result: Result) -> Figure:
@@ -100,9 +143,7 @@ def ratio_figure(result: Result) -> Figure:
         v: sorted({r["duration"] for r in rows if r["vehicle"] == v}) for v in vehicles
     }
     columns = max(len(d) for d in durations.values())
-    figure, panels = _panels(len(vehicles), 2.4 + 2.1 * columns, 3.8, columns=1)
-    from matplotlib.ticker import LogLocator, NullFormatter
-
+    figure, panels = panels_of(len(vehicles), 2.4 + 2.1 * columns, 3.8, columns=1)
     straight = {
         (r["vehicle"], r["query"]): r["E_mean"] or 0.0 for r in rows if r["planner"] == BASELINE
     }
@@ -116,15 +157,13 @@ def ratio_figure(result: Result) -> Figure:
                     at = place + 0.8 * ((k + 0.5) / len(names) - 0.5)
                     _strip(axes, at, ratios, 0.5 / len(names), colour_of(name, names), jitter)
         axes.set(yscale="log", ylabel="E_mean / straight line's", title=vehicle)
-        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter(NullFormatter())
+        plain_log(axes.yaxis)
         axes.margins(y=0.12)
         axes.set_xticks(
             range(len(durations[vehicle])), [f"T = {d:g} s" for d in durations[vehicle]]
         )
-        axes.grid(axis="y", alpha=0.3)
-    _legend(figure, names)
+        axes.grid(visible=False, axis="x")
+    planner_legend(figure, names)
     return figure
 
 
@@ -150,7 +189,7 @@ def time_figure(result: Result, key: str) -> Figure:
     names, (label, factor) = _planners(result), CURVES[key]
     emulated = result.get("mode") == "emulated"
     size = (9.0, 3.2, 1) if emulated else (4.6, 3.0, _COLUMNS)
-    figure, panels = _panels(len(result["traces"]), *size)
+    figure, panels = panels_of(len(result["traces"]), *size, grid=False)
     for axes, trace in zip(panels, result["traces"], strict=True):
         axes.axvspan(0, trace["duration"], color="0.93")
         end = max(
@@ -168,35 +207,24 @@ def time_figure(result: Result, key: str) -> Figure:
                 axes.plot(series["t"][-1], values[-1], "x", color=colour, markersize=7)
             space = series["ideal"]
             values = factor * np.array(space[key])
-            axes.plot(space["t"], values, color=_darker(colour), **_IN_SPACE)
-        axes.set(xlabel="time [s]", ylabel=label)
-        axes.set(xlim=(0, end))
+            axes.plot(space["t"], values, color=darker(colour), **IN_SPACE)
+        axes.set(xlabel="time [s]", ylabel=label, xlim=(0, end))
         axes.set_ylim(bottom=0)
-        axes.set_title(
-            f"{trace['vehicle']}, T = {trace['duration']:g} s, {trace['query']}",
-            fontsize="medium",
-        )
-    _legend(figure, names, emulated)
+        axes.set_title(f"{trace['vehicle']}, T = {trace['duration']:g} s, {trace['query']}")
+    planner_legend(figure, names, in_space=emulated)
     return figure
 
 
 def coupling_figure(maps: Sequence[Result], planners: Sequence[str]) -> Figure:
     """Draw minimum-energy lines, darker where the base couples more, and the paths across them.
 
-    The picture of thesis figure 4-1.
-
-    Args:
-        maps: as `planners.scenes.map_data` gives them.
-        planners: names in the order of their colours.
-
-    Returns:
-        The figure, a panel per map.
+    The picture of thesis figure 4-1, a panel per map (`planners.scenes.map_data`).
     """
-    figure, panels = _panels(len(maps), 4.6, 4.0)
+    figure, panels = panels_of(len(maps), 4.6, 4.0, grid=False)
     for axes, section in zip(panels, maps, strict=True):
         draw_map(figure, axes, section, planners)
     if planners:
-        _legend(figure, planners)
+        planner_legend(figure, planners)
     return figure
 
 
@@ -206,7 +234,7 @@ def prediction_figure(result: Result) -> Figure:
     Both of the space system, in mode emulated too: that is what planners predict.
     """
     names = _planners(result)
-    figure, (level, error) = _panels(2, 5.0, 4.4)
+    figure, (level, error) = panels_of(2, 5.0, 4.4, grid=False)
     rows = [{**r, "E_mean": r.get("E_mean_ideal", r["E_mean"])} for r in result["rows"]]
     rows = [
         r for r in rows if r["predicted"] is not None and min(r["E_mean"], r["predicted"]) > 0
@@ -225,21 +253,19 @@ def prediction_figure(result: Result) -> Figure:
         level.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high))
         error.set(xscale="log", xlim=(low, high))
         middle = float(np.median([abs(r["predicted"] / r["E_mean"] - 1) for r in rows]))
-        error.set_title(f"median {100 * middle:.2g} %", fontsize="medium")
+        error.set_title(f"median {100 * middle:.2g} %")
     level.set(xlabel="simulated E_mean [J]", ylabel="predicted E_mean [J]")
     error.axhline(0.0, color="0.4", linewidth=0.8, zorder=0)
     error.set(xlabel="simulated E_mean [J]", ylabel="error of the prediction [%]")
-    _legend(figure, names)
+    planner_legend(figure, names)
     return figure
 
 
 def anytime_figure(result: Result) -> Figure:
     """Best cost of every search over its final cost against planning time, by case."""
-    from matplotlib.ticker import LogLocator, NullFormatter
-
     names = _planners(result)
     cases = list(dict.fromkeys((c["vehicle"], c["duration"]) for c in result["anytime"]))
-    figure, panels = _panels(len(cases), 4.6, 3.0)
+    figure, panels = panels_of(len(cases), 4.6, 3.0, grid=False)
     for axes, case in zip(panels, cases, strict=True):
         for curve in result["anytime"]:
             if (curve["vehicle"], curve["duration"]) == case:
@@ -247,12 +273,9 @@ def anytime_figure(result: Result) -> Figure:
                 axes.plot(curve["seconds"], curve["ratio"], drawstyle="steps-post", **style)
         axes.axhline(1.05, color="0.4", linewidth=0.8, linestyle=":")
         axes.set(xscale="log", xlabel="planning time [s]", ylabel="best cost / final cost")
-        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.xaxis.set_minor_formatter(NullFormatter())
-        axes.set_title(f"{case[0]}, T = {case[1]:g} s", fontsize="medium")
-    searched = {c["planner"] for c in result["anytime"]}
-    _legend(figure, names, planners=[n for n in names if n in searched])
+        plain_log(axes.xaxis)
+        axes.set_title(f"{case[0]}, T = {case[1]:g} s")
+    planner_legend(figure, names, {c["planner"] for c in result["anytime"]})
     return figure
 
 
@@ -260,12 +283,6 @@ TRADED = {  # measure -> axis label
     "acceleration_peak": "largest acceleration / straight line's",
     "acceleration": "rms acceleration / straight line's",
 }
-
-
-def _has_tradeoff(result: Result) -> bool:
-    return any(
-        row.get(f"{k}_ratio_median") for row in result.get("summary", ()) for k in TRADED
-    )
 
 
 def pareto_figure(result: Result) -> Figure:
@@ -276,7 +293,7 @@ def pareto_figure(result: Result) -> Figure:
     """
     names = _planners(result)
     cases = list(dict.fromkeys((r["vehicle"], r["duration"]) for r in result["summary"]))
-    figure, panels = _panels(len(TRADED) * len(cases), 5.0, 4.2, columns=len(TRADED))
+    figure, panels = panels_of(len(TRADED) * len(cases), 5.0, 4.2, columns=len(TRADED))
     for k, axes in enumerate(panels):
         case, measure = cases[k // len(TRADED)], list(TRADED)[k % len(TRADED)]
         key = f"{measure}_ratio_median"
@@ -288,18 +305,16 @@ def pareto_figure(result: Result) -> Figure:
         }
         _tradeoff(axes, points, names)
         axes.set(xlabel="E_mean / straight line's", ylabel=TRADED[measure])
-        axes.set_title(f"{case[0]}, T = {case[1]:g} s", fontsize="medium")
-    lines = {line.get_label(): line for axes in panels for line in axes.lines}
-    shown = {str(name): line for name, line in lines.items() if not str(name).startswith("_")}
+        axes.set_title(f"{case[0]}, T = {case[1]:g} s")
+    lines = {str(curve.get_label()): curve for axes in panels for curve in axes.lines}
+    lines = {name: curve for name, curve in lines.items() if not name.startswith("_")}
     place: dict[str, Any] = {"loc": "outside lower center", "frameon": False}
-    figure.legend(list(shown.values()), list(shown), ncols=min(3, len(shown) or 1), **place)
+    figure.legend(list(lines.values()), list(lines), ncols=min(3, len(lines) or 1), **place)
     return figure
 
 
 def _tradeoff(axes: Axes, points: dict[str, tuple[float, float]], names: Sequence[str]) -> None:
     """Draw planners as labelled points, those of one kind and measure joined by a line."""
-    from matplotlib.ticker import LogLocator, NullFormatter
-
     families: dict[tuple[str, str], list[tuple[float, str]]] = {}
     for name in points:
         plain, _, weights = name.partition(":")
@@ -325,12 +340,9 @@ def _tradeoff(axes: Axes, points: dict[str, tuple[float, float]], names: Sequenc
     axes.set(xscale="log", yscale="log")
     axes.margins(0.12)
     for axis, values in ((axes.xaxis, 0), (axes.yaxis, 1)):
-        some = [1.0, *(point[values] for point in points.values())]
-        few = max(some) > 12 * min(some)
-        axis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1, 1.5, 2, 3, 5, 7)))
-        axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter(NullFormatter())
-    axes.grid(alpha=0.25)
+        drawn = [1.0, *(point[values] for point in points.values())]
+        wide = max(drawn) > 12 * min(drawn)
+        plain_log(axis, (1, 2, 5) if wide else (1, 1.5, 2, 3, 5, 7))
 
 
 # ---------------------------------------------------------------------------- pieces
@@ -407,48 +419,26 @@ def draw_map(
     figure.colorbar(lines, ax=axes, label="coupling [J/rad²]")
 
 
-def _panels(
-    count: int, width: float, height: float, columns: int = _COLUMNS
-) -> tuple[Figure, list[Axes]]:
-    """A figure of `count` axes of the given size [inch], without touching pyplot's state."""
-    require("drawing", "matplotlib")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    columns = min(columns, count)
-    rows = math.ceil(count / columns)
-    figure = Figure(figsize=(width * columns, height * rows + 0.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
-    for spare in axes[count:]:
-        spare.remove()
-    return figure, axes[:count]
-
-
 def _planners(result: Result) -> list[str]:
     names = [p["name"] for p in result.get("planners", ())]
     return names or list(dict.fromkeys(r["planner"] for r in result.get("rows", ())))
 
 
-def _darker(colour: str) -> str:
-    channels = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
-    return "#" + "".join(f"{int(0.45 * c):02x}" for c in channels)
-
-
-def _legend(
+def planner_legend(
     figure: Figure,
     names: Sequence[str],
-    emulated: bool = False,
-    planners: Sequence[str] | None = None,
+    drawn: Container[str] | None = None,
+    *,
+    in_space: bool = False,
 ) -> None:
+    """Put the planners below a figure: those of `names` that are `drawn`."""
     from matplotlib.lines import Line2D
 
-    entries = names if planners is None else planners
-    lines = [Line2D([], [], linewidth=3, **line_style(n, names)) for n in entries]
-    names = entries
-    if emulated:
-        lines.append(Line2D([], [], color="black", **_IN_SPACE))
-        names = [*names, "the same in space"]
-    wide = max(1.6, 0.09 * max(map(len, names)))  # inch per name
+    entries = [name for name in names if drawn is None or name in drawn]
+    lines = [Line2D([], [], linewidth=3, **line_style(name, names)) for name in entries]
+    if in_space:
+        lines.append(Line2D([], [], color="black", **IN_SPACE))
+        entries.append("the same in space")
+    wide = max(1.6, 0.09 * max(map(len, entries)))  # inch per name
     columns = max(1, int(figure.get_figwidth() / wide))
-    figure.legend(lines, list(names), loc="outside lower center", ncols=columns, frameon=False)
+    figure.legend(lines, entries, loc="outside lower center", ncols=columns, frameon=False)

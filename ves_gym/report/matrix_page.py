@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ves_gym._util.statistics import Estimate
 from ves_gym.experiments.matrix import Matrix, MatrixEntry, trainings
+from ves_gym.report.figures import panels_of, plain_log
+from ves_gym.report.pages import estimate_text, markdown_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,18 +23,8 @@ _LEGEND = 25  # characters in a row
 _GAP = Estimate(float("nan"), 0.0, 0.0)
 
 
-def matrix_page(
-    matrix: Matrix,
-    entries: Sequence[MatrixEntry],
-    title: str,
-) -> str:
-    """Return the page: a table per task, methods down, machines across.
-
-    Args:
-        matrix: what was compared.
-        entries: its figures.
-        title: of the page.
-    """
+def matrix_page(matrix: Matrix, entries: Sequence[MatrixEntry], title: str) -> str:
+    """Return the page: a table per task, methods down, machines across."""
     parts = [f"# {title}", _what(matrix)]
     for task in matrix.tasks:
         if any(e.task == task.env for e in entries):
@@ -100,34 +95,30 @@ def _plain(settings: Mapping[str, Any]) -> str:
 def _table(matrix: Matrix, entries: Sequence[MatrixEntry], task: str) -> str:
     by = {(e.method, e.machine): e for e in entries if e.task == task}
     machines = _machines(matrix, entries)
-    lines = ["| method | " + " | ".join(machines) + " |", "|---" * (len(machines) + 1) + "|"]
-    for method in dict.fromkeys(k for k, _ in by):
-        cells = (_cell(by.get((method, machine))) for machine in machines)
-        lines.append(f"| {method} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+    rows = [
+        [method, *(_cell(by.get((method, machine))) for machine in machines)]
+        for method in dict.fromkeys(k for k, _ in by)
+    ]
+    return markdown_table(("method", *machines), rows)
 
 
 def _cell(e: MatrixEntry | None) -> str:
     if e is None:
         return "-"
-    energy = "" if e.energy is None else f"<br>E {_estimate(e.energy, '.3g')}"
-    return f"{_estimate(e.success, '.0%')}{energy}"
-
-
-def _estimate(e: Estimate, form: str) -> str:
-    return f"{e.value:{form}} ({e.low:{form}} to {e.high:{form}})"
+    energy = "" if e.energy is None else f"<br>E {estimate_text(*e.energy, '.3g')}"
+    return f"{estimate_text(*e.success, '.0%')}{energy}"
 
 
 def crossover_figure(matrix: Matrix, entries: Sequence[MatrixEntry]) -> Figure:
     """Success and energy of every method against the machines, a column per task."""
-    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     tasks = [t.env for t in matrix.tasks if any(e.task == t.env for e in entries)]
     machines = _machines(matrix, entries)
     place = {name: k for k, name in enumerate(dict.fromkeys(e.method for e in entries))}
-    figure = Figure(figsize=(1.0 + 3.6 * len(tasks), 6.8), layout="constrained")
-    axes = figure.subplots(2, len(tasks), squeeze=False, sharex="col")
+    figure, panels = panels_of(2 * len(tasks), 3.6, 3.2, columns=len(tasks))
     for column, task in enumerate(tasks):
+        success, energy = panels[column], panels[len(tasks) + column]
         task_entries = [e for e in entries if e.task == task]
         methods = list(dict.fromkeys(e.method for e in task_entries))
         for k, method in enumerate(methods):
@@ -135,38 +126,34 @@ def crossover_figure(matrix: Matrix, entries: Sequence[MatrixEntry]) -> Figure:
             shift = 0.08 * (k - (len(methods) - 1) / 2)
             x = [i + shift for i in range(len(machines))]
             at = place[method]  # a method looks alike in every column
-            look = {"marker": _MARKERS[at % len(_MARKERS)], "color": f"C{at % 10}"}
+            style = {"marker": _MARKERS[at % len(_MARKERS)], "color": f"C{at % 10}"}
             successes = [of[m].success if m in of else None for m in machines]
-            _draw(axes[0][column], x, successes, method, look)
+            _draw(success, x, successes, method, style)
             energies = [of[m].energy if m in of else None for m in machines]
-            _draw(axes[1][column], x, energies, method, look)
-        axes[0][column].set_title(task, fontsize=10)
-        axes[0][column].set_ylim(-0.03, 1.03)
-        _logarithmic(axes[1][column])
-        axes[1][column].set_xticks(range(len(machines)), machines)
-        for row in (0, 1):
-            axes[row][column].grid(alpha=0.3)
-            axes[row][column].tick_params(labelsize=8)
-            axes[row][column].tick_params(axis="x", labelsize=7)  # six names in a row
-        below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "frameon": False}
+            _draw(energy, x, energies, method, style)
+        success.set_title(task)
+        success.set_ylim(-0.03, 1.03)
+        success.sharex(energy)
+        success.label_outer()
+        energy.set_yscale("log")
+        plain_log(energy.yaxis)
+        low, high = energy.get_ylim()
+        if high <= _DECADE * low:  # however little it spans, a few numbers
+            energy.yaxis.set_major_locator(MaxNLocator(5))
+        energy.set_xticks(range(len(machines)), machines)
+        for axes in (success, energy):
+            axes.tick_params(labelsize=8)
+            axes.tick_params(axis="x", labelsize=7)  # six names in a row
+        below: dict[str, Any] = {
+            "loc": "upper center",
+            "bbox_to_anchor": (0.5, -0.1),
+            "frameon": False,
+        }
         labels = [fill(m, _LEGEND) for m in methods]  # wide legends would narrow the axes
-        axes[1][column].legend(labels=labels, fontsize=7, ncols=2, **below)
-    axes[0][0].set_ylabel("success", fontsize=9)
-    axes[1][0].set_ylabel("E_mean over the first method's", fontsize=9)
+        energy.legend(labels=labels, fontsize=7, ncols=2, **below)
+    panels[0].set_ylabel("success", fontsize=9)
+    panels[len(tasks)].set_ylabel("E_mean over the first method's", fontsize=9)
     return figure
-
-
-def _logarithmic(axes: Any) -> None:
-    """A logarithmic scale with a few plain numbers, however little it spans."""
-    from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullFormatter
-
-    axes.set_yscale("log")
-    low, high = axes.get_ylim()
-    wide = high > _DECADE * low
-    ticks = axes.yaxis
-    ticks.set_major_locator(LogLocator(subs=(1, 2, 5)) if wide else MaxNLocator(5))
-    ticks.set_major_formatter(FormatStrFormatter("%g"))
-    ticks.set_minor_formatter(NullFormatter())
 
 
 def _draw(
@@ -174,15 +161,13 @@ def _draw(
     x: Sequence[float],
     values: Sequence[Estimate | None],
     label: str,
-    look: Mapping[str, str],
+    style: Mapping[str, str],
 ) -> None:
     """Values with their intervals; those that are missing or infinite leave gaps."""
-    shown = [v if v is not None and v.value < float("inf") else _GAP for v in values]
-    finite = [v.value for v in shown if v is not _GAP]
-    if not finite:
+    drawn = [v if v is not None and math.isfinite(v.value) else _GAP for v in values]
+    y, lower, upper = np.array(drawn).T
+    if np.isnan(y).all():
         return
-    y, top = [v.value for v in shown], 100 * max(finite)  # in place of an infinite end
-    ends = [v.high if v.high < float("inf") else top for v in shown]
-    low = [max(v.value - v.low, 0.0) for v in shown]
-    high = [max(end - value, 0.0) for end, value in zip(ends, y, strict=True)]
-    axes.errorbar(x, y, yerr=[low, high], label=label, markersize=4, capsize=2, lw=1.1, **look)
+    upper = np.where(np.isinf(upper), 100 * np.nanmax(y), upper)  # beyond the picture
+    low, high = np.maximum(y - lower, 0.0), np.maximum(upper - y, 0.0)
+    axes.errorbar(x, y, yerr=[low, high], label=label, markersize=4, capsize=2, lw=1.1, **style)

@@ -101,26 +101,22 @@ class Studio:
             )
         if not (isinstance(height, int) and height >= 100):
             raise ParameterError(f"height must be a whole number of px >= 100, got {height!r}")
-        rest = np.clip(0.0, arm.column("q_min"), arm.column("q_max"))
-        begin = rest if start is None else arm.require_within_limits(start, "start")
+        home = np.clip(0.0, arm.column("q_min"), arm.column("q_max"))
+        begin = home if start is None else arm.require_within_limits(start, "start")
         if goal is None:
             end = usual_goal(arm, begin, duration)
         else:
             end = arm.require_within_limits(goal, "goal")
-        query = Query(
-            system=system,
-            start=tuple(begin.tolist()),
-            goal=tuple(end.tolist()),
-            duration=duration,
-        )
+        first, last = (tuple(k.tolist()) for k in (begin, end))
+        query = Query(system=system, start=first, goal=last, duration=duration)
         if via is None:
             points = low_energy_waypoint(query)
         else:
             points = [arm.require_within_limits(point, "via") for point in via]
         plans = []
         if planner is not None:
-            found = get_planner(planner) if isinstance(planner, str) else planner
-            plans = [solve(found, replace(query, system=space), seed)]
+            method = get_planner(planner) if isinstance(planner, str) else planner
+            plans = [solve(method, replace(query, system=space), seed)]
         items = [open_item(item, system) for item in show]
         self.height = height
         self.data = studio_data(query, points, items, plans)
@@ -131,11 +127,7 @@ class Studio:
         return render_studio(self.data)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the page, completely or not at all.
-
-        Args:
-            path: of the HTML file.
-        """
+        """Write the page, an HTML file, completely or not at all."""
         write_text(path, self.page)
 
     def __repr__(self) -> str:

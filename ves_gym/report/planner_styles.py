@@ -1,6 +1,6 @@
 """One colour and stroke per planner, in every figure and on every page.
 
-The only table of colours: Python figures read it, and `css` and `script` put it into pages.
+The only table of colours: figures read it, and `pages` puts it into every page.
 """
 
 from __future__ import annotations
@@ -8,13 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from ves_gym.report.pages import embedded
-
-# Palette, light and dark scheme; the first is the straight line's. Who sees fewer colours still
-# tells each from each (tests/report/test_planner_styles.py).
+# Palette, light and dark scheme; the first is the straight line's. The colour-blind see any two
+# of them as different (tests/report/test_planner_styles.py).
 COLOURS = ("#7b828c", "#c8541a", "#9e47e7", "#0a7bb5", "#1f8a58", "#b3316d", "#6c571c")
 DARK = ("#9aa3ad", "#dd7e3e", "#de5df3", "#8ec9f4", "#60f09b", "#fa4675", "#f7cf45")
-_DASHES = ("", "8 3", "2.5 2.5", "10 3 2 3")  # as in SVG
+DASHES = ("", "8 3", "2.5 2.5", "10 3 2 3")  # as in SVG
 
 
 class Style(NamedTuple):
@@ -26,24 +24,24 @@ class Style(NamedTuple):
 
 STYLES: dict[str, Style] = {
     "straight": Style(0),
-    "smooth-jerk": Style(0, _DASHES[1]),
+    "smooth-jerk": Style(0, DASHES[1]),
     "hotspot-q": Style(1),
-    "bad-path": Style(1, _DASHES[2]),
+    "bad-path": Style(1, DASHES[2]),
     "hotspot-qt": Style(2),
-    "reaction-null": Style(2, _DASHES[2]),
+    "reaction-null": Style(2, DASHES[2]),
     "direct": Style(3),
-    "damp": Style(3, _DASHES[1]),
+    "damp": Style(3, DASHES[1]),
     "refined": Style(4),
-    "refined-long": Style(4, _DASHES[1]),
-    "robust": Style(4, _DASHES[2]),
-    "robust-worst": Style(4, _DASHES[3]),
+    "refined-long": Style(4, DASHES[1]),
+    "robust": Style(4, DASHES[2]),
+    "robust-worst": Style(4, DASHES[3]),
     "ompl-qt": Style(5),
-    "ompl-q": Style(5, _DASHES[1]),
-    "ompl-time": Style(5, _DASHES[2]),
+    "ompl-q": Style(5, DASHES[1]),
+    "ompl-time": Style(5, DASHES[2]),
     "shaped-zv": Style(6),
-    "shaped-zvd": Style(6, _DASHES[1]),
+    "shaped-zvd": Style(6, DASHES[1]),
 }
-_OTHERS = [Style(k, dash) for dash in (_DASHES[3], _DASHES[2]) for k in (6, 3, 4, 1, 2)]
+OTHERS = [Style(k, dash) for dash in (DASHES[3], DASHES[2]) for k in (6, 3, 4, 1, 2)]
 
 
 def style_of(planner: str, names: Sequence[str] = ()) -> Style:
@@ -61,7 +59,7 @@ def style_of(planner: str, names: Sequence[str] = ()) -> Style:
         return STYLES[planner]
     unlisted = [name for name in names if name not in STYLES]
     place = unlisted.index(planner) if planner in unlisted else 0
-    return _OTHERS[place % len(_OTHERS)]
+    return OTHERS[place % len(OTHERS)]
 
 
 def colour_of(planner: str, names: Sequence[str] = ()) -> str:
@@ -76,23 +74,3 @@ def line_style(planner: str, names: Sequence[str] = ()) -> dict[str, Any]:
         return {"color": COLOURS[style.colour], "linestyle": "-"}
     lengths = tuple(float(length) / 2 for length in style.dash.split())
     return {"color": COLOURS[style.colour], "linestyle": (0, lengths)}
-
-
-def css() -> str:
-    """Return the palette as variables --s0, --s1, ... of a style sheet, both schemes."""
-    light, dark = (
-        " ".join(f"--s{k}: {colour};" for k, colour in enumerate(palette))
-        for palette in (COLOURS, DARK)
-    )
-    return (
-        f":root {{ {light} }}\n@media (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}\n"
-    )
-
-
-def script() -> str:
-    """Return the table as JavaScript: STYLES[planner] is [place in the palette, dash]."""
-    return (
-        f"const STYLES = {embedded(STYLES)};\n"
-        f"const OTHER_STYLES = {embedded(_OTHERS)};\n"
-        f"const DASHES = {embedded(_DASHES)};\n"
-    )

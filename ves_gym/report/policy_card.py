@@ -6,7 +6,7 @@ policy's file, its training configuration and an evaluation; nothing is written 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -18,6 +18,7 @@ from ves_gym.baselines.evaluate import evaluate, report
 from ves_gym.baselines.policy import RELEASED, Policy, load_policy, task_name
 from ves_gym.envs.build import build_task
 from ves_gym.envs.task import Task
+from ves_gym.report.pages import estimate_text, markdown_table
 
 LICENCE = "MIT, as the package"
 _HALF = 0.5  # rate of success below which a task counts as not solved
@@ -51,13 +52,12 @@ def evaluation_for_card(name: str, episodes: int, seed: int = 0) -> dict[str, An
         episodes, seed: of the evaluation.
     """
     policy = load_policy(name)
-    env = policy.about.get("env")
+    env, settings = policy.about.get("env"), policy.about.get("settings", {})
     if not isinstance(env, str):
         raise ParameterError(f"{name}: names no environment; give its --figures")
     policy.name = str(policy.about.get("algorithm", policy.name))
-    given = dict(policy.about.get("settings", {}))
     rivals = (Zero(), Random(), policy)
-    return report([evaluate(c, env, episodes=episodes, seed=seed, **given) for c in rivals])
+    return report([evaluate(c, env, episodes=episodes, seed=seed, **settings) for c in rivals])
 
 
 def _opening(policy: Policy, label: str) -> str:
@@ -73,9 +73,9 @@ def _task(policy: Policy) -> Task | None:
     env, settings = policy.about.get("env"), policy.about.get("settings", {})
     if env not in gym.registry:
         return None
-    given = {**gym.spec(env).kwargs, **settings}
-    given.pop("goal", None)
-    return build_task(**given)
+    settings = {**gym.spec(env).kwargs, **settings}
+    settings.pop("goal", None)
+    return build_task(**settings)
 
 
 def _identity(name: str, policy: Policy) -> str:
@@ -94,11 +94,11 @@ def _identity(name: str, policy: Policy) -> str:
     rows.append(("numbers", f"{count:,}, single precision"))
     rows.append(("observations", f"clipped to +-{net.observation_limit:g} of their scales"))
     if net.features is not None:
-        said = f"{net.features.size} of the {net.features.arm}: {net.features}"
-        rows.append(("further inputs", said))
+        text = f"{net.features.size} of the {net.features.arm}: {net.features}"
+        rows.append(("further inputs", text))
     if net.inputs:
         rows.append(("parts of the observation", ", ".join(net.inputs)))
-    return _table(("what", "value"), rows)
+    return markdown_table(("what", "value"), rows)
 
 
 def _training(policy: Policy, label: str) -> str:
@@ -119,7 +119,7 @@ def _training(policy: Policy, label: str) -> str:
         rows.append((f"setting {key}", _text(value)))
     versions = about.get("versions", {})
     rows.append(("versions", ", ".join(f"{k} {v}" for k, v in versions.items())))
-    return _table(("setting", "value"), rows)
+    return markdown_table(("setting", "value"), rows)
 
 
 def _text(value: Any) -> str:
@@ -136,21 +136,21 @@ def _figures(figures: Mapping[str, Any], label: str) -> str:
     for title, result in _evaluations(figures):
         rows = []
         for entry in result["controllers"]:
-            s, own = entry["summary"], entry["name"] == label
+            s, name = entry["summary"], entry["name"]
             rows.append(
                 (
-                    f"**{entry['name']}**" if own else entry["name"],
+                    f"**{name}**" if name == label else name,
                     _estimate(s["success"], ".0%"),
                     _estimate(s["return"]["iqm"], ".3f"),
                     # a base that the laboratory's noise alone moves has no scale
-                    _estimate(space and result["ratios"][entry["name"]]["E_mean"], ".3f"),
+                    _estimate(space and result["ratios"][name]["E_mean"], ".3f"),
                     str(s["failed"]),
                 )
             )
         first = result["controllers"][0]
         head = ("controller", "success", "return", f"E_mean over {first['name']}", "failed")
         episodes = first["summary"]["episodes"]
-        parts.append(f"{title}, {episodes} episodes:\n\n{_table(head, rows)}")
+        parts.append(f"{title}, {episodes} episodes:\n\n{markdown_table(head, rows)}")
     parts.append(
         "Return: interquartile mean; E_mean: median over the episodes; in brackets 95 %"
         " intervals."
@@ -187,14 +187,4 @@ def _limits(policy: Policy, label: str, figures: Mapping[str, Any] | None) -> st
 
 
 def _estimate(e: Mapping[str, Any] | None, form: str) -> str:
-    if e is None or e["value"] is None:
-        return "-"
-    low, high = ("inf" if e[k] is None else format(e[k], form) for k in ("low", "high"))
-    return f"{e['value']:{form}} ({low} to {high})"
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    return "\n".join(
-        ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-        + ["| " + " | ".join(row) + " |" for row in rows]
-    )
+    return "-" if e is None else estimate_text(e["value"], e["low"], e["high"], form)

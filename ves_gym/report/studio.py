@@ -6,7 +6,6 @@ how far its energies are from those of the simulator for the motions that came w
 
 from __future__ import annotations
 
-import html
 import itertools
 import math
 import re
@@ -27,8 +26,7 @@ from ves_gym.planners.case import Case
 from ves_gym.planners.prediction import predict
 from ves_gym.planners.query import Plan, Query
 from ves_gym.planners.scenes import platform_data
-from ves_gym.report.pages import assemble, embedded, part
-from ves_gym.report.planner_styles import css, script
+from ves_gym.report.pages import page, part, require_schema
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.recording import Recording
 from ves_gym.system.energy import TAIL
@@ -57,33 +55,23 @@ _SLOWER = (1.0, 1.5)  # durations of these, over that of the motion shown
 
 
 def low_energy_waypoint(query: Query) -> list[Array]:
-    """Return a way-point for the page to begin with: of a few detours the calmest.
-
-    Args:
-        query: system, ends and duration.
-    """
+    """Return a way-point for the page to begin with, if any: of a few detours the calmest."""
     system = playable(query.system)
     arm, (start, goal) = system.arm, query.ends
     low, high = arm.column("q_min"), arm.column("q_max")
-    best = None
     first = np.eye(arm.n)[:2]  # of the joints that the map shows at first
+    energies: list[tuple[float, Array]] = []
     for sizes in itertools.product(_DETOURS, repeat=len(first)):
-        if not any(sizes):
-            continue
         via = np.clip((start + goal) / 2 + np.array(sizes) @ first, low, high)
         motion = Motion.through([start, via, goal], query.duration)
-        if _possible(arm, motion):
+        if any(sizes) and _possible(arm, motion):
             energy = predict(system, motion, OWN_GAINS.for_arm(arm)).E_mean
-            if best is None or energy < best[0]:
-                best = energy, via
-    return [] if best is None else [best[1]]
+            energies.append((energy, via))
+    return [min(energies, key=lambda pair: pair[0])[1]] if energies else []
 
 
 def playable(system: System) -> System:
     """Return a system as the page simulates it: in space, nominal, without effects.
-
-    Args:
-        system: arm and vehicle.
 
     Raises:
         ParameterError: links or gears that give way, joints that slide, wheels or appendages
@@ -135,20 +123,22 @@ def machine_data(system: System) -> dict[str, Any]:
 def _arm(arm: Arm) -> dict[str, Any]:
     R = np.eye(3) if arm.mount is None else arm.mount.rotation
     p = (0.0, 0.0, 0.0) if arm.mount is None else arm.mount.position
+    names = [link.name or f"joint {k + 1}" for k, link in enumerate(arm.links)]
+    if all(re.search(r"[_-]joint$", name) for name in names):  # then it says nothing
+        names = [name[: -len("_joint")] for name in names]
     links = []
-    names = _short([link.name or f"joint {k + 1}" for k, link in enumerate(arm.links)])
     for name, link in zip(names, arm.links, strict=True):
-        turns = {
-            f"{trig.__name__[0]}{name[0]}": round(trig(getattr(link, name) or 0.0), 15)
-            for name in ("alpha", "beta")
-            for trig in (math.cos, math.sin)
-        }
+        alpha, beta = link.alpha or 0.0, link.beta or 0.0
         links.append(
             {
                 "name": name,
                 "d": link.d,
                 "a": link.a,
-                **turns,
+                # rounded, so that a right angle is one
+                "ca": round(math.cos(alpha), 15),
+                "sa": round(math.sin(alpha), 15),
+                "cb": round(math.cos(beta), 15),
+                "sb": round(math.sin(beta), 15),
                 "offset": link.offset,
                 "slides": bool(link.slides),
                 **_inertial(link.inertial),
@@ -166,18 +156,9 @@ def _arm(arm: Arm) -> dict[str, Any]:
     }
 
 
-def _short(names: list[str]) -> list[str]:
-    """Names of joints without the word "joint" at the end, where all have it there."""
-    short = [re.sub(r"[_-]joint$", "", name) for name in names]
-    return short if all(map(str.__ne__, names, short)) else names
-
-
 def _inertial(body: Inertial) -> dict[str, Any]:
-    return {
-        "mass": body.mass,
-        "com": list(body.com),
-        "inertia": [list(r) for r in body.inertia],
-    }
+    inertia = [list(row) for row in body.inertia]
+    return {"mass": body.mass, "com": list(body.com), "inertia": inertia}
 
 
 def _beam(vehicle: Any, base: BaseModel) -> dict[str, Any] | None:
@@ -217,10 +198,7 @@ def reference_motions(
             (f"straight, {T:g} s", Motion.straight(start, goal, T)),
             (f"straight to the other side, {T:g} s", Motion.straight(start, back, T)),
             (f"through one point, {T:g} s", Motion.through([start, detour, goal], T)),
-            (
-                f"through two points, {T:g} s",
-                Motion.through([start, detour, other, goal], T),
-            ),
+            (f"through two points, {T:g} s", Motion.through([start, detour, other, goal], T)),
         ]
     return [(name, motion) for name, motion in out if _possible(arm, motion)]
 
@@ -236,10 +214,6 @@ def references(system: System, motions: Sequence[tuple[str, Motion]]) -> list[di
 
     In mode emulated also what the platform does in the laboratory, as described, without
     effects: the legs' largest way from home [m] and speed [m/s].
-
-    Args:
-        system: arm and vehicle.
-        motions: with their names.
     """
     lab = system.replace(effects=()) if system.mode == "emulated" else None
     system = playable(system)
@@ -249,12 +223,8 @@ def references(system: System, motions: Sequence[tuple[str, Motion]]) -> list[di
         run = _played(system, group, system.physics_dt)
         real = None if lab is None else _played(lab, group, lab.control_dt)
         for k, ((name, motion), energies) in enumerate(zip(group, run.energies(), strict=True)):
-            row = {
-                "name": name,
-                "motion": to_plain(motion),
-                "E_mean": energies.E_mean,
-                "E_peak": energies.E_peak,
-            }
+            row = {"name": name, "motion": to_plain(motion)}
+            row |= {"E_mean": energies.E_mean, "E_peak": energies.E_peak}
             out.append(row if real is None else row | {"legs": _legs(real, k)})
     return out
 
@@ -275,8 +245,8 @@ def _legs(run: Recording, k: int) -> dict[str, float | None]:
     if any(event.simulation == k for event in run.events):
         return {"way": None, "speed": None}
     stewart = run.system.emulator_settings.stewart
-    shown = run.t <= run.duration + SHOWN
-    y, yd = run.y[k, shown], run.yd[k, shown]
+    early = run.t <= run.duration + SHOWN
+    y, yd = run.y[k, early], run.yd[k, early]
     way = stewart.leg_lengths(y) - stewart.home_lengths
     speed = matvec(stewart.jacobian(y), yd)
     return {"way": float(np.abs(way).max()), "speed": float(np.abs(speed).max())}
@@ -319,18 +289,13 @@ def studio_data(
 
 
 def render_studio(data: dict[str, Any]) -> str:
-    """Return the text of the page: template, style, scripts and data in one.
-
-    Args:
-        data: as `studio_data` returns it.
-    """
-    if data.get("schema") != SCHEMA:
-        raise ParameterError(f"data.schema must be {SCHEMA!r}, got {data.get('schema')!r}")
-    parts = {
-        "title": html.escape(f"Studio: {data['machine']['name']}"),
-        "style": css() + part("page.css") + part("studio.css"),
-        "scene_controls": part("scene_controls.html"),
-        "script": "\n".join([script(), *(part(name) for name in _SCRIPTS)]),
-        "data": embedded(data),
-    }
-    return assemble(part("studio.html"), parts)
+    """Return the text of the page of what `studio_data` returns."""
+    require_schema(data, SCHEMA, "data")
+    return page(
+        "report/studio.html",
+        title=f"Studio: {data['machine']['name']}",
+        styles=("report/studio.css",),
+        scripts=[f"report/{name}" for name in _SCRIPTS],
+        data=data,
+        scene_controls=part("report/scene_controls.html"),
+    )

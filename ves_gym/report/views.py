@@ -5,9 +5,7 @@
 
 from __future__ import annotations
 
-import base64
 import contextlib
-import io
 import textwrap
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -24,7 +22,7 @@ from ves_gym.planners.comparison import Comparison
 from ves_gym.planners.coupling_map import CouplingMap
 from ves_gym.planners.query import Plan
 from ves_gym.planners.scenes import map_data
-from ves_gym.report.figures import _darker, draw_map
+from ves_gym.report.figures import darker, draw_map, png_text
 from ves_gym.report.planner_styles import COLOURS, line_style
 from ves_gym.simulation.stability import EmulationCheck
 from ves_gym.system.energy import log_base_energy, log_energies, motion_end
@@ -42,20 +40,19 @@ _DPI = 80  # of a notebook's picture
 
 
 def _axes(ax: Any, titles: Sequence[str], size: tuple[float, float]) -> list[Axes]:
-    """Return one axes per panel: those given, or those of a new figure."""
+    """Return one axes per panel, with a grid: those of the caller, or of a new figure."""
     require("drawing", "matplotlib")
     import matplotlib.pyplot as plt
 
     if ax is None:
-        _, new = plt.subplots(
-            len(titles), 1, figsize=size, layout="constrained", squeeze=False, sharex=True
-        )
-        return list(new[:, 0])
+        _, ax = plt.subplots(len(titles), 1, figsize=size, layout="constrained", sharex=True)
     panels = np.atleast_1d(np.asarray(ax, object)).ravel().tolist()
     if len(panels) not in (1, len(titles)):
         raise ParameterError(
             f"ax must be one axes or {len(titles)} ({', '.join(titles)}), got {len(panels)}"
         )
+    for axes in panels:
+        axes.grid(alpha=0.3)
     return panels
 
 
@@ -79,14 +76,22 @@ def _(log: RunLog, ax: Any = None, **options: Any) -> Any:
         titles = titles[:2]
     panels = _axes(ax, titles, (8.0, 2.3 * len(titles) + 0.6))
     _draw_energy(panels[0], log, system, **options)
+    low = high = most = None
+    if system is not None:
+        low, high = (np.rad2deg(system.arm.column(name)) for name in ("q_min", "q_max"))
+        most = system.arm.column("tau_max")
     if len(panels) > 1:
-        _draw_joints(panels[1], log, system)
+        _draw_per_joint(
+            panels[1], log.t, np.rad2deg(log.q), low, high, "q", np.rad2deg(log.q_cmd)
+        )
+        panels[1].set_ylabel("joint angle [deg]")
     if len(panels) > 2:
-        _draw_torques(panels[2], log, system)
+        least = None if most is None else -most
+        _draw_per_joint(panels[2], log.t, log.tau, least, most, "\\tau", shade=0.0)
+        panels[2].set_ylabel("motor torque [N m]")
     for axes in panels:
         axes.axvspan(log.t[0], log.t[0] + motion_end(log), color="0.93", zorder=0)
         axes.set_xlim(log.t[0], log.t[-1])
-        axes.grid(alpha=0.3)
     panels[-1].set_xlabel("time [s]; shaded: the motion")
     return panels[0] if len(panels) == 1 else np.array(panels)
 
@@ -105,22 +110,6 @@ def _draw_energy(axes: Axes, log: RunLog, system: System | None, **style: Any) -
     axes.set_ylabel("base energy [J]")
 
 
-def _draw_joints(axes: Axes, log: RunLog, system: System | None) -> None:
-    low = high = None
-    if system is not None:
-        low = np.rad2deg(system.arm.column("q_min"))
-        high = np.rad2deg(system.arm.column("q_max"))
-    _draw_per_joint(axes, log.t, np.rad2deg(log.q), low, high, "q", np.rad2deg(log.q_cmd))
-    axes.set_ylabel("joint angle [deg]")
-
-
-def _draw_torques(axes: Axes, log: RunLog, system: System | None) -> None:
-    most = None if system is None else system.arm.column("tau_max")
-    low = None if most is None else -most
-    _draw_per_joint(axes, log.t, log.tau, low, most, "\\tau", shade=0.0)
-    axes.set_ylabel("motor torque [N m]")
-
-
 def _draw_per_joint(
     axes: Axes,
     t: Any,
@@ -136,7 +125,7 @@ def _draw_per_joint(
         colour = _JOINTS[k % len(_JOINTS)]
         axes.plot(t, x[:, k], color=colour, lw=1.2, label=f"${symbol}_{k + 1}$")
         if command is not None:
-            axes.plot(t, command[:, k], color=_darker(colour), lw=0.8, ls=":")
+            axes.plot(t, command[:, k], color=darker(colour), lw=0.8, ls=":")
     bottom, top = axes.get_ylim()
     margin = 0.06 * (top - bottom)
     for k in range(x.shape[1] if low is not None else 0):
@@ -180,7 +169,6 @@ def _(balance: EnergyBalance, ax: Any = None) -> Any:
         axes.plot(balance.t, values, color=colour, lw=1.2, label=name)
     axes.set(xlabel="time [s]", ylabel="energy [J]", xlim=(balance.t[0], balance.t[-1]))
     _key(axes, 5)
-    axes.grid(alpha=0.3)
     return axes
 
 
@@ -196,13 +184,12 @@ def _(plan: Plan, ax: Any = None) -> Any:
     arm, duration = plan.query.system.arm, plan.query.duration
     t = np.linspace(0.0, duration, 301)
     low, high = (np.rad2deg(arm.column(name)) for name in ("q_min", "q_max"))
-    angles, line = (np.rad2deg(m.at(t).q) for m in (plan.motion, plan.query.straight))
-    _draw_per_joint(axes, t, angles, low, high, "q", line)
+    angles, straight = (np.rad2deg(m.at(t).q) for m in (plan.motion, plan.query.straight))
+    _draw_per_joint(axes, t, angles, low, high, "q", straight)
     axes.set(xlabel="time [s]; dotted: straight line", ylabel="joint angle [deg]")
     axes.set_xlim(0.0, duration)
     title = repr(plan).removeprefix("<Plan: ").removesuffix(">")
     axes.set_title(textwrap.fill(title, 60), fontsize="medium", loc="left")
-    axes.grid(alpha=0.3)
     return axes
 
 
@@ -238,7 +225,6 @@ def _(comparison: Comparison, ax: Any = None, log: bool = False) -> Any:
     axes.set_title(comparison.name, fontsize="medium")
     title = "E_mean / straight line's"
     axes.legend(title=title, loc="upper right", ncols=2, fontsize="small", framealpha=0.8)
-    axes.grid(alpha=0.3)
     return axes
 
 
@@ -260,6 +246,7 @@ def _(comparison: Comparison) -> Iterable[tuple[str, str]]:
 def _(section: CouplingMap, ax: Any = None, paths: Sequence[Plan] = ()) -> Any:
     """Minimum-energy lines over the coupling, and the `paths` of plans across them."""
     (axes,) = _axes(ax, ("coupling",), (6.4, 5.2))
+    axes.grid(visible=False)
     plans = [plan for plan in paths if plan.motion is not None]
     names = list(dict.fromkeys(plan.planner for plan in plans))
     data = map_data("", section, plans)
@@ -294,7 +281,7 @@ def _(diagnosis: Diagnosis, ax: Any = None) -> Any:
         axes.barh(at + shift, values, 0.36, color=colour, label=side)
         ends = np.array([getattr(gap, f"{side}_interval") for gap in gaps])
         if np.isfinite(ends).all():
-            axes.hlines(at + shift, ends[:, 0], ends[:, 1], color=_darker(colour), lw=1.2)
+            axes.hlines(at + shift, ends[:, 0], ends[:, 1], color=darker(colour), lw=1.2)
     axes.set_yticks(at, [f"{gap.port}: {gap.channel}" for gap in gaps])
     axes.axvline(1.0, color="0.4", lw=0.8, ls=":")
     if max(gap.before for gap in gaps) > 20:
@@ -304,7 +291,7 @@ def _(diagnosis: Diagnosis, ax: Any = None) -> Any:
     axes.set_xlabel(f"gap / noise on the {runs}; dotted: noise alone")
     axes.set_title(textwrap.fill(diagnosis.sentence, 90), fontsize="medium")
     axes.legend(loc="lower right", fontsize="small")
-    axes.grid(axis="x", alpha=0.3)
+    axes.grid(visible=False, axis="y")
     return axes
 
 
@@ -338,13 +325,13 @@ def _(comparison: ControllerComparison, ax: Any = None, measure: str = "return")
         spread = jitter.uniform(-0.2, 0.2, len(values))
         axes.plot(values, k + spread, ".", color=colour, alpha=0.35, ms=5)
         estimate = evaluation.summary()[measure]["iqm"]
-        axes.plot([estimate.low, estimate.high], [k, k], color=_darker(colour), lw=2)
-        axes.plot(estimate.value, k, "o", color=_darker(colour), ms=6)
+        axes.plot([estimate.low, estimate.high], [k, k], color=darker(colour), lw=2)
+        axes.plot(estimate.value, k, "o", color=darker(colour), ms=6)
     axes.set_yticks(range(len(comparison)), [evaluation.name for evaluation in comparison])
     axes.invert_yaxis()
     axes.set_xlabel(f"{measure}: episodes, interquartile mean with its 95 % interval")
     axes.set_title(comparison.evaluations[0].id, fontsize="medium")
-    axes.grid(axis="x", alpha=0.3)
+    axes.grid(visible=False, axis="y")
     return axes
 
 
@@ -376,7 +363,6 @@ def _(result: TrainingResult, ax: Any = None) -> Any:
     axes.set(xlabel="steps", ylabel="return")
     axes.set_title(f"{result.config.env}, {result.config.label}", fontsize="medium")
     axes.legend(loc="lower right", fontsize="small")
-    axes.grid(alpha=0.3)
     return axes
 
 
@@ -397,7 +383,6 @@ def _(check: EmulationCheck, ax: Any = None) -> Any:
     title = repr(check).removeprefix("<EmulationCheck: ").removesuffix(">")
     axes.set_title(textwrap.fill(title, 60), fontsize="medium")
     axes.legend(loc="best", fontsize="small")
-    axes.grid(alpha=0.3)
     return axes
 
 
@@ -414,11 +399,9 @@ def _(result: Viewable) -> str | None:
     before = set(plt.get_fignums())
     try:
         axes = np.atleast_1d(np.asarray(result.plot(), object))[0]
-        buffer = io.BytesIO()
-        axes.figure.savefig(buffer, format="png", dpi=_DPI)
+        return png_text(axes.figure, _DPI)
     except ParameterError:  # a plan without a motion
         return None
     finally:
         for number in set(plt.get_fignums()) - before:
             plt.close(number)
-    return base64.b64encode(buffer.getvalue()).decode("ascii")

@@ -12,7 +12,7 @@ from ves_gym.diagnosis.inference.explanations import classes, ranked
 from ves_gym.diagnosis.inference.fit import fit
 from ves_gym.diagnosis.inference.model_selection import Thresholds
 from ves_gym.diagnosis.machines.system import SystemMachine
-from ves_gym.report.diagnosis_overlays import overlays
+from ves_gym.report.diagnosis_figures import overlays
 from ves_gym.system.system import System
 
 KINDS = ("joint/coulomb", "joint/viscous", "joint/stribeck", "joint/drive_gain", "sensor/lag")

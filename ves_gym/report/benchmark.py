@@ -1,15 +1,52 @@
-"""A benchmark's result as text: tables of medians, and what is to be said beside them."""
+"""A benchmark's result as one HTML file, and as text: tables of medians and notes on them."""
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
+from ves_gym._util.params import write_text
 from ves_gym._util.tables import table
+from ves_gym.report.pages import page, part, require_schema
+
+SCHEMA = "ves-benchmark/1"
+_SCRIPTS = (
+    "dom.js",
+    "drawing.js",
+    "page.js",
+    "tables.js",
+    "charts.js",
+    "scene.js",
+    "platform.js",
+    "player.js",
+    "scenes.js",
+)  # one module, in this order
+
+
+def write_page(result: dict[str, Any], path: str | os.PathLike[str]) -> None:
+    """Write the HTML report of a benchmark result, completely or not at all.
+
+    Raises:
+        ParameterError: the result has another schema, or holds a number JSON has not.
+    """
+    require_schema(result, SCHEMA)
+    text = page(
+        "report/page.html",
+        title=f"Energy in the base: {result.get('suite', 'benchmark')}",
+        scripts=[f"report/{name}" for name in _SCRIPTS],
+        data=result,
+        scene_controls=part("report/scene_controls.html"),
+    )
+    write_text(path, text)
+
+
+# ---------------------------------------------------------------------------- text
 
 Result = dict[str, Any]
-_STOPS = 10  # stopped runs named
+Columns = dict[str, Callable[[Result], str]]  # heading -> cell of a row of the summary
+_MOST = 10  # stopped runs, and reasons of failures, that are named
 _ENERGIES = """\
 Medians over queries. ratio: E_mean over the straight line's on the same query, with
 the 95 % interval of the median; E_res, E_peak and the base's largest acceleration:
@@ -38,18 +75,12 @@ _MOVED = {  # measure -> heading
 
 
 def benchmark_text(result: Result) -> str:
-    """Return the tables of a result, and how failures, limits and stops are spread.
-
-    Args:
-        result: of `run_benchmark`.
-    """
+    """Return the tables of a result, and how failures, limits and stops are spread."""
     emulated = result["mode"] == "emulated"
-    energies, moved = _energy_columns(result, emulated), _moved_columns()
-    what = "Energy in the base"
-    lines = [_table(result, what, vehicle, energies) for vehicle in result["systems"]]
-    lines.append(_ENERGIES)
-    what = "Motion of base and tool"
-    lines += [_table(result, what, vehicle, moved) for vehicle in result["systems"]]
+    energies = _energy_columns(result, emulated)
+    motion = {heading: _median(name, ".3g") for name, heading in _MOVED.items()}
+    lines = [*_tables(result, "Energy in the base", energies), _ENERGIES]
+    lines += _tables(result, "Motion of base and tool", motion)
     lines.append(_MOTION.format(weight=result["frequency_weight"]))
     lines += _failures(result) + _limits(result)
     if emulated:
@@ -57,22 +88,16 @@ def benchmark_text(result: Result) -> str:
     return "\n".join(lines)
 
 
-Columns = dict[str, Callable[[Result], str]]  # heading -> cell of a row of the summary
-
-
 def _energy_columns(result: Result, emulated: bool) -> Columns:
-    def median(name: str, form: str) -> Callable[[Result], str]:
-        return lambda row: _number(row[f"{name}_median"], form)
-
     out = {
-        "E_mean [J]": median("E_mean", ".4g"),
+        "E_mean [J]": _median("E_mean", ".4g"),
         "ratio": lambda row: _number(row["ratio_median"], ".3f") + _interval(row),
     }
     if any(row["score_median"] is not None for row in result["summary"]):
-        out["score"] = median("score", ".3f")
-    out["E_res"] = median("E_res_ratio", ".3f")
-    out["E_peak"] = median("E_peak_ratio", ".3f")
-    out["acc.\npeak"] = median("acceleration_peak_ratio", ".2f")
+        out["score"] = _median("score", ".3f")
+    out["E_res"] = _median("E_res_ratio", ".3f")
+    out["E_peak"] = _median("E_peak_ratio", ".3f")
+    out["acc.\npeak"] = _median("acceleration_peak_ratio", ".2f")
     if emulated:
         out["emulation\nerror"] = lambda row: (
             "stopped" if _stopped(row) else _number(row["emulation_error_median"], "+.2%")
@@ -80,7 +105,7 @@ def _energy_columns(result: Result, emulated: bool) -> Columns:
         out["base\nerror"] = lambda row: (
             "-" if _stopped(row) else _number(row["base_error_median"], ".2%")
         )
-    out["off"] = median("prediction_error", ".2%")
+    out["off"] = _median("prediction_error", ".2%")
     out["success"] = lambda row: f"{100 * row['success_rate']:.0f} %"
     out["plan [s]\nmost"] = lambda row: (
         f"{row['plan_seconds_median']:.2f} {row['plan_seconds_max']:6.2f}"
@@ -88,33 +113,36 @@ def _energy_columns(result: Result, emulated: bool) -> Columns:
     return out
 
 
-def _moved_columns() -> Columns:
-    def median(name: str) -> Callable[[Result], str]:
-        return lambda row: _number(row[f"{name}_median"], ".3g")
-
-    return {heading: median(name) for name, heading in _MOVED.items()}
+def _median(name: str, form: str) -> Callable[[Result], str]:
+    return lambda row: _number(row[f"{name}_median"], form)
 
 
-def _table(result: Result, what: str, vehicle: str, columns: Columns) -> str:
-    """One vehicle's rows, a line between durations."""
-    rows: list[list[str] | None] = []
-    previous = None
-    for row in (r for r in result["summary"] if r["vehicle"] == vehicle):
-        if previous not in (None, row["duration"]):
-            rows.append(None)
-        previous = row["duration"]
-        cells = [cell(row) for cell in columns.values()]
-        rows.append([f"{row['duration']:g}", row["planner"], *cells])
-    title = f"{what}: suite {result['suite']}, {vehicle}"
-    return table(("T [s]", "planner", *columns), rows, title=title, left=(0, 1), width=164)
+def _tables(result: Result, what: str, columns: Columns) -> list[str]:
+    """A table per vehicle, with a line between durations."""
+    out = []
+    for vehicle in result["systems"]:
+        rows: list[list[str] | None] = []
+        duration = None
+        for row in (r for r in result["summary"] if r["vehicle"] == vehicle):
+            if duration not in (None, row["duration"]):
+                rows.append(None)
+            duration = row["duration"]
+            cells = [cell(row) for cell in columns.values()]
+            rows.append([f"{duration:g}", row["planner"], *cells])
+        title, head = (
+            f"{what}: suite {result['suite']}, {vehicle}",
+            ("T [s]", "planner", *columns),
+        )
+        out.append(table(head, rows, title=title, left=(0, 1), width=164))
+    return out
 
 
 def _failures(result: Result) -> list[str]:
     """The reasons why planners had no answer, most frequent first."""
     failures = Counter((r["planner"], r["failure"]) for r in result["rows"] if r["failure"])
-    lines = [f"failed {n} x: {name}: {why}" for (name, why), n in failures.most_common(_STOPS)]
-    if len(failures) > _STOPS:
-        lines.append(f"... and {len(failures) - _STOPS} more reasons, see benchmark.json")
+    lines = [f"failed {n} x: {name}: {why}" for (name, why), n in failures.most_common(_MOST)]
+    if len(failures) > _MOST:
+        lines.append(f"... and {len(failures) - _MOST} more reasons, see benchmark.json")
     rates: dict[str, list[int]] = {}
     for s in result["summary"]:
         if s["solvable"] < s["n"]:
@@ -135,10 +163,9 @@ def _limits(result: Result) -> list[str]:
         if not broken:
             lines.append(f"{of} inside the limits on every success")
             continue
-        counts = Counter(row["planner"] for row in broken)
+        counts, first = Counter(row["planner"] for row in broken), broken[0]
         text = ", ".join(f"{name} {count}" for name, count in counts.items())
         lines.append(f"{of} NOT inside the limits, of the successes: {text}")
-        first = broken[0]
         lines.append(f"  such as {first['planner']}, {first['query']}: {first[key]}")
     return lines
 
@@ -152,12 +179,12 @@ def _machine(result: Result) -> list[str]:
             f" rho = {_number(entry['rho_median'], '.2f')} (median of {entry['n']})"
         )
     stopped = [row for row in result["rows"] if row["stopped"]]
-    for row in stopped[:_STOPS]:
+    for row in stopped[:_MOST]:
         lines.append(
             f"stopped: {row['vehicle']}, {row['query']}, {row['planner']}: {row['stopped']}"
         )
-    if len(stopped) > _STOPS:
-        lines.append(f"... and {len(stopped) - _STOPS} more stopped, see benchmark.json")
+    if len(stopped) > _MOST:
+        lines.append(f"... and {len(stopped) - _MOST} more stopped, see benchmark.json")
     return lines
 
 
