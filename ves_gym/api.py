@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from ves_gym.diagnosis.diagnose import Diagnosis
     from ves_gym.diagnosis.inference.candidates import Candidate
     from ves_gym.diagnosis.machines.mjcf import MjcfMachine
-    from ves_gym.mechanics.tool_pose import ToolPose
+    from ves_gym.mechanics.kinematics import ToolPose
     from ves_gym.planners.case import Case
     from ves_gym.planners.comparison import Comparison
     from ves_gym.planners.coupling_map import CouplingMap
@@ -142,7 +142,7 @@ def plan(
 
     Args:
         start, goal: joint angles (n,) [rad], from rest as near to 0 as the limits allow; or as
-            the goal a `mechanics.tool_pose.ToolPose`: of the configurations that reach it the
+            the goal a `mechanics.kinematics.ToolPose`: of the configurations that reach it the
             one of least predicted E_mean is chosen.
         case: a query, or a system alone.
         duration: of the motion [s]; default 2.
@@ -165,7 +165,7 @@ def plan(
         ParameterError: no goal, an unknown planner, ends outside the joints' range, or a tool
             pose out of reach.
     """
-    from ves_gym.mechanics.tool_pose import ToolPose
+    from ves_gym.mechanics.kinematics import ToolPose
     from ves_gym.planners.case import Case, speed_limits
     from ves_gym.planners.obstacles import read_surroundings
     from ves_gym.planners.query import Query, solve

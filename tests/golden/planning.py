@@ -103,7 +103,7 @@ def asked_otherwise() -> dict[str, Probe]:
             return planned(planner, "bent-thesis", surroundings=path)()
 
     def to_a_tool() -> dict[str, Any]:
-        from ves_gym.mechanics.tool_pose import ToolPose
+        from ves_gym.mechanics.kinematics import ToolPose
 
         on = system(vehicle="bent-thesis")
         goal = ToolPose(position=(0.5, 0.6, 0.9))

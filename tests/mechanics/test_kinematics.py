@@ -8,6 +8,7 @@ from tests.arms import planar_arm, seven_joint_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.kinematics import (
+    ToolPose,
     dexterity,
     joint_positions,
     tool_frame,
@@ -16,7 +17,6 @@ from ves_gym.mechanics.kinematics import (
 )
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.tool_pose import (
-    ToolPose,
     configurations_at,
     every_joints_for,
     joints_for,

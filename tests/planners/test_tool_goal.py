@@ -8,8 +8,8 @@ import pytest
 import ves_gym as vg
 from tests.arms import seven_joint_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.kinematics import joint_positions
-from ves_gym.mechanics.tool_pose import ToolPose, configurations_at, pose_error, tool_pose
+from ves_gym.mechanics.kinematics import ToolPose, joint_positions
+from ves_gym.mechanics.tool_pose import configurations_at, pose_error, tool_pose
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.obstacles import Sphere, Surroundings, collisions
 from ves_gym.planners.query import Query, solve

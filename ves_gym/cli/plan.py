@@ -26,7 +26,7 @@ from ves_gym.cli.flags import (
 )
 from ves_gym.cli.machine import MACHINE
 from ves_gym.cli.simulate import DURATION, GOAL, START
-from ves_gym.mechanics.tool_pose import ToolPose
+from ves_gym.mechanics.kinematics import ToolPose
 from ves_gym.planners.case import Case
 from ves_gym.planners.objective import WEIGHTS, parse_weights
 from ves_gym.planners.obstacles import read_surroundings

@@ -32,9 +32,9 @@ from ves_gym.envs.scales import least_scale, straight_energy, straight_motion
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import get_arm
-from ves_gym.mechanics.kinematics import pose_dexterity, tool_frame, tool_speeds
+from ves_gym.mechanics.kinematics import ToolPose, pose_dexterity, tool_frame, tool_speeds
 from ves_gym.mechanics.spatial import rotation, twist
-from ves_gym.mechanics.tool_pose import ToolPose, configurations_at
+from ves_gym.mechanics.tool_pose import configurations_at
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
 

@@ -5,14 +5,22 @@ Plain NumPy, also traced, as `dynamics` is. Frame: the platform-top frame.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import (
+    Array,
+    ParameterError,
+    Vector,
+    finite,
+    freeze_arrays,
+    unit,
+)
 from ves_gym.mechanics.arm import Arm, JointFrame, Mechanism, Turn, turn_by
-from ves_gym.mechanics.spatial import cross, numbers, room
+from ves_gym.mechanics.spatial import cross, numbers, room, rotation
 
 
 class Frames(NamedTuple):
@@ -149,6 +157,32 @@ def joint_values(arm: Arm, q: npt.ArrayLike, name: str = "q") -> Array:
 
 
 # ------------------------------------------------------------------------- the tool
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToolPose:
+    """Place of the tool in the platform-top frame, base at rest, and its turn if it matters."""
+
+    position: Vector = unit("m")
+    angles: Vector | None = unit("rad", default=None)  # Z-Y-X fixed, as the base's; None = any
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        finite(self.position, (3,), "ToolPose.position")
+        if self.angles is not None:
+            finite(self.angles, (3,), "ToolPose.angles")
+
+    @property
+    def rotation(self) -> Array | None:
+        """(3, 3) from the tool's axes to the platform's, None where any turn will do."""
+        if self.angles is None:
+            return None
+        return rotation(np.array([0.0, 0.0, 0.0, *self.angles]))
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates that are asked for: 3 or 6."""
+        return 3 if self.angles is None else 6
 
 
 def tool_motions(arm: Mechanism, at: Frames) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -12,14 +11,11 @@ from ves_gym._util.params import (
     Array,
     Index,
     ParameterError,
-    Vector,
     finite,
-    freeze_arrays,
-    unit,
 )
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.kinematics import tool_frame, tool_twists
-from ves_gym.mechanics.spatial import matvec, rotation
+from ves_gym.mechanics.kinematics import ToolPose, tool_frame, tool_twists
+from ves_gym.mechanics.spatial import matvec
 
 CLOSE = 1e-6  # m and rad from the pose: there
 MOST = 8  # solutions of a place
@@ -30,32 +26,6 @@ _SAME = 1e-3  # rad between two solutions that count as one
 _DIFFERENT = 0.05  # rad between configurations that count as two, where joints are left over
 _STEP = 0.3  # rad, the most a joint moves per round
 _DAMPING = 1e-2  # of the least squares, times the squared error
-
-
-@dataclass(frozen=True, kw_only=True)
-class ToolPose:
-    """Place of the tool in the platform-top frame, base at rest, and its turn if it matters."""
-
-    position: Vector = unit("m")
-    angles: Vector | None = unit("rad", default=None)  # Z-Y-X fixed, as the base's; None = any
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-        finite(self.position, (3,), "ToolPose.position")
-        if self.angles is not None:
-            finite(self.angles, (3,), "ToolPose.angles")
-
-    @property
-    def rotation(self) -> Array | None:
-        """(3, 3) from the tool's axes to the platform's, None where any turn will do."""
-        if self.angles is None:
-            return None
-        return rotation(np.array([0.0, 0.0, 0.0, *self.angles]))
-
-    @property
-    def size(self) -> int:
-        """Number of coordinates that are asked for: 3 or 6."""
-        return 3 if self.angles is None else 6
 
 
 def tool_pose(arm: Arm, q: npt.ArrayLike) -> ToolPose:
