@@ -16,7 +16,6 @@ from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.beam import ALUMINIUM, Material, Section, Tube, cowper
 from ves_gym.mechanics.finite_elements import BeamFrame, Member, element, polyline
-from ves_gym.mechanics.vehicle import BENT_THESIS, STRAIGHT_VERTICAL_THESIS, Beam
 
 # so slender that rotary inertia and shear change nothing in six digits
 HAIR = Tube(outer_diameter=4e-3, wall=5e-4)
@@ -118,25 +117,6 @@ def test_shear_is_left_out_where_it_is_not_asked_for():
     expected = 2.0 / (s.shear_y * ALUMINIUM.shear_modulus * s.area)
     assert tip[1] - tip[0] == pytest.approx(expected, rel=1e-9)
     assert cowper(0.0, 0.3) == pytest.approx(6 * 1.3 / (7 + 6 * 0.3))  # solid round bar
-
-
-CROOKED = Beam(
-    segments=((3.0, -1.0, 0.5), (0.0, 2.0, 2.0), (-1.0, 0.3, 4.0)),
-    outer_diameter=0.11,
-    wall=0.004,
-)
-
-
-@pytest.mark.parametrize("beam", [BENT_THESIS, STRAIGHT_VERTICAL_THESIS, CROOKED], ids=str)
-def test_stiffness_is_that_of_the_beam(beam):
-    """One element a segment is exact in statics: K of `Beam` to 1e-12."""
-    tube = Tube(outer_diameter=beam.outer_diameter, wall=beam.wall)
-    frame = polyline(beam.segments, [tube] * len(beam.segments), beam.material)
-    _, K = frame.matrices()
-    compliance = np.linalg.inv(K.toarray()[6:, 6:])[-6:, -6:]
-    true = np.linalg.inv(beam.stiffness())
-    size = np.sqrt(np.diag(true))
-    assert np.abs((compliance - true) / np.outer(size, size)).max() < 1e-12
 
 
 def test_mass_and_rigid_motion():

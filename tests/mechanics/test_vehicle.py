@@ -107,17 +107,6 @@ def test_a_beam_cut_into_pieces_is_the_same_beam(beam):
         np.testing.assert_allclose(parts, whole, rtol=1e-9, atol=1e-9 * np.abs(whole).max())
 
 
-def test_a_straight_tube_has_the_textbook_stiffness():
-    """K of a cantilever: 3EI/L^3 for a free, 12EI/L^3 for a guided tip; EA/L; GJ/L."""
-    section = STRAIGHT_VERTICAL_THESIS.section
-    area, second, polar = section.area, section.second_y, section.torsion
-    E, G, L = 72e9, 27e9, 12.0
-    K = STRAIGHT_VERTICAL_THESIS.stiffness()
-    want = [12 * E * second / L**3] * 2 + [E * area / L] + [4 * E * second / L] * 2
-    np.testing.assert_allclose(np.diag(K), [*want, G * polar / L], rtol=1e-12)
-    assert 1 / np.linalg.inv(K)[0, 0] == pytest.approx(3 * E * second / L**3)
-
-
 @pytest.mark.parametrize("mass_model", MASS_MODELS)
 @pytest.mark.parametrize("damping_model", ["modal", "elementwise"])
 def test_matrices_are_exactly_symmetric_and_definite(beam, mass_model, damping_model):
