@@ -33,36 +33,12 @@ def planar_arm() -> Arm:
 # d, a, alpha, mass, com, diagonal inertia, rotor, +-q, v_max, a_max, tau_max
 _WRIST = (
     (0.90, 0.0, pi / 2, 12.8, (0, 0, -0.056), (0.615, 0.615, 0.081), 1.14, 2.8, 1.4, 10, 97.6),
-    (
-        0.0,
-        0.4318,
-        0.0,
-        17.4,
-        (-0.36, 0.006, 0.2),
-        (0.13, 0.524, 0.539),
-        4.71,
-        1.9,
-        0.9,
-        15,
-        186,
-    ),
-    (
-        0.15,
-        0.02,
-        -pi / 2,
-        4.8,
-        (-0.02, 0.0, 0.07),
-        (0.066, 0.086, 0.03),
-        0.83,
-        2.3,
-        2.1,
-        40,
-        89,
-    ),
+    (0, 0.4318, 0, 17.4, (-0.36, 0.006, 0.2), (0.13, 0.524, 0.539), 4.71, 1.9, 0.9, 15, 186),
+    (0.15, 0.02, -pi / 2, 4.8, (-0.02, 0, 0.07), (0.066, 0.086, 0.03), 0.83, 2.3, 2.1, 40, 89),
     (0.43, 0.0, pi / 2, 0.82, (0, 0, -0.02), (1.8e-3, 1.8e-3, 1.3e-3), 0.2, 1.9, 4.0, 60, 24.2),
     (0.0, 0.0, -pi / 2, 0.34, (0, 0, 0), (0.3e-3, 0.3e-3, 0.4e-3), 0.18, 1.7, 4.0, 60, 20.1),
     (0.06, 0.0, 0.0, 0.09, (0, 0, 0.03), (0.15e-3, 0.15e-3, 0.04e-3), 0.19, 4.6, 4.0, 60, 21.3),
-)
+)  # fmt: skip
 
 
 def six_joint_arm() -> Arm:
@@ -81,19 +57,9 @@ def six_joint_arm() -> Arm:
             a_max=float(a_max),
             tau_max=tau_max,
         )
-        for i, (
-            d,
-            a,
-            alpha,
-            mass,
-            com,
-            moments,
-            rotor,
-            reach,
-            v_max,
-            a_max,
-            tau_max,
-        ) in enumerate(_WRIST)
+        for i, (d, a, alpha, mass, com, moments, rotor, reach, v_max, a_max, tau_max) in (
+            enumerate(_WRIST)
+        )
     )
     base = Inertial(mass=54.5, com=(0.0, 0.0, 0.283), inertia=diagonal(6.686, 6.465, 1.815))
     return Arm(name="puma560-wrist", base=base, links=links, source="test: after AKB 1986")

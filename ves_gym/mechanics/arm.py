@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -297,7 +297,17 @@ class Arm:
     @cached_property
     def joints(self) -> tuple[JointFrame, ...]:
         """Lengths and angles of the links as `dynamics` takes them."""
-        return tuple(map(JointFrame.of, self.links))
+        return tuple(
+            JointFrame(
+                link.d,
+                link.a,
+                turn_by(link.alpha),
+                turn_by(link.beta) if link.beta else None,
+                link.offset,
+                bool(link.slides),
+            )
+            for link in self.links
+        )
 
     @cached_property
     def start(self) -> tuple[Array, Array]:
@@ -309,7 +319,13 @@ class Arm:
     @cached_property
     def bodies(self) -> LinkBodies:
         """Base link and links as arrays."""
-        return LinkBodies.of(self.base, self.links)
+        parts = [self.base, *(link.inertial for link in self.links)]
+        return LinkBodies(
+            np.array([k.mass for k in parts]),
+            np.array([k.com for k in parts]),
+            np.array([k.inertia for k in parts]),
+            self.column("rotor_inertia"),
+        )
 
     @property
     def tool_rotation(self) -> Array:
@@ -495,13 +511,6 @@ class JointFrame(NamedTuple):
     offset: float  # rad
     slides: bool
 
-    @staticmethod
-    def of(link: Any) -> JointFrame:
-        """The joint of a `Link`."""
-        beta = turn_by(link.beta) if link.beta else None
-        offset, slides = link.offset, bool(link.slides)
-        return JointFrame(link.d, link.a, turn_by(link.alpha), beta, offset, slides)
-
 
 STILL = JointFrame(0.0, 0.0, (1.0, 0.0), None, 0.0, False)  # its link's frame stays where it is
 
@@ -514,37 +523,13 @@ class LinkBodies(NamedTuple):
     inertia: Array  # (..., n + 1, 3, 3) about the centre of mass [kg m^2]
     rotor: Array  # (..., n) kg m^2
 
-    @staticmethod
-    def of(base: Any, links: Any) -> LinkBodies:
-        """The bodies of a base link's `Inertial` and of `Link`s."""
-        parts = [base, *(link.inertial for link in links)]
-        return LinkBodies(
-            np.array([k.mass for k in parts]),
-            np.array([k.com for k in parts]),
-            np.array([k.inertia for k in parts]),
-            np.array([k.rotor_inertia for k in links]),
-        )
-
-
-class Mechanism(Protocol):
-    """Joints and bodies: an arm, or a `Chain`."""
-
-    @property
-    def joints(self) -> tuple[JointFrame, ...]:
-        """The n joints, first one first."""
-
-    @property
-    def start(self) -> tuple[Array, Array]:
-        """Rotation and position of the first joint's frame in the platform-top frame."""
-
-    @property
-    def bodies(self) -> LinkBodies:
-        """What they weigh."""
-
 
 class Chain(NamedTuple):
-    """A `Mechanism` of its parts."""
+    """What `dynamics` asks of an arm: joints, the first one's frame, and masses."""
 
     joints: tuple[JointFrame, ...]
-    start: tuple[Array, Array]
+    start: tuple[Array, Array]  # rotation and position of the first, in the platform-top frame
     bodies: LinkBodies
+
+
+Mechanism = Arm | Chain

@@ -277,19 +277,10 @@ def _link(joint: Joint, shape: dict[str, float]) -> Link:
     )
 
 
-def largest_inertia(arm: Arm) -> Array:
-    """(n,) largest inertia about each joint, the others at rest [kg m^2].
-
-    Of configurations drawn within the limits, among them zero or what is nearest to it.
-    """
-    H = inertia(arm, drawn_configurations(arm))[:, 6:, 6:]
-    out: Array = np.diagonal(H, axis1=1, axis2=2).max(axis=0)
-    return out
-
-
 def _with_limits(arm: Arm, joints: list[Joint]) -> Arm:
     """The arm with limits derived where none are given, which its source then says."""
-    most = largest_inertia(arm)
+    H = inertia(arm, drawn_configurations(arm))[:, 6:, 6:]
+    most = np.diagonal(H, axis1=1, axis2=2).max(axis=0)  # about each joint, others at rest
     for joint, value in zip(joints, most, strict=True):
         if value <= 1e-12:
             raise ParameterError(
@@ -318,7 +309,12 @@ def _with_limits(arm: Arm, joints: list[Joint]) -> Arm:
         if missing:
             where = "" if len(missing) == len(joints) else f" of {', '.join(missing)}"
             notes.append(f"{field_name}{where} not given, taken: {text}")
-    too_fast = _too_fast(arm)
+    # joints whose friction brakes what they move faster than a physics step resolves
+    rubbing = np.array([(k.damping or 0.0) + (k.friction or 0.0) / _CREEP for k in arm.links])
+    too_fast: list[int] = []
+    if rubbing.any():  # else H may be singular
+        moved = 1 / np.diagonal(np.linalg.inv(H), axis1=1, axis2=2).max(axis=0)
+        too_fast = np.flatnonzero(rubbing > _DECAY * moved).tolist()
     for i in too_fast:
         links[i] = replace(links[i], damping=None, friction=None)
     if too_fast:
@@ -327,18 +323,6 @@ def _with_limits(arm: Arm, joints: list[Joint]) -> Arm:
                      " rotor, they act faster than a physics step")  # fmt: skip
     source = "; ".join([arm.source, *notes])
     return replace(arm, links=tuple(links), source=source)
-
-
-def _too_fast(arm: Arm) -> list[int]:
-    """Joints whose friction brakes what they move faster than a physics step resolves."""
-    rubbing = [(k.damping or 0.0) + (k.friction or 0.0) / _CREEP for k in arm.links]
-    if not any(rubbing):
-        return []
-    H = inertia(arm, drawn_configurations(arm))[:, 6:, 6:]
-    effective = 1 / np.diagonal(np.linalg.inv(H), axis1=1, axis2=2).max(axis=0)
-    return [
-        i for i, (c, J) in enumerate(zip(rubbing, effective, strict=True)) if c > _DECAY * J
-    ]
 
 
 def _down(value: float) -> float:
