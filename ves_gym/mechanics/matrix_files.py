@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,6 @@ import scipy
 from ves_gym._util.params import ParameterError
 
 Label = tuple[int, int]  # node and component 1 to 6 (0: a scalar point)
-SUFFIXES = (".npy", ".npz", ".mtx", ".mtx.gz", ".sti", ".mas", ".pch", ".dmig", ".bdf", ".op4")
 
 
 @dataclass(frozen=True)
@@ -39,21 +39,11 @@ def read_matrices(path: str | os.PathLike[str]) -> dict[str, NamedMatrix]:
     """
     path = Path(path)
     suffix = ".mtx" if path.name.endswith(".mtx.gz") else path.suffix.lower()
-    readers: dict[str, Any] = {
-        ".npy": _numpy,
-        ".npz": _numpy,
-        ".mtx": _matrix_market,
-        ".sti": _calculix,
-        ".mas": _calculix,
-        ".pch": _dmig,
-        ".dmig": _dmig,
-        ".bdf": _dmig,
-        ".op4": _op4,
-    }
-    if suffix not in readers:
-        raise ParameterError(f"{path}: expected one of {', '.join(SUFFIXES)}, got {suffix!r}")
+    if suffix not in _READERS:
+        names = ", ".join([*_READERS, ".mtx.gz"])
+        raise ParameterError(f"{path}: expected one of {names}, got {suffix!r}")
     try:
-        matrices: list[NamedMatrix] = readers[suffix](path)
+        matrices = _READERS[suffix](path)
     except ParameterError:
         raise
     except (OSError, ValueError, EOFError, IndexError, KeyError) as error:
@@ -270,3 +260,12 @@ def _op4_values(lines: list[str], width: int) -> list[float]:
     """Numbers of a fixed width."""
     texts = (text.rstrip() for text in lines)
     return [_number(t[k : k + width].strip()) for t in texts for k in range(0, len(t), width)]
+
+
+_READERS: dict[str, Callable[[Path], list[NamedMatrix]]] = {
+    **dict.fromkeys((".npy", ".npz"), _numpy),
+    ".mtx": _matrix_market,
+    **dict.fromkeys((".sti", ".mas"), _calculix),
+    **dict.fromkeys((".pch", ".dmig", ".bdf"), _dmig),
+    ".op4": _op4,
+}
