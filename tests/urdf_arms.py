@@ -142,3 +142,27 @@ def chain(n, seed=0, upright=False):
         joint("tool", before, "tcp", "fixed", rpy=rng.normal(size=3)),
     ]
     return f'<robot name="chain{n}">{"".join(parts)}</robot>'
+
+
+_INERTIA = '<inertia ixx="0.2" iyy="0.3" izz="0.25" ixy="0.01" ixz="-0.02" iyz="0.03"/>'
+# turn, slide along an oblique axis, turn, slide
+_SLIDER = (
+    ("revolute", "0 0 1", "0 0 0.3", "0.1 0 0", -2.0, 2.0),
+    ("prismatic", "0.6 0 0.8", "0.2 0.1 0.1", "0 0.2 0", -0.4, 0.5),
+    ("revolute", "0 1 0", "0.4 0 0", "0 0 0.4", -2.0, 2.0),
+    ("prismatic", "1 0 0", "0.3 -0.1 0", "0.1 0.1 0.1", 0.0, 0.6),
+)
+
+
+def slider_urdf() -> str:
+    """Two joints that turn and two that slide; the tool is l4."""
+    parts = [f'<link name="l0"><inertial><mass value="5"/>{_INERTIA}</inertial></link>']
+    for i, (kind, axis, xyz, rpy, low, high) in enumerate(_SLIDER, 1):
+        parts.append(
+            f'<link name="l{i}"><inertial><origin xyz="0.1 0.02 -0.03" rpy="0.3 0 0.1"/>'
+            f'<mass value="{5 - i}"/>{_INERTIA}</inertial></link>'
+            f'<joint name="j{i}" type="{kind}"><parent link="l{i - 1}"/><child link="l{i}"/>'
+            f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>'
+            f'<limit lower="{low}" upper="{high}" effort="80" velocity="1"/></joint>'
+        )
+    return f'<robot name="slider">{"".join(parts)}</robot>'

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tests.urdf_arms import body, chain, joint, vector
+from tests.urdf_arms import body, chain, joint, slider_urdf, vector
 from ves_gym._util.params import ParameterError
 from ves_gym.effects.joint_friction import JointCoulomb, JointViscous
 from ves_gym.mechanics.arm import Arm, Capsule, Gear
@@ -122,6 +122,13 @@ def test_a_chain_is_what_pinocchio_reads(write, n):
     assert worst(arm, by_pinocchio(path, arm, "tcp")) < 1e-12
 
 
+def test_joints_that_slide_are_what_pinocchio_reads(write):
+    path = write(slider_urdf())
+    arm = Arm.from_file(path)
+    assert arm.sliding == (1, 3) and arm.column("q_max")[1] == 0.5
+    assert worst(arm, by_pinocchio(path, arm, "l4")) < 1e-12
+
+
 @pytest.mark.parametrize("tilt", [0.0, 1e-9, 3.7e-6, 1e-3])
 def test_a_first_axis_that_points_all_but_down(write, tilt):
     """Tolerance: rounding, also where a half turn is written as 3.1416."""
@@ -152,16 +159,18 @@ def furnished(arm):
 
 
 @pytest.mark.parametrize("form", ["urdf", "mjcf"])
-@pytest.mark.parametrize("name", ["random", *arm_names()])
+@pytest.mark.parametrize("name", ["random", "slider", *arm_names()])
 def test_an_arm_comes_back_from_the_file_it_is_written_to(write, tmp_path, form, name):
     """Tolerance: rounding; what is written is also what Pinocchio or MuJoCo reads."""
     if name == "random":
         arm = furnished(Arm.from_file(write(chain(7, seed=7), "first.urdf")))
     else:
-        arm = get_arm(name)
+        text = write(slider_urdf(), "slider.urdf")
+        arm = Arm.from_file(text) if name == "slider" else get_arm(name)
     path = tmp_path / f"again.{form}"
     getattr(arm, f"to_{form}")(path)
     again = get_arm(path)
+    assert again.sliding == arm.sliding
     assert worst(again, lambda q, v: account(arm, q, v)) < 1e-12
     reference = by_pinocchio(path, arm, "tool") if form == "urdf" else by_mujoco(path, arm)
     assert worst(arm, reference) < 1e-12
@@ -493,7 +502,7 @@ MODEL = """
           <joint name="elbow" axis="1 0 0" ref="20"/>
           <geom type="cylinder" fromto="0 0 0 0 0.4 0" size="0.04"/>
           <site name="pen" pos="0 0.4 0.02" euler="30 0 10"/>
-          <body name="finger" pos="0 0.4 0"><joint name="grip" type="slide" axis="0 0 1"/>
+          <body name="finger" pos="0 0.4 0"><joint name="grip" type="slide" axis="0 0 1" ref="0.1"/>
             <geom type="sphere" size="0.03"/></body>
         </body>
       </body>
@@ -519,7 +528,7 @@ def test_an_mjcf_is_what_mujoco_makes_of_it(write):
     assert elbow.q_max == -elbow.q_min == pytest.approx(2 * np.pi)
     assert (pan.tau_max, lift.tau_max) == (120.0, 80.0)
     assert (pan.rotor_inertia, pan.damping, lift.friction) == (0.02, 0.4, 0.3)
-    assert "tau_max of elbow not given" in arm.source and "grip at 0" in arm.source
+    assert "tau_max of elbow not given" in arm.source and "grip at 0.1" in arm.source
     assert [len(k.shape) for k in arm.links] == [0, 1, 2]
     assert get_arm(f"{path}#pen") == arm
 

@@ -1,16 +1,14 @@
 """Joints that slide: read, computed and simulated as Pinocchio and MuJoCo do, or refused."""
 
-import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
 
+from tests.urdf_arms import slider_urdf
 from ves_gym._util.params import ParameterError
 from ves_gym.engine.mjcf import TO_Y, pinocchio_model
 from ves_gym.envs.build import build_task
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
-from ves_gym.mechanics.kinematics import tool_frame, tool_twists
 from ves_gym.mechanics.limits import LimitError, require_limits
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING
@@ -21,92 +19,17 @@ from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.system import System
 
-INERTIA = '<inertia ixx="0.2" iyy="0.3" izz="0.25" ixy="0.01" ixz="-0.02" iyz="0.03"/>'
-# turn, slide along an oblique axis, turn, slide
-JOINTS = (
-    ("revolute", "0 0 1", "0 0 0.3", "0.1 0 0", -2.0, 2.0),
-    ("prismatic", "0.6 0 0.8", "0.2 0.1 0.1", "0 0.2 0", -0.4, 0.5),
-    ("revolute", "0 1 0", "0.4 0 0", "0 0 0.4", -2.0, 2.0),
-    ("prismatic", "1 0 0", "0.3 -0.1 0", "0.1 0.1 0.1", 0.0, 0.6),
-)
-
-
-def urdf() -> str:
-    parts = [f'<link name="l0"><inertial><mass value="5"/>{INERTIA}</inertial></link>']
-    for i, (kind, axis, xyz, rpy, low, high) in enumerate(JOINTS, 1):
-        parts.append(
-            f'<link name="l{i}"><inertial><origin xyz="0.1 0.02 -0.03" rpy="0.3 0 0.1"/>'
-            f'<mass value="{5 - i}"/>{INERTIA}</inertial></link>'
-            f'<joint name="j{i}" type="{kind}"><parent link="l{i - 1}"/><child link="l{i}"/>'
-            f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>'
-            f'<limit lower="{low}" upper="{high}" effort="80" velocity="1"/></joint>'
-        )
-    return f'<robot name="slider">{"".join(parts)}</robot>'
-
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory) -> Arm:
     path = tmp_path_factory.mktemp("arm") / "slider.urdf"
-    path.write_text(urdf())
+    path.write_text(slider_urdf())
     return Arm.from_file(path, tip="l4")
 
 
 def states(n: int = 6) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(2)
     return rng.uniform(0, 0.4, (n, 4)), rng.normal(size=(n, 4))
-
-
-def same(ours: Arm, model: pin.Model, frame: str) -> float:
-    """Largest difference of inertia, bias, tool Jacobian and place."""
-    data, worst = model.createData(), 0.0
-    model.gravity.linear[:] = 0.0
-    for q, v in zip(*states(), strict=True):
-        M = pin.crba(model, data, q)
-        M = np.triu(M) + np.triu(M, 1).T
-        bias = pin.nonLinearEffects(model, data, q, v)
-        J = pin.computeFrameJacobian(
-            model, data, q, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED
-        )
-        pin.framesForwardKinematics(model, data, q)
-        place = data.oMf[model.getFrameId(frame)].translation
-        for a, b in (
-            (inertia(ours, q)[6:, 6:], M),
-            (inverse_dynamics(ours, q, v, 0 * v)[0], bias),
-            (tool_twists(ours, q), J),
-            (tool_frame(ours, q)[0], place),
-        ):
-            worst = max(worst, np.abs(a - b).max())
-    return worst
-
-
-def test_read_from_urdf_and_back_as_pinocchio_reads_the_original(arm, tmp_path):
-    assert arm.sliding == (1, 3)
-    original = same(arm, pin.buildModelFromXML(urdf()), "l4")
-    arm.to_urdf(tmp_path / "again.urdf")
-    again = same(Arm.from_file(tmp_path / "again.urdf"), pin.buildModelFromXML(urdf()), "l4")
-    own = same(arm, arm.to_pinocchio(), "tool")
-    print(f"{original:.1e}, {again:.1e}, {own:.1e}")
-    assert max(original, again, own) <= 1e-10
-    assert Arm.from_file(tmp_path / "again.urdf").column("q_max")[1] == 0.5
-
-
-def test_through_mjcf_as_mujoco_has_it(arm, tmp_path):
-    arm.to_mjcf(tmp_path / "arm.xml")
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
-    data, M = mujoco.MjData(model), np.zeros((4, 4))
-    model.opt.gravity[:] = 0
-    back = Arm.from_file(tmp_path / "arm.xml")
-    assert back.sliding == arm.sliding
-    assert np.abs(back.column("tau_max") - 80.0).max() == 0.0
-    for q, v in zip(*states(), strict=True):
-        data.qpos[:], data.qvel[:] = q, v
-        mujoco.mj_forward(model, data)
-        mujoco.mj_fullM(model, data, M)
-        for ours in (arm, back):
-            assert np.abs(inertia(ours, q)[6:, 6:] - M).max() <= 1e-10
-            bias = inverse_dynamics(ours, q, v, 0 * v)[0]
-            assert np.abs(bias - data.qfrc_bias).max() <= 1e-10
-            assert np.abs(tool_frame(ours, q)[0] - data.site("tool").xpos).max() <= 1e-10
 
 
 def test_accelerations_on_a_free_base_are_pinocchios(arm):
@@ -169,6 +92,6 @@ def test_units_and_refusals(arm, tmp_path):
         ):
             refused()
     path = tmp_path / "slider.urdf"
-    path.write_text(urdf().replace('lower="0.0" upper="0.6" ', ""))
+    path.write_text(slider_urdf().replace('lower="0.0" upper="0.6" ', ""))
     with pytest.raises(ParameterError, match="'j4' is prismatic and has no <limit"):
         Arm.from_file(path, tip="l4")

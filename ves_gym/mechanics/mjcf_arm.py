@@ -122,6 +122,11 @@ class MjcfTree(Tree):
                             f"body {body!r} is held by <equality>: an arm is an open chain"
                         )
 
+    def position(self, joint: TreeJoint, locked: Mapping[str, float]) -> float:
+        """Return where a joint stands still: as asked for, or as in the model's own pose."""
+        adr = self.model.jnt_qposadr[self.joint_names.index(joint.name)]
+        return float(locked.get(joint.name, self.model.qpos0[adr]))
+
     def chain_joints(self, free: list[TreeJoint]) -> list[Joint]:
         """Return the free joints with their limits."""
         n = len(free)
