@@ -502,7 +502,8 @@ MODEL = """
           <joint name="elbow" axis="1 0 0" ref="20"/>
           <geom type="cylinder" fromto="0 0 0 0 0.4 0" size="0.04"/>
           <site name="pen" pos="0 0.4 0.02" euler="30 0 10"/>
-          <body name="finger" pos="0 0.4 0"><joint name="grip" type="slide" axis="0 0 1" ref="0.1"/>
+          <body name="finger" pos="0 0.4 0">
+            <joint name="grip" type="slide" axis="0 0 1" ref="0.1"/>
             <geom type="sphere" size="0.03"/></body>
         </body>
       </body>
