@@ -531,6 +531,14 @@ def test_an_mjcf_is_what_mujoco_makes_of_it(write):
     assert (pan.rotor_inertia, pan.damping, lift.friction) == (0.02, 0.4, 0.3)
     assert "tau_max of elbow not given" in arm.source and "grip at 0.1" in arm.source
     assert [len(k.shape) for k in arm.links] == [0, 1, 2]
+    stand, q = Arm.from_file(path, tip="pen", root="stand"), np.array([0.3, -0.5, 0.8])
+    pairs = [
+        (inertia(k, q)[6:, 6:], tool_frame(k, q)[0] - frames(k, q).origin[0])
+        for k in (arm, stand)
+    ]
+    np.testing.assert_allclose(pairs[1][0], pairs[0][0], atol=1e-12)
+    lengths = [np.linalg.norm(way) for _, way in pairs]
+    assert lengths[1] == pytest.approx(lengths[0], rel=1e-12)
     assert get_arm(f"{path}#pen") == arm
 
 
