@@ -512,7 +512,7 @@ MODEL = """
   </worldbody>
   <actuator>
     <motor joint="pan" ctrlrange="-50 60" gear="2"/>
-    <position joint="lift" kp="100" forcerange="-80 80"/>
+    <position joint="lift" kp="100" forcerange="-80 80" gear="1.5"/>
   </actuator>
 </mujoco>
 """
@@ -527,7 +527,7 @@ def test_an_mjcf_is_what_mujoco_makes_of_it(write):
     pan, lift, elbow = arm.links
     assert np.rad2deg([pan.q_min, pan.q_max]) == pytest.approx([-120, 100])
     assert elbow.q_max == -elbow.q_min == pytest.approx(2 * np.pi)
-    assert (pan.tau_max, lift.tau_max) == (120.0, 80.0)
+    assert (pan.tau_max, lift.tau_max) == (120.0, 120.0)
     assert (pan.rotor_inertia, pan.damping, lift.friction) == (0.02, 0.4, 0.3)
     assert "tau_max of elbow not given" in arm.source and "grip at 0.1" in arm.source
     assert [len(k.shape) for k in arm.links] == [0, 1, 2]

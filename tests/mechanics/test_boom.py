@@ -59,6 +59,16 @@ def test_at_rest_a_chain_is_the_ordinary_arm(name):
     assert tool == pytest.approx(joint_positions(arm, q)[:, -1], abs=1e-12)
 
 
+def test_the_masses_of_a_bent_boom_lie_where_its_members_do():
+    """Elbow at a right angle: the second member hangs along -z."""
+    base = SHUTTLE_LIKE.braked((0.0, 0.0, np.pi / 2), NO_ARM).base
+    tube = SHUTTLE_LIKE.members[0].section.of(QUASI_ISOTROPIC).area * QUASI_ISOTROPIC.density
+    masses = [110.0, 6.4 * tube, 60.0, 7.0 * tube, 130.0]
+    places = [(0, 0, 0), (3.2, 0, 0), (6.4, 0, 0), (6.4, 0, -3.5), (6.4, 0, -6.7)]
+    assert base.mass == pytest.approx(sum(masses))
+    assert base.com == pytest.approx(np.average(places, axis=0, weights=masses), abs=1e-9)
+
+
 @pytest.mark.parametrize("pinned", [False, True])
 @pytest.mark.parametrize("tip", TIPS)
 def test_members_have_the_frequencies_of_beams(tip, pinned):
