@@ -13,9 +13,11 @@ from ves_gym.mechanics.kinematics import (
     joint_positions,
     tool_frame,
     tool_jacobian,
+    tool_speeds,
+    tool_state,
     tool_twists,
 )
-from ves_gym.mechanics.spatial import rotation
+from ves_gym.mechanics.spatial import rotation, twist
 from ves_gym.mechanics.tool_pose import (
     configurations_at,
     every_joints_for,
@@ -92,6 +94,8 @@ def test_every_configuration_of_a_place():
         apart = np.abs(ends[:, None] - ends).max(axis=-1) + np.eye(count)
         assert apart.min() > 1e-3
         assert np.abs(ends - q[i]).max(axis=1).min() < 1e-3  # the one it was made from
+        seconds = (np.abs(ends - near[i]) / arm.column("v_max")).max(axis=1)
+        assert (np.diff(seconds) > -1e-5).all()  # soonest reached first
     beyond = every_joints_for(arm, [[5.0, 0.0, 0.0]], near[:1])
     assert (~np.isnan(beyond[..., 0])).sum() == 1
 
@@ -109,6 +113,20 @@ def test_twists_are_the_derivative_of_the_pose(arm):
     for k, axis in enumerate(np.eye(arm.n)):
         change = pose_error(arm, tool_pose(arm, q + h * axis), q - h * axis) / (2 * h)
         np.testing.assert_allclose(change, J[:, k], atol=1e-8)
+
+
+def test_twists_on_a_moving_base_are_the_derivative_of_the_place():
+    arm, h = six_joint_arm(), 1e-6
+    q, v, y, yd = np.random.default_rng(0).uniform(-1, 1, 24).reshape(4, 6)
+
+    def place(t):
+        return y[:3] + yd[:3] * t + rotation(y + yd * t) @ tool_frame(arm, q + v * t)[0]
+
+    state = tool_state(arm, q, v, twist(y, yd))
+    speed = rotation(y).T @ (place(h) - place(-h)) / (2 * h)
+    np.testing.assert_allclose(state.twist[:3], speed, atol=1e-8)
+    squares = [speed @ speed, state.twist[3:] @ state.twist[3:]]
+    np.testing.assert_allclose(tool_speeds(arm, q, v, twist(y, yd)), squares, atol=1e-7)
 
 
 @pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
