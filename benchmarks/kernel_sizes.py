@@ -35,9 +35,11 @@ def stepping(system: System, n: int) -> Callable[[], None]:
     servo = own_gains(system.arm)
     engine.set_gains(np.arange(n), np.tile(servo.kp, (n, 1)), np.tile(servo.kd, (n, 1)))
 
+    pieces = engine.pieces(engine._u, 1, system.substeps)
+
     def run() -> None:
         for _ in range(PERIODS):
-            engine._run(engine._u, system.substeps, engine._nu, 0, None)
+            engine._run(pieces, system.substeps)
 
     return run
 

@@ -67,3 +67,24 @@ def browser(chromium):
     """The browser with a light window of 1280 by 900, whatever other modules did to it."""
     chromium.screen(1280, 900)
     return chromium
+
+
+@pytest.fixture
+def empty_store(tmp_path, monkeypatch):
+    """A folder for compiled functions, and a process that has compiled none yet."""
+    from ves_gym.engine.kernel import build
+
+    monkeypatch.setenv("VES_GYM_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(build, "_made", {})
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def no_compiler(empty_store, monkeypatch):
+    """A machine on which nothing can be compiled."""
+    from ves_gym.engine.kernel import build
+
+    def refuse(text):
+        raise RuntimeError("no code for this machine")
+
+    monkeypatch.setattr(build, "compile_text", refuse)

@@ -13,7 +13,9 @@ from tests.engine.test_kernel import NUMBERS, ONE, TWO
 from ves_gym._util.optional import installed
 from ves_gym._util.params import ParameterError
 from ves_gym.engine.backends.base import BackendWarning
-from ves_gym.engine.kernel.scalar import graph_text, literal, statements
+from ves_gym.engine.backends.kernel import stepper
+from ves_gym.engine.kernel.compiled_function import CompiledFunction
+from ves_gym.engine.kernel.scalar import literal, statements
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
@@ -33,8 +35,8 @@ def evaluate(operations, real, *inputs):
     wp = warp_code.load_warp()
     x, p = ca.SX.sym("x", len(inputs)), ca.SX.sym("p")
     values = ca.vertcat(*(graph(*ca.vertsplit(x)) for graph, _ in operations.values()))
-    text = graph_text(ca.Function("many", [x, p], [values]), real, shared=(1,))
-    kernel = warp_code._graph(wp, text, real)
+    graph = ca.Function("many", [x, p], [values])
+    kernel = CompiledFunction(None, lambda: graph).gpu(real, shared=(1,))
     number, n = getattr(wp, real), len(inputs[0])
     points = wp.array(np.array(inputs), dtype=number, device="cpu")
     out = wp.zeros((len(operations), n), dtype=number, device="cpu")
@@ -169,12 +171,11 @@ def test_what_is_missing_is_said():
 @pytest.mark.parametrize("real", ["float64", "float32"])
 def test_the_text_compiles_for_a_gpu(real, tmp_path):
     """To machine code of an H100 or H200: NVRTC needs no driver."""
-    from ves_gym.engine.kernel.warp_code import advance_kernel, load_warp
+    from ves_gym.engine.kernel.warp_code import load_warp
 
     wp = load_warp()
-    module = advance_kernel(
-        System(vehicle=BENT_THESIS, mode="emulated"), real, record=False
-    ).module
+    system = System(vehicle=BENT_THESIS, mode="emulated")
+    module = stepper(system).gpu_steps(real, record=False).module
     try:
         files = wp.compile_aot_module(module, arch=90, use_ptx=False, module_dir=tmp_path)
     except RuntimeError as error:

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.engine.backends import kernel as backend
+from ves_gym.engine.backends.kernel import stepper
 from ves_gym.engine.backends.registry import BackendWarning
-from ves_gym.engine.kernel import build, emit, numbers, trace
+from ves_gym.engine.kernel import build, numbers, trace
 from ves_gym.engine.kernel.blocks import aligned
+from ves_gym.engine.kernel.compiled_function import CompiledFunction, Stepper
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.mechanics.arm import matrix
 from ves_gym.mechanics.arm_library import PUMA_560
@@ -36,28 +37,10 @@ ROOT = Path(__file__).parents[2]
 
 
 def apply(graph, *inputs):
-    """Compiled value of graph(x_1, x_2, ...) at arrays of numbers: 1-D arrays in, one out.
-
-    The graph is the output of a module whose `advance` takes no step but records one node.
-    """
+    """Compiled value of graph(x_1, x_2, ...) at arrays of numbers: 1-D arrays in, one out."""
     x = ca.SX.sym("x", len(inputs))
-    u, p = ca.SX.sym("u"), ca.SX.sym("p")
-    value = graph(*ca.vertsplit(x))
-    still = ca.SX.zeros(len(inputs))
-    motion = ca.Function("motion", [x, u, p], [still])
-    observe = ca.Function("observe", [x, u, p], [still, value])
-    library = build.Library(build.compile_text(emit.emit_module(motion, observe, "rk4", 0)))
-    count = len(inputs[0])
-    blocks = -(-count // LANES)
-    rows = aligned(blocks, len(inputs), LANES)
-    padded = np.zeros((len(inputs), blocks * LANES))
-    padded[:, :count] = inputs
-    rows[:] = padded.reshape(len(inputs), blocks, LANES).swapaxes(0, 1)
-    given, numbers = aligned(blocks, 1, LANES), aligned(blocks, 1, LANES)
-    out, scratch = aligned(blocks, 1, LANES), aligned(4 * len(inputs) + 1, LANES)
-    where = [a.ctypes.data for a in (rows, given, numbers, out, scratch)]
-    library.advance(*where, 0, blocks, 0, 1, 0, 0.0, 1)
-    return out.reshape(-1)[:count].copy()
+    function = ca.Function("f", [x], [graph(*ca.vertsplit(x))])
+    return CompiledFunction(None, lambda: function)(np.stack(inputs, axis=1))[:, 0]
 
 
 def ulps(found, wanted):
@@ -214,15 +197,16 @@ def oscillator(integrator):
     slope = ca.vertcat(x[1], u - p * x[0])
     motion = ca.Function("motion", [x, u, p], [slope])
     observe = ca.Function("observe", [x, u, p], [slope, x[0]])
-    text = emit.emit_module(motion, observe, integrator, 1)
-    library = build.Library(build.compile_text(text))
+    graphs = trace.Equations(-5, (), motion, observe)  # one coordinate
+    key = str(motion.serialize())
+    stepper = Stepper(key, lambda: graphs, integrator)
     state, out = aligned(1, 2, LANES), aligned(9, LANES)
     commands, numbers, scratch = aligned(9, LANES), aligned(1, LANES), aligned(7, LANES)
     state[0, 0] = np.linspace(0, 1, LANES)
     commands[:] = np.linspace(0, 2, 9)[:, None]
     numbers[:] = np.linspace(1, 30, LANES)
-    where = [a.ctypes.data for a in (state, commands, numbers, out, scratch)]
-    library.advance(*where, 0, 1, 8, 9, 1, 0.1, 1)
+    memory = state, commands, numbers, out, scratch
+    stepper.steps(*memory, steps=8, h=0.1, strides=(9, 1), record=True)(0, 1)
     return state[0], out, numbers[0]
 
 
@@ -340,14 +324,6 @@ def test_derivatives_along_one_and_along_many_are_the_same():
 
 
 @pytest.fixture
-def empty(tmp_path, monkeypatch):
-    """An empty cache folder and a process that has compiled nothing yet."""
-    monkeypatch.setenv("VES_GYM_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(backend, "_LIBRARIES", {})
-    return tmp_path / "cache"
-
-
-@pytest.fixture
 def compilations(monkeypatch):
     """How often the compiler runs."""
     calls, real = [], build.compile_text
@@ -365,15 +341,15 @@ SMALL = System(vehicle=DECOUPLED, drive="prescribed", integrator="euler")
 
 def stepped(system=SMALL):
     """State after a step, compiled or loaded anew."""
-    backend._LIBRARIES.clear()
+    build._made.clear()
     state = Simulator(system, 2, backend="kernel").step([1.0, -2.0, 0.5])
     return b"".join(part.tobytes() for part in state)
 
 
-def test_what_is_in_the_cache_is_not_compiled_again(empty, compilations):
+def test_what_is_in_the_cache_is_not_compiled_again(empty_store, compilations):
     first = stepped()
     assert len(compilations) == 1
-    (file,) = empty.iterdir()
+    (file,) = empty_store.iterdir()
     before = file.stat().st_mtime_ns
     assert stepped() == first
     assert len(compilations) == 1
@@ -388,16 +364,16 @@ BROKEN = {
     "halved": lambda data: data[: len(data) // 2],
     "a bit flipped": lambda data: data[:-100] + bytes([data[-100] ^ 1]) + data[-99:],
     "digest changed": lambda data: data[:20] + bytes([data[20] ^ 1]) + data[21:],
-    "another format": lambda data: b"ves-kernel/0\n" + data[13:],
+    "another format": lambda data: b"ves-code/0\n" + data[11:],
     "longer": lambda data: data + b"\0",
     "something else": lambda data: b"\x7fELF",
 }
 
 
 @pytest.mark.parametrize("how", BROKEN)
-def test_a_broken_file_is_made_anew(how, empty, compilations):
+def test_a_broken_file_is_made_anew(how, empty_store, compilations):
     first = stepped()
-    (file,) = empty.iterdir()
+    (file,) = empty_store.iterdir()
     good = file.read_bytes()
     file.write_bytes(BROKEN[how](good))
     assert stepped() == first
@@ -410,7 +386,7 @@ def test_a_broken_file_is_made_anew(how, empty, compilations):
 def test_a_cache_that_cannot_be_written_does_not_matter(tmp_path, monkeypatch, compilations):
     """A file stands where the folder should be: so it is for root too."""
     (tmp_path / "file").write_text("in the way")
-    monkeypatch.setattr(backend, "_LIBRARIES", {})
+    monkeypatch.setattr(build, "_made", {})
     monkeypatch.setenv("VES_GYM_CACHE", str(tmp_path / "file" / "cache"))
     first = stepped()
     assert stepped() == first
@@ -418,14 +394,14 @@ def test_a_cache_that_cannot_be_written_does_not_matter(tmp_path, monkeypatch, c
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_a_folder_in_the_place_of_the_file_does_not_matter(empty, compilations):
+def test_a_folder_in_the_place_of_the_file_does_not_matter(empty_store, compilations):
     stepped()
-    (file,) = empty.iterdir()
+    (file,) = empty_store.iterdir()
     file.unlink()
     file.mkdir()
     stepped()
     assert len(compilations) == 2
-    assert [path.name for path in empty.iterdir()] == [file.name]  # nothing left behind
+    assert [path.name for path in empty_store.iterdir()] == [file.name]  # nothing left behind
 
 
 def test_where_the_cache_is(monkeypatch, tmp_path):
@@ -482,7 +458,7 @@ STRUCTURES = {  # other code
 @pytest.mark.parametrize("name", VALUES)
 def test_values_are_no_structure(name):
     assert numbers.structure(VALUES[name]) == numbers.structure(System(vehicle=BENT_THESIS))
-    assert backend.compiled(VALUES[name]) is backend.compiled(System(vehicle=BENT_THESIS))
+    assert stepper(VALUES[name]).digest == stepper(System(vehicle=BENT_THESIS)).digest
 
 
 def test_structures_differ():
@@ -522,9 +498,9 @@ sys.stdout.write(sim.backend_name + b"".join(part.tobytes() for part in state).h
 
 
 @pytest.mark.parametrize("count", [4, pytest.param(50, marks=pytest.mark.slow)])
-def test_processes_that_start_together_share_an_empty_cache(count, empty):
+def test_processes_that_start_together_share_an_empty_cache(count, empty_store):
     """All give the same answer, and one whole file is left."""
-    environment = {**os.environ, "VES_GYM_CACHE": str(empty), "OMP_NUM_THREADS": "1"}
+    environment = {**os.environ, "VES_GYM_CACHE": str(empty_store), "OMP_NUM_THREADS": "1"}
     started = [
         subprocess.Popen(
             [sys.executable, "-W", "error", "-c", _SCRIPT],
@@ -539,24 +515,14 @@ def test_processes_that_start_together_share_an_empty_cache(count, empty):
     found = [process.communicate() for process in started]
     assert all(process.returncode == 0 for process in started), found
     assert {out for out, _ in found} == {"kernel" + stepped().hex()}
-    (file,) = empty.iterdir()
+    (file,) = empty_store.iterdir()
     assert build._read(file) is not None
 
 
 # ----------------------------------------------------------------------------- fallback
 
 
-@pytest.fixture
-def broken(empty, monkeypatch):
-    """A machine on which nothing can be compiled."""
-
-    def refuse(text):
-        raise RuntimeError("no code for this machine")
-
-    monkeypatch.setattr(build, "compile_text", refuse)
-
-
-def test_without_a_compiler_mujoco_runs_and_says_so(broken):
+def test_without_a_compiler_mujoco_runs_and_says_so(no_compiler):
     with pytest.warns(BackendWarning, match=r"no code for this machine\); MuJoCo runs") as seen:
         sim = Simulator(System(vehicle=BENT_THESIS))
     assert sim.backend_name == "mujoco"
@@ -564,14 +530,14 @@ def test_without_a_compiler_mujoco_runs_and_says_so(broken):
     assert np.isfinite(sim.step(1.0).q).all()
 
 
-def test_without_llvmlite_mujoco_runs_and_says_so(empty, monkeypatch):
+def test_without_llvmlite_mujoco_runs_and_says_so(empty_store, monkeypatch):
     monkeypatch.setitem(sys.modules, "llvmlite", None)
     monkeypatch.setitem(sys.modules, "llvmlite.binding", None)
     with pytest.warns(BackendWarning, match="llvmlite"):
         assert Simulator(System(vehicle=BENT_THESIS)).backend_name == "mujoco"
 
 
-def test_the_kernel_asked_for_by_name_is_an_error_without_a_compiler(broken):
+def test_the_kernel_asked_for_by_name_is_an_error_without_a_compiler(no_compiler):
     with pytest.raises(ParameterError, match=r"backend kernel: .*RuntimeError: no code"):
         Simulator(System(vehicle=BENT_THESIS), backend="kernel")
 

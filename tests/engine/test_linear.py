@@ -8,7 +8,6 @@ import pytest
 from tests.arms import WRIST_GAINS, six_joint_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import JointStribeck
-from ves_gym.engine.kernel import build, maps
 from ves_gym.engine.linear import linearise_ideal
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, STRAIGHT_VERTICAL_THESIS
@@ -144,16 +143,11 @@ def test_a_batch_is_its_members():
     assert linearise_ideal(System(vehicle=BENT_THESIS), q[:0, 0]).A.shape == (0, 18, 18)
 
 
-def test_without_a_compiler_it_is_interpreted(monkeypatch, tmp_path):
+def test_without_a_compiler_it_is_interpreted(request):
     q = np.random.default_rng(4).uniform(-2, 2, (3, 3))
     compiled = linearise_ideal(System(vehicle=BENT_THESIS), q, servo=HIGH_GAINS)
 
-    def broken(text):
-        raise RuntimeError("no LLVM")
-
-    monkeypatch.setenv("VES_GYM_CACHE", str(tmp_path))
-    monkeypatch.setattr(build, "compile_text", broken)
-    monkeypatch.setattr(maps, "_LIBRARIES", {})
+    request.getfixturevalue("no_compiler")
     slow = linearise_ideal(System(vehicle=BENT_THESIS), q, servo=HIGH_GAINS)
     np.testing.assert_allclose(slow.A, compiled.A, atol=1e-10)
     assert linearise_ideal(System(vehicle=BENT_THESIS), q[:0]).A.shape == (0, 18, 18)

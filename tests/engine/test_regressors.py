@@ -6,7 +6,6 @@ import pytest
 from tests.arms import planar_arm, six_joint_arm
 from tests.mechanics.test_gravity import random_arm
 from ves_gym._util.params import ParameterError
-from ves_gym.engine.kernel import build, maps
 from ves_gym.engine.mjcf import TO_Y, pinocchio_model
 from ves_gym.engine.regressors import (
     gravity_regressor,
@@ -110,16 +109,11 @@ def test_batch_shapes(shape):
         np.testing.assert_array_equal(one, inertia_regressor(PUMA_560, q, 0.1, 0.2)[1, 2])
 
 
-def test_without_a_compiler_it_is_interpreted(monkeypatch, tmp_path):
+def test_without_a_compiler_it_is_interpreted(request):
     q, v, a, _, _ = motion(PUMA_560, 3)
     compiled = inertia_regressor(PUMA_560, q, v, a)
 
-    def broken(text):
-        raise RuntimeError("no LLVM")
-
-    monkeypatch.setenv("VES_GYM_CACHE", str(tmp_path))
-    monkeypatch.setattr(build, "compile_text", broken)
-    monkeypatch.setattr(maps, "_LIBRARIES", {})
+    request.getfixturevalue("no_compiler")
     slow = inertia_regressor(PUMA_560, q, v, a)
     np.testing.assert_allclose(slow, compiled, rtol=1e-12, atol=1e-12)
 

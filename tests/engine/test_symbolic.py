@@ -4,10 +4,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ves_gym.engine.kernel.blocks import aligned, lanes
-from ves_gym.engine.kernel.build import Library, compile_text
-from ves_gym.engine.kernel.emit import LANES, emit_map
-from ves_gym.engine.kernel.pieces import Piece, Program, emit_pieces, numbers
+from ves_gym.engine.kernel.compiled_function import CompiledFunction
+from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.symbolic import (
     Untraceable,
     batch_of_symbols,
@@ -47,11 +45,7 @@ def compiled(function, x, shapes):
     parts = per_row(function, rows, shapes=shapes)
     out = ca.vertcat(*(k for part in parts for k in part))
     graph = ca.Function("graph", [column(rows[0])], [ca.cse(out)])
-    library = Library(compile_text(emit_pieces({"graph": graph})))
-    points = lanes(x)
-    results = aligned(len(points), graph.size1_out(0), 8)
-    Program(library, [Piece(library, "graph", [points, results])])(0, len(points))
-    return numbers(results, len(x)).T
+    return CompiledFunction(None, lambda: graph)(x)
 
 
 def test_a_compiled_text_gives_numpys_numbers():
@@ -153,13 +147,10 @@ def both_ways(function, *arrays):
     x, y = column(*names), column(out)
     values = np.concatenate([np.ravel(a) for a in arrays]).astype(float)
     by_casadi = np.array(ca.Function("f", [x], [y])(values)).reshape(out.shape)
-    graph = ca.Function("f", [x, ca.SX(0, 1)], [y])
-    library = Library(compile_text(emit_map(graph)))
-    rows, results = aligned(1, values.size, LANES), aligned(1, out.size, LANES)
-    rows[0] = values[:, None]
-    library.map(*(a.ctypes.data for a in (rows, rows, results)), 0, 1)
-    assert all(np.array_equal(results[0, :, 0], lane, equal_nan=True) for lane in results[0].T)
-    return by_casadi, results[0, :, 0].reshape(out.shape)
+    function = CompiledFunction(None, lambda: ca.Function("f", [x], [y]))
+    lanes = function(np.tile(values, (LANES, 1)))
+    assert all(np.array_equal(lanes[0], lane, equal_nan=True) for lane in lanes)
+    return by_casadi, lanes[0].reshape(out.shape)
 
 
 @pytest.mark.parametrize("name", CASES)

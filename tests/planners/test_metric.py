@@ -96,23 +96,13 @@ def test_lengths_are_integrals():
     )
 
 
-def test_without_a_compiler_the_answers_are_the_same(monkeypatch):
-    from ves_gym.engine.kernel import build
-    from ves_gym.planners import metric as module
-
+def test_without_a_compiler_the_answers_are_the_same(request):
     system = System(vehicle=BENT_THESIS)
     q, dq = configurations(system, 4)
     m = Metric(system, "qt", 2.0)
     expected, edge = m.squares(q, dq), m.edge(q[0], q[1])
 
-    def broken(*args):
-        raise RuntimeError("no compiler")
-
-    monkeypatch.setattr(build, "cached", broken)
-    monkeypatch.setattr("ves_gym.engine.kernel.maps.cached", broken)
-    monkeypatch.setattr("ves_gym.engine.kernel.maps._LIBRARIES", {})
-    monkeypatch.setattr(module, "cached", broken)
-    module._library.cache_clear()
+    request.getfixturevalue("no_compiler")
     m = Metric(system, "qt", 2.0)
     np.testing.assert_allclose(m.squares(q, dq), expected, rtol=1e-12)
     assert m.edge(q[0], q[1]) == pytest.approx(edge, rel=1e-12)

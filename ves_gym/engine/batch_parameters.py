@@ -8,14 +8,9 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from ves_gym._util.params import Array, Index, ParameterError, Rows, content_hash
-from ves_gym.engine.kernel.blocks import aligned, lanes, unlane
-from ves_gym.engine.kernel.build import Library, cached
-from ves_gym.engine.kernel.emit import LANES, emit_map
-from ves_gym.engine.kernel.numbers import parameters, structure
-from ves_gym.engine.kernel.trace import inertia_matrix
+from ves_gym._util.params import Array, ParameterError, Rows, content_hash
+from ves_gym.engine.kernel.numbers import parameters
 from ves_gym.hardware.admittance import admittance_matrices, require_admittance
-from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.gravity import GravityModel
 from ves_gym.system.effect import Effect, TorqueEffect, joint_torque
 from ves_gym.system.system import System
@@ -208,7 +203,7 @@ class Bodies:
     gamma: Array  # (n, 12, 6)
     mass: Array  # (n,) of the arm [kg]
     P: Array  # (n, p) of its weight's moment [kg m]
-    numbers: Array  # (n, k) of `numbers.parameters` as `Inertias` takes them
+    numbers: Array  # (n, k) of `numbers.parameters` as `maps.inertia_function` takes them
 
     @staticmethod
     def of(system: System, linear: bool, sampled: bool, numbers: Array) -> Bodies:
@@ -259,34 +254,6 @@ class Bodies:
         """
         for mine, theirs in zip(self.parts(), row.parts(), strict=True):
             mine[i] = theirs[0]
-
-
-class Inertias:
-    """H(q) of simulations whose arms differ in numbers (`maps.InertiaMap` where none does)."""
-
-    def __init__(self, system: System, n: int) -> None:
-        self.arms, self._size = [system.arm] * n, 6 + system.arm.n
-        self._code: Library | None = None
-        try:
-            key = f"inertia {structure(system)}"
-            self._code = cached(key, lambda: emit_map(inertia_matrix(system)))
-        except (ImportError, RuntimeError, OSError):
-            return
-
-    def __call__(self, q: Array, ids: Index, numbers: Array) -> Array:
-        """(m, joints) -> (m, 6 + joints, 6 + joints), of simulations `ids` (m,).
-
-        `numbers` (m, k): their `numbers.parameters`.
-        """
-        if self._code is None:
-            pairs = zip(ids.tolist(), q, strict=True)
-            return np.concatenate([inertia(self.arms[i], row[None]) for i, row in pairs])
-        angles, p = lanes(q), lanes(numbers)
-        H = aligned(len(angles), self._size**2, LANES)
-        for b, block in enumerate(p):  # the map takes one block of numbers for all
-            where = angles.ctypes.data, block.ctypes.data, H.ctypes.data
-            self._code.map(*where, b, b + 1)
-        return unlane(H, len(q)).reshape(-1, self._size, self._size)
 
 
 class Laws:

@@ -7,13 +7,15 @@ at once. The laboratory's discrete loop is linearised in `simulation/stability.p
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.engine.kernel.maps import evaluate, points
+from ves_gym.engine.kernel.compiled_function import CompiledFunction
+from ves_gym.engine.kernel.maps import points
 from ves_gym.engine.kernel.numbers import parameters, structure
 from ves_gym.engine.kernel.trace import linearisation
 from ves_gym.mechanics.servo import JointServo
@@ -104,13 +106,7 @@ def linearise_ideal(
     relaxed = np.zeros(bends)
     parts = (y, 6, "y"), (q, n, "q"), (relaxed, bends, "d"), (attached, m, "u")
     at = points(*parts, (command, n, "command"))
-    jacobian = evaluate(
-        f"linearisation {structure(system)}",
-        lambda: linearisation(system),
-        at,
-        p,
-        size * (1 + 2 * size + n),
-    )
+    jacobian = _function(system)(at, p)
     batch = at.shape[:-1]
     jacobian = jacobian.reshape(*batch, 1 + 2 * size + n, size)
     slope = np.swapaxes(jacobian[..., 1:, :], -1, -2)
@@ -127,3 +123,10 @@ def _on_motors(system: System, servo: JointServo) -> JointServo:
     if system.drive != "motor":
         raise ParameterError(f"a servo needs drive motor, got drive {system.drive}")
     return servo.for_arm(system.arm)
+
+
+@lru_cache(maxsize=16)
+def _function(system: System) -> CompiledFunction:
+    return CompiledFunction(
+        f"linearisation {structure(system)}", partial(linearisation, system)
+    )

@@ -8,13 +8,14 @@ these numbers that the weight shows.
 
 from __future__ import annotations
 
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array
-from ves_gym.engine.kernel.maps import evaluate, points
+from ves_gym.engine.kernel.compiled_function import CompiledFunction
+from ves_gym.engine.kernel.maps import points
 from ves_gym.engine.kernel.numbers import geometry
 from ves_gym.engine.kernel.trace import regressor
 from ves_gym.mechanics.arm import Arm
@@ -94,6 +95,11 @@ def gravity_regressor(arm: Arm, q: npt.ArrayLike, g: npt.ArrayLike) -> Array:
 
 def _regressor(arm: Arm, moving: bool, columns: int, x: Array) -> Array:
     rows = 6 + arm.n
-    key, graph = f"regressor {moving} {geometry(arm)}", partial(regressor, arm, moving)
-    jacobian = evaluate(key, graph, x, np.zeros(0), rows * columns)
+    jacobian = _function(arm, moving)(x)
     return np.swapaxes(jacobian.reshape(*x.shape[:-1], columns, rows), -1, -2)
+
+
+@lru_cache(maxsize=16)
+def _function(arm: Arm, moving: bool) -> CompiledFunction:
+    key = f"regressor {moving} {geometry(arm)}"
+    return CompiledFunction(key, partial(regressor, arm, moving))

@@ -10,18 +10,17 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ves_gym._util.params import Array, Mask, content_hash
 from ves_gym.engine.backends.base import MEANINGLESS
-from ves_gym.engine.kernel.build import Library, cached
-from ves_gym.engine.kernel.pieces import emit_pieces
+from ves_gym.engine.kernel.compiled_function import CompiledFunction
+from ves_gym.engine.kernel.numbers import is_ours
 from ves_gym.engine.kernel.symbolic import Traced, batch_of_symbols, column, per_row
 from ves_gym.envs.control import Control
 from ves_gym.envs.episode import Episodes, bounded, count, endings, judge, scaled_observation
@@ -41,7 +40,6 @@ FLAGS = (
     "diverged",
     "event",
 )  # last rows of what `close` tells
-_LIBRARIES: dict[str, Library] = {}
 
 
 def layout(*parts: tuple[str, int]) -> dict[str, slice]:
@@ -125,73 +123,57 @@ def compiles(task: Task) -> bool:
     return says and drive is Control.drive and task.base_control is None
 
 
-def library(shape: Shape, probe: Callable[[], bytes]) -> Library:
-    """The compiled pieces of a task.
+def functions(shape: Shape, probe: bytes | None = None) -> dict[str, CompiledFunction]:
+    """The compiled pieces of a task, by name.
 
     Args:
         shape: of its rows.
-        probe: numbers that its formulas give, as bytes: whatever text they come from, other
-            numbers are other code.
+        probe: numbers that its formulas give: whatever text they come from, other numbers are
+            other code. Without them the graphs themselves tell.
 
     Raises:
         Untraceable: a formula needs numbers to go on.
-        ImportError, RuntimeError, OSError: nothing compiles here.
     """
     task = shape.task
-    what = (
-        content_hash(task),
-        type(task).__qualname__,
-        shape.coordinates,
-        shape.terms,
-        shape.signals,
-    )
-    if type(task).__module__.startswith("ves_gym."):
-        key = f"period {_text()} {what!r} {hashlib.sha256(probe()).hexdigest()}"
-        if key not in _LIBRARIES:
-            _LIBRARIES[key] = cached(key, lambda: emit_pieces(graphs(shape)))
-        return _LIBRARIES[key]
-    source_text = emit_pieces(graphs(shape))  # text that may change under the same name
-    key = f"period {hashlib.sha256(source_text.encode()).hexdigest()}"
-    if key not in _LIBRARIES:
-        _LIBRARIES[key] = cached(key, lambda: source_text)
-    return _LIBRARIES[key]
-
-
-def digest(shape: Shape, graphs: Mapping[str, casadi.Function]) -> str:
-    """Return a digest of the graphs themselves, whatever text they came from.
-
-    Args:
-        shape: of the task's rows.
-        graphs: by name.
-    """
-    text = [graph.serialize() for graph in graphs.values()]
-    return hashlib.sha256("".join([repr(shape.outputs), *text]).encode()).hexdigest()
-
-
-def _text() -> str:
-    """Digest of the text that the graphs come from."""
-    folder = Path(__file__).parent
-    files = sorted(folder.glob("*.py"))
-    kernel = folder.parent / "engine" / "kernel"
-    files += [kernel / name for name in ("symbolic.py", "pieces.py", "emit.py")]
-    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
+    what: Any = None  # text that may change under the same name
+    if probe is not None and is_ours(type(task)) and is_ours(type(task.control)):
+        settings = (
+            content_hash(task),
+            type(task).__qualname__,
+            hashlib.sha256(probe).hexdigest(),
+        )
+        what = (*settings, shape.coordinates, shape.terms, shape.signals)
+    return {
+        name: CompiledFunction(what and (name, what), make)
+        for name, make in _graphs(shape).items()
+    }
 
 
 # ------------------------------------------------------------------------------- graphs
 
 
-def graphs(shape: Shape) -> dict[str, casadi.Function]:
-    """Graphs of the pieces `keep`, `move`, `follow` and `close`."""
+def _graphs(shape: Shape) -> dict[str, Callable[[], casadi.Function]]:
+    """What makes the graph of each piece: `keep`, `move`, `follow`, `close`, and wires."""
+    makers = {"keep": _keep, "move": _move, "follow": _follow, "close": _close}
+    out: dict[str, Callable[[], casadi.Function]]
+    out = {name: partial(make, shape) for name, make in makers.items()}
+    if shape.signals:
+        wires = [
+            "before",
+            "nodes",
+            "after",
+            "seen",
+            *(["modes"] if shape.system.base.m else []),
+        ]
+        out |= {f"lab_{name}": partial(_laboratory, shape, f"lab_{name}") for name in wires}
+    return out
+
+
+def _keep(shape: Shape) -> casadi.Function:
     import casadi as ca
 
     carried = ca.SX.sym("slate", width(shape.slate))
-    out = {
-        "keep": ca.Function("keep", [carried], [carried]),
-        "move": _move(shape),
-        "follow": _follow(shape),
-        "close": _close(shape),
-    }
-    return out | (_laboratory(shape) if shape.signals else {})
+    return ca.Function("keep", [carried], [carried])
 
 
 def _scene(shape: Shape, carried: Traced, z: Traced, zd: Traced, goal: Traced) -> Scene:
@@ -317,8 +299,8 @@ def _close(shape: Shape) -> casadi.Function:
     return _graph("close", closed, sizes, (*outputs, *carried), split=len(outputs))
 
 
-def _laboratory(shape: Shape) -> dict[str, casadi.Function]:
-    """Wires between engine and emulation loop: rows in their places.
+def _laboratory(shape: Shape, name: str) -> casadi.Function:
+    """One of the wires between engine and emulation loop: rows in their places.
 
     `lab_before`: (z, zd, gains) -> each signal given to the first half. `lab_nodes`:
     (platform's accelerations, joint commands) -> the engine's. `lab_after`: (the engine's
@@ -358,7 +340,7 @@ def _laboratory(shape: Shape) -> dict[str, casadi.Function]:
         moved = u + ca.mtimes(carried, away), ud + ca.mtimes(carried, faster)
         inputs = [u, ud, z, zd, X, sent, frozen]
         modes["lab_modes"] = ca.Function("lab_modes", inputs, [ca.vertcat(*moved)])
-    return {
+    wires = {
         **modes,
         "lab_before": ca.Function("lab_before", [z, zd, gains], first),
         "lab_nodes": ca.Function("lab_nodes", [push, commands], [ca.vertcat(*nodes)]),
@@ -367,6 +349,7 @@ def _laboratory(shape: Shape) -> dict[str, casadi.Function]:
         ),
         "lab_seen": ca.Function("lab_seen", [y, X, frozen, lost], [scene_rows]),
     }
+    return wires[name]
 
 
 def _graph(

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.backends.gpu_kernel import KINDS
-from ves_gym.engine.kernel.numbers import parameters, structure
-from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
-from ves_gym.engine.kernel.trace import inertia_matrix
-from ves_gym.engine.kernel.warp_code import advance_kernel, graph_kernel, launch, launch_graph
+from ves_gym.engine.backends.kernel import stepper
+from ves_gym.engine.kernel.compiled_function import CompiledFunction
+from ves_gym.engine.kernel.maps import inertia_function
+from ves_gym.engine.kernel.numbers import parameters
+from ves_gym.engine.kernel.scene import scene_function, torque_function
+from ves_gym.engine.kernel.warp_code import launch, launch_graph
 from ves_gym.envs import compiled
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.compiled import Shape, width
@@ -76,8 +78,7 @@ class DeviceRows:
     def _program(self, rows: dict[str, Any], before: Any, after: Any) -> list[Any]:
         """Launches of a period, from the slate before it to that after it."""
         shape, space, size = self.shape, self._space, 6 + self.shape.joints
-        graphs = compiled.graphs(shape)
-        key = compiled.digest(shape, graphs)
+        functions = compiled.functions(shape)
         x, goal, moved, tau, outputs = (
             rows[k] for k in ("x", "goal", "moved", "tau", "outputs")
         )
@@ -85,19 +86,19 @@ class DeviceRows:
         nothing, everyone = self.simulations.nothing, self.simulations.everyone
 
         def run(name: str, *arrays: Any) -> Any:
-            kernel = graph_kernel(f"{name} {key}", self.real, partial(graphs.get, name))
+            kernel = functions[name].gpu(self.real)
             return launch_graph(kernel, list(arrays), self.device, record=True)
 
-        def run_map(kind: Any, shared: int, *arrays: Any) -> Any:
-            label = f"{kind.__name__} {structure(space)}"
-            make = partial(kind.graph, space)
-            kernel = graph_kernel(label, self.real, make, (shared,))
+        def run_map(function: CompiledFunction, shared: int, *arrays: Any) -> Any:
+            kernel = function.gpu(self.real, (shared,))
             return launch_graph(kernel, list(arrays), self.device, record=True)
 
         out = [run("move", z, zd, before, goal, rows["action"], moved)]
         if shape.feedforward:
             ref = moved[shape.moved["ref"]]
-            out.append(run_map(TorqueMap, 1, ref, rows["described"], rows["extra"]))
+            out.append(
+                run_map(torque_function(space), 1, ref, rows["described"], rows["extra"])
+            )
         started = before[shape.slate["tau"]]
         out.append(
             run("follow", started, moved, rows["extra"], rows["nodes"], tau, rows["gains"])
@@ -105,10 +106,14 @@ class DeviceRows:
         system = self.system.actual
         state = [x, rows["nodes"], self.simulations.p, nothing, everyone]
         inputs = [*state, self.simulations.fault, system.substeps, 1, system.physics_dt]
-        advance = advance_kernel(system, self.real, record=False)
+        advance = stepper(system).gpu_steps(self.real, record=False)
         out.append(launch(advance, self.n, inputs, self.device, record=True))
         seen = [z, zd, x[:6], *(x[k] for k in self._modes)]
-        out.append(run_map(SceneMap, len(seen), *seen, rows["described"], rows["scene_rows"]))
+        out.append(
+            run_map(
+                scene_function(space), len(seen), *seen, rows["described"], rows["scene_rows"]
+            )
+        )
         parts = [
             z,
             zd,
@@ -229,9 +234,7 @@ class DeviceRows:
         kp, kd = (moved[shape.moved[k]].T.contiguous() for k in ("kp", "kd"))
         constants = self._constants
         entries = torch.empty((size * size, len(ids)), dtype=q.dtype, device=q.device)
-        kernel = graph_kernel(
-            f"inertia {structure(system)}", "float64", lambda: inertia_matrix(system), (1,)
-        )
+        kernel = inertia_function(system).gpu("float64", (1,))
         arrays = [self.wp.from_torch(k.contiguous()) for k in (q, constants[0], entries)]
         launch_graph(kernel, arrays, self.device)
         M, D, K, eye = constants[1:]

@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask
 from ves_gym.engine.backends.kernel import KernelBackend
-from ves_gym.engine.kernel.blocks import aligned, fill, unlane
+from ves_gym.engine.kernel.blocks import aligned, fill, numbers, unlane
+from ves_gym.engine.kernel.compiled_function import Program
 from ves_gym.engine.kernel.emit import LANES
-from ves_gym.engine.kernel.pieces import Piece, Program, numbers
 from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
 from ves_gym.engine.kernel.symbolic import Untraceable
 from ves_gym.envs import compiled
@@ -33,7 +33,7 @@ def period_of(batch: Batch, scenes: SceneMap, torques: TorqueMap) -> Period | No
         scenes, torques: its maps.
     """
     kernel = isinstance(batch.sim.backend, KernelBackend)
-    if not (kernel and scenes.ready and torques.ready and compiles(batch.task)):
+    if not (kernel and compiles(batch.task)):
         return None
     try:
         return Period(batch, scenes, torques)
@@ -73,7 +73,7 @@ class Period:
             terms,
             signals_of(batch.sim),
         )
-        library = compiled.library(shape, lambda: probe)
+        functions = compiled.functions(shape, probe)
         blocks = backend.blocks
         n = shape.joints
         rows = lambda k: aligned(blocks, k, LANES)  # noqa: E731
@@ -101,13 +101,13 @@ class Period:
             gains = backend.rows_of_gains()
         measured = self._external[:, shape.external["y_seen"]] if self._emulated else z[:, :6]
         first = [
-            Piece(library, "keep", [self._next, self._slate]),
-            Piece(library, "move", [z, zd, self._slate, self._goal, self._action, self._moved]),
+            functions["keep"].piece(self._next, self._slate),
+            functions["move"].piece(z, zd, self._slate, self._goal, self._action, self._moved),
         ]
         if shape.feedforward:
             first.append(torques.piece([self._moved[:, at["ref"]]], self._extra))
         rows_in = [before, self._moved, self._extra]
-        first.append(Piece(library, "follow", [*rows_in, self._nodes, self._tau, gains]))
+        first.append(functions["follow"].piece(*rows_in, self._nodes, self._tau, gains))
         rows_in = [z, zd, x, self._slate, self._moved, self._tau, self._goal, self._external]
         m, modes = batch.system.base.hidden, []
         self._modes = rows(2 * m)
@@ -117,17 +117,17 @@ class Period:
                 modes = [part[:, :m] for part in backend.rows_of_modes()]
         last = [
             scenes.piece([z, zd, measured, *modes], self._scene_rows),
-            Piece(library, "close", [*rows_in, self._scene_rows, self._outputs, self._next]),
+            functions["close"].piece(*rows_in, self._scene_rows, self._outputs, self._next),
         ]
         steps = batch.system.substeps
-        self._before, self._after = Program(library, first), Program(library, last)
+        self._before, self._after = Program(first), Program(last)
         self._period_programs = [
-            Program(library, [*first, piece, *last])
-            for piece in backend.pieces(library, self._nodes, shape.nodes, steps)
+            Program([*first, piece, *last])
+            for piece in backend.pieces(self._nodes, shape.nodes, steps)
         ]
         if shape.signals is not None:
             rows_between = self._nodes, self._external, self._modes
-            made_of = (batch.sim, shape, library, first, last, rows_between)
+            made_of = (batch.sim, shape, functions, first, last, rows_between)
             self._laboratory = LaboratoryPrograms(*made_of)
 
     def _probe(self) -> tuple[tuple[str, ...], bytes]:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ves_gym._util.params import Array, Index, Mask
 from ves_gym.engine.backends.kernel import KernelBackend
 from ves_gym.engine.kernel.blocks import aligned, fill, unlane
-from ves_gym.engine.kernel.build import Library
+from ves_gym.engine.kernel.compiled_function import CompiledFunction, Piece, Program
 from ves_gym.engine.kernel.emit import LANES
-from ves_gym.engine.kernel.pieces import Piece, Program
 from ves_gym.envs.compiled import Shape
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ class LaboratoryPrograms:
     Args:
         sim: whose loop.
         shape: of the task's rows.
-        library: of the task's pieces.
+        functions: of the task's pieces.
         first, last: pieces before and after the physics.
         rows: commands from `follow`, what `close` is given, internal modes of the base.
     """
@@ -49,14 +48,14 @@ class LaboratoryPrograms:
         self,
         sim: Simulator,
         shape: Shape,
-        library: Library,
+        functions: Mapping[str, CompiledFunction],
         first: Sequence[Piece],
         last: Sequence[Piece],
         rows: tuple[Array, Array, Array],
     ) -> None:
         assert isinstance(sim.backend, KernelBackend)
         self.sim, self.backend, self.shape = sim, sim.backend, shape
-        self._library, self._first, self._last = library, tuple(first), tuple(last)
+        self._functions, self._first, self._last = functions, tuple(first), tuple(last)
         self._commands, external, self._modes = rows
         self._measured = external[
             :, shape.external["y_seen"].start : shape.external["stopped"].stop
@@ -111,30 +110,30 @@ class LaboratoryPrograms:
         pair = [coupled[:, k] for k in at]
         _, z, zd = self.backend.rows_of_state()
         model = [code.rows(k) for k in ("admittance.X", "command_sent", "frozen")]
-        return [Piece(self._library, "lab_modes", [*pair, z, zd, *model, self._modes])]
+        return [self._functions["lab_modes"].piece(*pair, z, zd, *model, self._modes)]
 
     def _build(self, code: CompiledLoop) -> list[Program]:
-        library, backend = self._library, self.backend
+        functions, backend = self._functions, self.backend
         assert self.shape.signals is not None
         _, z, zd = backend.rows_of_state()
         first, second = ([code.rows(k) for k in names] for names in self.shape.signals)
         before = [
             *self._first,
-            Piece(library, "lab_before", [z, zd, backend.rows_of_gains(), *first]),
-            code.piece("before"),
-            Piece(
-                library, "lab_nodes", [code.rows("acceleration"), self._commands, self._nodes]
+            functions["lab_before"].piece(z, zd, backend.rows_of_gains(), *first),
+            *code.pieces("before"),
+            functions["lab_nodes"].piece(
+                code.rows("acceleration"), self._commands, self._nodes
             ),
         ]
         rows_in = [self._outputs, z, self._draws, code.rows("reading")]
         at = [code.rows(k) for k in ("y_measured", "admittance.X", "frozen")]
         after = [
-            Piece(library, "lab_after", [*rows_in, *second, self._reading]),
-            code.piece("after"),
-            Piece(library, "lab_seen", [*at, self.lost, self._measured]),
+            functions["lab_after"].piece(*rows_in, *second, self._reading),
+            *code.pieces("after"),
+            functions["lab_seen"].piece(*at, self.lost, self._measured),
             *self._modes_piece(code),
             *self._last,
         ]
         steps = self.shape.system.substeps
-        physics = backend.pieces(library, self._nodes, steps + 1, steps, self._outputs)
-        return [Program(library, [*before, piece, *after]) for piece in physics]
+        physics = backend.pieces(self._nodes, steps + 1, steps, self._outputs)
+        return [Program([*before, piece, *after]) for piece in physics]

@@ -57,9 +57,7 @@ def coupling_matrix(system: System, q: npt.ArrayLike) -> Array:
     angles = np.asarray(q, float)
     if angles.ndim and angles.shape[-1] == system.arm.n and angles.size >= _MANY:
         flat = angles.reshape(-1, system.arm.n)
-        compiled = coupling_matrices(system, flat)
-        if compiled is not None:
-            return compiled.reshape(*angles.shape, system.arm.n)
+        return coupling_matrices(system, flat).reshape(*angles.shape, system.arm.n)
     base = system.base
     b = blocks(system, q, base)
     A = np.linalg.solve(b.Mt, b.Hbm)

@@ -8,8 +8,8 @@ sqrt(dq^T Q dq) along it by Gauss's rule, one node per lane, so one compiled cal
 from __future__ import annotations
 
 import math
-from functools import cached_property, lru_cache, partial
-from typing import TYPE_CHECKING, Any
+from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -18,9 +18,8 @@ from scipy.stats import qmc
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.engine.kernel.blocks import aligned
-from ves_gym.engine.kernel.build import Library, cached
-from ves_gym.engine.kernel.emit import LANES, emit_map
-from ves_gym.engine.kernel.maps import evaluate
+from ves_gym.engine.kernel.compiled_function import CompiledFunction, everywhere
+from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.numbers import parameters, structure
 from ves_gym.engine.kernel.symbolic import column, symbols, traced
 from ves_gym.engine.kernel.trace import inertia_matrix
@@ -60,8 +59,8 @@ class Metric:
         base = self.system.base
         if kind != "disturbance" and not base.K.any():
             kind = "kinetic"
-        self._graph = partial(_form, self.system, kind)
-        self._key = f"metric {kind} {_SWEEPS} {structure(self.system)}"
+        key = f"metric {kind} {structure(self.system)}"
+        self._form = CompiledFunction(key, partial(_form, self.system, kind))
         # internal modes follow the interface here: what guides a search need not swing
         condensed = base.condensed()
         fixed = (condensed[0].ravel(), condensed[2].ravel())
@@ -96,7 +95,7 @@ class Metric:
             (...) [J], of kind disturbance [rad^2], kinetic [kg m^2 rad^2].
         """
         at = np.concatenate(np.broadcast_arrays(q, dq), axis=-1).astype(float)
-        return evaluate(self._key, self._graph, at, self._p, 1)[..., 0]
+        return self._form(at, self._p)[..., 0]
 
     def lengths(self, a: npt.ArrayLike, b: npt.ArrayLike) -> Array:
         """Lengths of straight edges.
@@ -128,33 +127,17 @@ class Edge:
     """Length of one straight edge: a block of LANES quadrature nodes, one compiled call."""
 
     def __init__(self, metric: Metric) -> None:
-        self.n, self._metric = metric.n, metric
-        self._x = aligned(1, 2 * metric.n, LANES)
-        self._y = aligned(1, 1, LANES)
-        self._p = aligned(len(metric._p), LANES)
-        self._p[:] = metric._p[:, None]
-        self._run: Any = None
-        try:
-            library = _library(metric._key, metric._graph)
-        except (ImportError, RuntimeError, OSError):
-            return
-        where = (k.ctypes.data for k in (self._x, self._p, self._y))
-        self._run = partial(library.map, *where, 0, 1)
+        self.n = metric.n
+        self._x, self._y = aligned(1, 2 * metric.n, LANES), aligned(1, 1, LANES)
+        self._run = metric._form.piece(self._x, everywhere(metric._p), self._y)
 
     def __call__(self, a: Array, b: Array) -> float:
         """(n,), (n,) -> length."""
-        if self._run is None:
-            return float(self._metric.lengths(a, b))
         step = b - a
         self._x[0, : self.n] = a[:, None] + step[:, None] * _NODES
         self._x[0, self.n :] = step[:, None]
-        self._run()
+        self._run(0, 1)
         return float(np.sqrt(self._y[0, 0]) @ _WEIGHTS)
-
-
-@lru_cache(maxsize=64)
-def _library(key: str, graph: partial[casadi.Function]) -> Library:
-    return cached(key, lambda: emit_map(graph()))
 
 
 # ---------------------------------------------------------------------------- graphs

@@ -6,22 +6,21 @@ motion at once: what the optimisers evaluate.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ves_gym._util.params import Array, content_hash, to_plain
-from ves_gym.engine.kernel.maps import evaluate, points
-from ves_gym.engine.kernel.numbers import geometry
+from ves_gym._util.params import Array, content_hash
+from ves_gym.engine.kernel.compiled_function import CompiledFunction
+from ves_gym.engine.kernel.maps import points
 from ves_gym.engine.kernel.symbolic import column, symbols
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia_parts, newton_euler
 
 if TYPE_CHECKING:
     import casadi
-
-_NO_PARAMETERS = np.zeros(0)  # the graphs hold the arm's numbers
 
 
 class BaseMomentum(NamedTuple):
@@ -44,7 +43,7 @@ def momentum(arm: Arm, q: Array, v: Array) -> BaseMomentum:
         u = H_bm(q) v (..., 6), and its derivatives by q and v, (..., 6, n) each.
     """
     n = arm.n
-    out = _evaluate("momentum", _momentum, arm, points((q, n, "q"), (v, n, "v")), 6 + 12 * n)
+    out = _function(_momentum, arm)(points((q, n, "q"), (v, n, "v")))
     slopes = out[..., 6:].reshape(*out.shape[:-1], 2, n, 6)
     by_q, by_v = np.moveaxis(np.swapaxes(slopes, -1, -2), -3, 0)
     return BaseMomentum(out[..., :6], by_q, by_v)
@@ -69,18 +68,15 @@ def torque(arm: Arm, q: Array, v: Array, a: Array) -> InverseDynamics:
     """
     n = arm.n
     at = points((q, n, "q"), (v, n, "v"), (a, n, "a"))
-    out = _evaluate("torque", _torque, arm, at, n + 3 * n * n)
+    out = _function(_torque, arm)(at)
     slopes = out[..., n:].reshape(*out.shape[:-1], 3, n, n)
     return InverseDynamics(out[..., :n], np.swapaxes(slopes, -1, -2))
 
 
-def _evaluate(name: str, graph: Any, arm: Arm, x: Array, outputs: int) -> Array:
-    return evaluate(f"{name} {_digest(arm)}", partial(graph, arm), x, _NO_PARAMETERS, outputs)
-
-
 @lru_cache(maxsize=16)
-def _digest(arm: Arm) -> str:
-    return f"{content_hash(to_plain(arm))} {geometry(arm)}"
+def _function(graph: Callable[[Arm], casadi.Function], arm: Arm) -> CompiledFunction:
+    # the graphs hold the arm's numbers
+    return CompiledFunction(f"{graph.__name__} {content_hash(arm)}", partial(graph, arm))
 
 
 def _momentum(arm: Arm) -> casadi.Function:
@@ -90,7 +86,7 @@ def _momentum(arm: Arm) -> casadi.Function:
     across = inertia_parts(arm, q).across
     u = column(v @ across)
     out = ca.vertcat(u, ca.vec(ca.jacobian(u, column(q))), column(across))
-    return ca.Function("momentum", [column(q, v), ca.SX(0, 1)], [ca.cse(ca.densify(out))])
+    return ca.Function("momentum", [column(q, v)], [ca.cse(ca.densify(out))])
 
 
 def _torque(arm: Arm) -> casadi.Function:
@@ -99,4 +95,4 @@ def _torque(arm: Arm) -> casadi.Function:
     motion = symbols("x", (3, arm.n))
     x, tau = column(motion), column(newton_euler(arm, *motion)[0])
     out = ca.vertcat(tau, ca.vec(ca.jacobian(tau, x)))
-    return ca.Function("torque", [x, ca.SX(0, 1)], [ca.cse(ca.densify(out))])
+    return ca.Function("torque", [x], [ca.cse(ca.densify(out))])

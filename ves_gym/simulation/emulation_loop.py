@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, Index, Mask, Rows
-from ves_gym.engine.kernel.maps import WeightMap
+from ves_gym.engine.kernel.maps import weight_function
 from ves_gym.hardware.admittance import Nonlinear
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.base_model import BaseModel, carried
@@ -60,7 +60,7 @@ class EmulationLoop:
         self.numbers = LoopNumbers(
             system, n, given=admittance is not None, compensating=self.compensating
         )
-        self._weights = WeightMap(system.actual.arm)
+        self._weights = weight_function(system.actual.arm)
         self._compiled = compiled
         self.table: Array | None = None  # (n, m, 6): replaces the estimate, row by row
         self.events: list[Event] = []
@@ -204,7 +204,7 @@ class EmulationLoop:
             u["table"] = self.table[rows, 0]
         if self.numbers.inertia is not None:
             inertia = self.numbers.inertia
-            u["inertia"] = inertia.rows(self._of(inertia.name, rows), q, ids)
+            u["inertia"] = inertia.rows(self._of(inertia.name, rows), q)
         if self.system.actual.base.m:
             systems = [self.numbers.systems[i] for i in ids.tolist()]
             apart = {id(system): system for system in systems}
@@ -447,4 +447,5 @@ class EmulationLoop:
 
     def _true_weight(self, q: Array, y: Array, rows: Rows) -> Array:
         """True static wrench (m, 6) of the arm on the platform."""
-        return self._weights(q, y, self.numbers.bodies.mass[rows], self.numbers.bodies.P[rows])
+        bodies = self.numbers.bodies
+        return self._weights(q, y, bodies.mass[rows, None], bodies.P[rows])

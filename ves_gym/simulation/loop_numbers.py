@@ -63,7 +63,7 @@ class LoopNumbers:
         self._sampled = self._linear and not compensating  # a coupled one is not
         described = system.replace(effects=())  # what the compensation goes by
         self._names = ParameterRows(described) if compensating else None
-        self.inertia = ArmInertia(described, n) if compensating else None
+        self.inertia = ArmInertia(described) if compensating else None
         self.bodies = self._row(system, "own system").repeated(n)
         self.systems = [system] * n
         self._other_bases: set[int] = set()  # simulations with another than their system's
@@ -183,10 +183,8 @@ class LoopNumbers:
         Args:
             assignment: of `assignment`.
         """
-        for i, system, row in assignment.bodies:
+        for i, _, row in assignment.bodies:
             self.bodies.put(i, row)
-            if self.inertia is not None:
-                self.inertia.tell_apart().arms[i] = system.arm
         for i, system in assignment.systems:
             self.systems[i] = system
             self._other_bases.discard(i)

@@ -16,7 +16,8 @@ import numpy as np
 from ves_gym._util.params import Array, Index, Mask
 from ves_gym.engine.backends.base import BackendWarning
 from ves_gym.engine.backends.compiled import CompiledBackend
-from ves_gym.engine.kernel.warp_code import advance_kernel, launch, load_warp
+from ves_gym.engine.backends.kernel import stepper
+from ves_gym.engine.kernel.warp_code import launch, load_warp
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
 
@@ -82,7 +83,7 @@ class DeviceSimulations:
             shape = ((steps + 1) * self._ny, self.n)
             out = self.wp.empty(shape, dtype=self.number, device=self.device)
         parts = [self.x, u, self.p, out, active, self.fault]
-        kernel = advance_kernel(self.system, self.real, record)
+        kernel = stepper(self.system).gpu_steps(self.real, record)
         launch(kernel, self.n, [*parts, steps, each, self.system.physics_dt], self.device)
         return out
 

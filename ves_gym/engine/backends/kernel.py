@@ -9,7 +9,8 @@ import itertools
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,29 +18,27 @@ from ves_gym._util.params import Array, Index
 from ves_gym.engine.backends.base import MEANINGLESS
 from ves_gym.engine.backends.compiled import CompiledBackend
 from ves_gym.engine.kernel.blocks import aligned, fill, lanes, unlane
-from ves_gym.engine.kernel.build import Library, cached
-from ves_gym.engine.kernel.emit import LANES, emit_module
+from ves_gym.engine.kernel.compiled_function import Piece, Program, Stepper
+from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.numbers import structure
-from ves_gym.engine.kernel.pieces import Program, Step
 from ves_gym.engine.kernel.trace import equations
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
 _ALONE = 8  # blocks below which a second thread costs more than it brings
-_LIBRARIES: dict[str, Library] = {}
 
 
-def compiled(system: System) -> Library:
-    """The kernel of a system; systems that differ in values only share it."""
-    key = structure(system)
-    if key not in _LIBRARIES:
+@lru_cache(maxsize=64)
+def stepper(system: System) -> Stepper:
+    """The steps of a system; systems that differ in values only share their code."""
+    return Stepper(structure(system), partial(equations, system), system.integrator)
 
-        def make() -> str:
-            graphs = equations(system)
-            order = 6 + graphs.n + graphs.hidden
-            return emit_module(graphs.motion, graphs.observe, system.integrator, order)
 
-        _LIBRARIES[key] = cached(key, make)
-    return _LIBRARIES[key]
+class _Ramp(NamedTuple):
+    """Steps under commands that run from node to node (`KernelBackend._ramp`)."""
+
+    u: Array  # (blocks, nodes k, LANES)
+    out: Array | None  # (blocks, nodes ny, LANES)
+    pieces: list[Piece]
 
 
 class KernelBackend(CompiledBackend):
@@ -54,8 +53,8 @@ class KernelBackend(CompiledBackend):
 
     def __init__(self, system: System, n: int, threads: int) -> None:
         super().__init__(system, n)
-        self._library = compiled(system)
-        self._advance = self._library.advance
+        self._stepper = stepper(system)
+        self._stepper.code  # noqa: B018  # raises where nothing compiles
         values = self.rows.values
         self._blocks = -(-n // LANES)
         self._x = aligned(self._blocks, self._nx, LANES)
@@ -63,7 +62,8 @@ class KernelBackend(CompiledBackend):
         self._p[:] = values[:, None]
         self._u = aligned(self._blocks, self._nu, LANES)
         self._end = aligned(self._blocks, self.joints, LANES)
-        self._ramps: dict[int, tuple[Array, Array]] = {}  # buffers of `_between` by steps
+        self._holds: dict[int, list[Piece]] = {}  # steps under a command that holds
+        self._ramps: dict[tuple[int, bool], _Ramp] = {}
         self._start, self._ticks = np.zeros(n), np.zeros(n, np.int64)
         self._fault = np.zeros(n, bool)
         requested = threads or os.cpu_count() or 1
@@ -72,11 +72,6 @@ class KernelBackend(CompiledBackend):
         self._unread = aligned(self._threads, self._ny, LANES)  # outputs nobody asked for
         edges = np.linspace(0, self._blocks, self._threads + 1).astype(int).tolist()
         self._shares = list(itertools.pairwise(edges))
-        self._where = tuple(a.ctypes.data for a in (self._x, self._p))
-        self._buffers = [
-            (a.ctypes.data, b.ctypes.data)
-            for a, b in zip(self._unread, self._scratch, strict=True)
-        ]
         self._pool: ThreadPoolExecutor | None = None
 
     # -------------------------------------------------------------- programs
@@ -113,42 +108,29 @@ class KernelBackend(CompiledBackend):
         return self._p[:, first : first + 2 * self.joints]
 
     def pieces(
-        self,
-        chain: Library,
-        commands: Array,
-        nodes: int,
-        steps: int,
-        outputs: Array | None = None,
-    ) -> list[Step]:
+        self, commands: Array, nodes: int, steps: int, outputs: Array | None = None
+    ) -> list[Piece]:
         """Physics steps as a piece of a program, one for each thread (`run_program`).
 
         Args:
-            chain: library of the program.
             commands: (blocks, nodes (6 + joints), LANES) in memory that stays.
             nodes: per period; 1 where the command is held.
             steps: physics steps.
             outputs: (blocks, (steps + 1) `outputs`, LANES), written; None: not wanted.
         """
-        (x, p), ublock, unode = self._where, nodes * self._nu, self._nu if nodes > 1 else 0
+        strides = nodes * self._nu, self._nu if nodes > 1 else 0
+        options: Any = {"steps": steps, "h": self.dt, "strides": strides}
         return [
-            Step(
-                self._library,
-                chain,
-                (
-                    x,
-                    commands.ctypes.data,
-                    p,
-                    unread if outputs is None else outputs.ctypes.data,
-                    scratch,
-                    steps,
-                    ublock,
-                    unode,
-                    outputs is not None,
-                ),
-                self.dt,
-                (self._x, self._p, commands, self._unread, self._scratch, outputs),
+            self._stepper.steps(
+                self._x,
+                commands,
+                self._p,
+                unread if outputs is None else outputs,
+                scratch,
+                record=outputs is not None,
+                **options,
             )
-            for unread, scratch in self._buffers
+            for unread, scratch in zip(self._unread, self._scratch, strict=True)
         ]
 
     def run_program(self, programs: Sequence[Program], steps: int, stopped: Index) -> None:
@@ -179,30 +161,18 @@ class KernelBackend(CompiledBackend):
 
     # ---------------------------------------------------------------- blocks
 
-    def _run(self, u: Array, steps: int, block: int, node: int, out: Array | None) -> None:
+    def _ramp(self, steps: int, record: bool = False) -> _Ramp:
+        """Steps under commands at every one of their ends, and the rows of these."""
+        if (steps, record) not in self._ramps:
+            u = aligned(self._blocks, (steps + 1) * self._nu, LANES)
+            out = aligned(self._blocks, (steps + 1) * self._ny, LANES) if record else None
+            self._ramps[steps, record] = _Ramp(u, out, self.pieces(u, steps + 1, steps, out))
+        return self._ramps[steps, record]
+
+    def _run(self, pieces: Sequence[Piece], steps: int) -> None:
         """Advance all blocks, shared among threads."""
-        (x, p), commands, recording = self._where, u.ctypes.data, out is not None
-        results = out.ctypes.data if out is not None else 0
-
-        def part(i: int) -> None:
-            low, high = self._shares[i]
-            unread, scratch = self._buffers[i]
-            self._advance(
-                x,
-                commands,
-                p,
-                results if recording else unread,
-                scratch,
-                low,
-                high,
-                steps,
-                block,
-                node,
-                self.dt,
-                recording,
-            )
-
-        self._share(part)
+        self._share(lambda i: pieces[i](*self._shares[i]))
+        self._ticks += steps
 
     def _share(self, part: Callable[[int], None]) -> None:
         """Do a share of the work on every thread."""
@@ -216,10 +186,10 @@ class KernelBackend(CompiledBackend):
         for other in others:
             other.result()
 
-    def _guarded(self, ids: Index | None, work: Any) -> Any:
-        """Do `work`, then put the simulations not in `ids` back where they were."""
+    def _guarded(self, ids: Index | None, pieces: Sequence[Piece], steps: int) -> None:
+        """Run steps, then put the simulations not in `ids` back where they were."""
         before = None if ids is None else (self._x.copy(), self._ticks.copy())
-        result = work()
+        self._run(pieces, steps)
         if before is not None:
             assert ids is not None
             others = np.setdiff1d(np.arange(self._blocks * LANES), ids)
@@ -228,7 +198,6 @@ class KernelBackend(CompiledBackend):
             still = others[others < self.n]
             self._ticks[still] = before[1][still]
         self.note_faults()
-        return result
 
     # --------------------------------------------------------------- backend
 
@@ -290,11 +259,16 @@ class KernelBackend(CompiledBackend):
             fill(self._u[:, :6], wrench)
         fill(self._u[:, 6:], command)
         if until is None:
-            self._guarded(ids, lambda: self._steps(self._u, substeps, self._nu, 0, None))
+            if substeps not in self._holds:
+                self._holds[substeps] = self.pieces(self._u, 1, substeps)
+            self._guarded(ids, self._holds[substeps], substeps)
         else:
-            u = self._between(until, substeps)
-            block, node = (substeps + 1) * self._nu, self._nu
-            self._guarded(ids, lambda: self._steps(u, substeps, block, node, None))
+            ramp, share = self._ramp(substeps), np.arange(substeps + 1) / substeps
+            u = ramp.u.reshape(self._blocks, substeps + 1, self._nu, LANES)
+            fill(self._end, until)
+            u[:] = self._u[:, None]
+            u[:, :, 6:] += share[:, None, None] * (self._end - self._u[:, 6:])[:, None]
+            self._guarded(ids, ramp.pieces, substeps)
             self._u[:] = u[:, -1]
         if wrench is not None:
             self._u[:, :6] = 0.0  # it acts in this period only
@@ -302,17 +276,18 @@ class KernelBackend(CompiledBackend):
     def step_sequence(self, commands: Array, ids: Index | None) -> None:
         k = commands.shape[1] - 1
         base = np.zeros((self.n, k + 1, 6))
-        u = self._nodes(np.concatenate([base, commands], axis=-1))
-        self._guarded(ids, lambda: self._steps(u, k, (k + 1) * self._nu, self._nu, None))
+        u = lanes(np.concatenate([base, commands], axis=-1).reshape(self.n, -1))
+        self._guarded(ids, self.pieces(u, k + 1, k), k)
         self._u[:] = u[:, k * self._nu :]
 
     def step_on_platform(self, commands: Array, base: Array, ids: Index | None) -> Array:
         k = commands.shape[1] - 1
-        u = self._nodes(np.concatenate([base, commands], axis=-1))
-        out = aligned(self._blocks, (k + 1) * self._ny, LANES)
-        self._guarded(ids, lambda: self._steps(u, k, (k + 1) * self._nu, self._nu, out))
-        self._u[:] = u[:, k * self._nu :]
-        rows = out.reshape(self._blocks, k + 1, self._ny, LANES)[:, :, -6:]
+        ramp = self._ramp(k, record=True)
+        fill(ramp.u, np.concatenate([base, commands], axis=-1).reshape(self.n, -1))
+        self._guarded(ids, ramp.pieces, k)
+        self._u[:] = ramp.u[:, k * self._nu :]
+        assert ramp.out is not None
+        rows = ramp.out.reshape(self._blocks, k + 1, self._ny, LANES)[:, :, -6:]
         flat = np.moveaxis(rows, 3, 1).reshape(-1, k + 1, 6)
         return np.ascontiguousarray(flat[: self.n])
 
@@ -321,30 +296,9 @@ class KernelBackend(CompiledBackend):
         inputs[:, 6:] = command
         fill(self._u, inputs)
         out = aligned(self._blocks, self._ny, LANES)
-        self._run(self._u, 0, self._nu, 0, out)
+        self._run(self.pieces(self._u, 1, 0, out), 0)
         values, size = unlane(out, self.n), 6 + self.joints
         zdd, torque = values[:, :size], values[:, size : size + self.joints]
         if self.prescribed:
             torque = torque - PRESCRIBED_INERTIA * zdd[:, 6:]
         return torque, zdd
-
-    # --------------------------------------------------------------- helpers
-
-    def _between(self, until: Array, steps: int) -> Array:
-        """(blocks, steps + 1, k, LANES) commands linear from the present ones to `until`."""
-        if steps not in self._ramps:
-            share = (np.arange(steps + 1) / steps)[:, None, None]
-            self._ramps[steps] = share, aligned(self._blocks, steps + 1, self._nu, LANES)
-        share, out = self._ramps[steps]
-        fill(self._end, until)
-        out[:] = self._u[:, None]
-        out[:, :, 6:] += share * (self._end - self._u[:, 6:])[:, None]
-        return out
-
-    def _steps(self, u: Array, steps: int, block: int, node: int, out: Array | None) -> None:
-        self._run(u, steps, block, node, out)
-        self._ticks += steps
-
-    def _nodes(self, values: Array) -> Array:
-        """(n, nodes, k) -> (blocks, nodes k, LANES)."""
-        return lanes(values.reshape(len(values), -1))

@@ -71,3 +71,18 @@ def unlane(rows: Array, n: int) -> Array:
         return rows[0, :, :n].T.copy()
     plain = rows.swapaxes(1, 2).reshape(len(rows) * LANES, rows.shape[1])
     return plain[:n].copy()
+
+
+def numbers(rows: Array, n: int) -> Array:
+    """Return lanes as a row per quantity, a copy.
+
+    Args:
+        rows: (blocks, k, LANES).
+        n: number of simulations.
+
+    Returns:
+        (k, n).
+    """
+    if len(rows) == 1:
+        return rows[0, :, :n].copy()
+    return rows.swapaxes(0, 1).reshape(rows.shape[1], -1)[:, :n]

@@ -1,62 +1,110 @@
-"""Compile LLVM text for this processor, and keep the machine code on disk."""
+"""Machine code of LLVM text for this processor, once a process and once on disk.
+
+Every function that the package compiles (`compiled_function`) comes through `code`: one cache
+in the process, one folder of files, one key. The key is a digest of the package's text that
+code is made from, of what the caller says of the function, and of the processor.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
 import hashlib
+import json
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from ves_gym._util.params import write_bytes
 
-_SIGNATURES = {
-    "advance": ctypes.CFUNCTYPE(
-        None,
-        *[ctypes.c_void_p] * 5,
-        *[ctypes.c_int64] * 5,
-        ctypes.c_double,
-        ctypes.c_int64,
-    ),
-    "before": ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 2, *[ctypes.c_int64] * 2),
-    "after": ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 2, *[ctypes.c_int64] * 2),
-    "map": ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3, *[ctypes.c_int64] * 2),
-    "program": ctypes.CFUNCTYPE(None, ctypes.c_void_p, *[ctypes.c_int64] * 2),
-}
-_MARK = b"ves-kernel/1\n"
+# rooms and files whose text is traced into graphs, or turns graphs into code; a change of any
+# of them compiles everything anew
+_SOURCES = (
+    "diagnosis/machines/recursions.py",
+    "effects",
+    "engine/kernel",
+    "envs",
+    "hardware",
+    "mechanics",
+    "planners/metric.py",
+    "planners/momentum.py",
+    "simulation/blocks",
+    "system",
+)
+_MARK = b"ves-code/1\n"
+NOT_HERE = (
+    ImportError,
+    RuntimeError,
+    OSError,
+)  # what compiling raises where it is not possible
+_RUN = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
+_made: dict[str, Any] = {}  # by key: `Code`, or the error where none can be; a GPU's kernel
 
 
-class Library:
-    """Machine code of one module; its functions may be called from several threads at once."""
+@dataclass(frozen=True)
+class Code:
+    """A compiled `void run(i64 *table, i64 lo, i64 hi)`; threads may call it side by side."""
 
-    advance: Any  # see `emit.emit_module`
-    map: Any  # see `emit.emit_map`
-    program: Any  # see `pieces.Program`
-    before: Any  # see `emit.emit_driver`
-    after: Any
+    run: Callable[[int, int, int], None]
+    address: int
+    inputs: tuple[int, ...]  # numbers in each argument
+    outputs: tuple[int, ...]  # and in each result
+    engine: Any  # as long as it lives, so does the code
 
-    def __init__(self, *codes: bytes) -> None:
-        import llvmlite.binding as llvm
 
-        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target())
-        for code in codes:
-            self._engine.add_object_file(llvm.ObjectFileRef.from_data(code))
-        self._engine.finalize_object()
-        for name, signature in _SIGNATURES.items():
-            address = self._engine.get_function_address(name)
-            if address:
-                setattr(self, name, signature(address))
+def once(key: str, make: Callable[[], Any]) -> Any:
+    """Return what was made under a key in this process, or make it."""
+    if key not in _made:
+        _made[key] = make()
+    return _made[key]
 
-    def address(self, name: str) -> int:
-        """Address of a function, as long as the library lives."""
-        return int(self._engine.get_function_address(name))
+
+def digest(description: str) -> str:
+    """Return the key of a function: of its description and of the text it comes from."""
+    return hashlib.sha256(f"{_source()}\0{description}".encode()).hexdigest()[:32]
+
+
+def code(key: str, text: Callable[[], str], sizes: Callable[[], Any]) -> Code:
+    """Return a function from this process or from disk, or compile it.
+
+    A file that is damaged is made anew. Writing is atomic, so that processes that start
+    together at worst compile the same thing twice.
+
+    Args:
+        key: a `digest`.
+        text: () -> LLVM text that defines `run`.
+        sizes: () -> numbers in each argument, and in each result.
+
+    Raises:
+        ImportError, RuntimeError, OSError: nothing compiles here.
+    """
+    made: Code | Exception = once(key, lambda: _built(key, text, sizes))
+    if isinstance(made, Exception):
+        raise made
+    return made
+
+
+def _built(key: str, text: Callable[[], str], sizes: Callable[[], Any]) -> Code | Exception:
+    try:
+        name = hashlib.sha256(f"{key} {machine()}".encode()).hexdigest()[:32]
+        path = cache_folder() / f"{name}.code"
+        stored = _read(path)
+        if stored is None:
+            head = json.dumps(sizes()).encode()
+            stored = head + b"\n" + compile_text(text())
+            with contextlib.suppress(OSError):  # nowhere to keep it: compiled again next time
+                write_bytes(path, _MARK + hashlib.sha256(stored).digest() + stored)
+        return _loaded(stored)
+    except NOT_HERE as error:
+        return error
 
 
 def cache_folder() -> Path:
-    """Return the folder of compiled kernels: VES_GYM_CACHE, or the user's cache folder."""
+    """Return the folder of compiled functions: VES_GYM_CACHE, or the user's cache folder."""
     folder = os.environ.get("VES_GYM_CACHE")
     if folder:
         return Path(folder)
@@ -66,6 +114,7 @@ def cache_folder() -> Path:
     return Path(root) / "ves_gym"
 
 
+@lru_cache(maxsize=1)
 def machine() -> str:
     """Describe the processor, on which machine code depends besides its source."""
     import llvmlite
@@ -73,6 +122,43 @@ def machine() -> str:
 
     features = llvm.get_host_cpu_features().flatten()
     return f"{llvmlite.__version__} {llvm.get_host_cpu_name()} {features}"
+
+
+def compile_text(text: str) -> bytes:
+    """Object code of a module."""
+    import llvmlite.binding as llvm
+
+    target = _target()
+    module = llvm.parse_assembly(text)
+    module.triple = llvm.get_default_triple()
+    module.data_layout = str(target.target_data)
+    module.verify()
+    made: bytes = target.emit_object(module)
+    return made
+
+
+@lru_cache(maxsize=1)
+def _source() -> str:
+    """Digest of the text that functions come from."""
+    root = Path(__file__).parents[2]
+    total = hashlib.sha256()
+    for name in _SOURCES:
+        at = root / name
+        for path in sorted(at.rglob("*.py")) if at.is_dir() else [at]:
+            total.update(path.read_bytes())
+    return total.hexdigest()
+
+
+def _loaded(stored: bytes) -> Code:
+    import llvmlite.binding as llvm
+
+    head, _, object_code = stored.partition(b"\n")
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target())
+    engine.add_object_file(llvm.ObjectFileRef.from_data(object_code))
+    engine.finalize_object()
+    address = engine.get_function_address("run")
+    inputs, outputs = map(tuple, json.loads(head))
+    return Code(_RUN(address), address, inputs, outputs, engine)
 
 
 def _target() -> Any:
@@ -90,67 +176,12 @@ def _target() -> Any:
     )
 
 
-def compile_text(text: str) -> bytes:
-    """Object code of a module."""
-    import llvmlite.binding as llvm
-
-    target = _target()
-    module = llvm.parse_assembly(text)
-    module.triple = llvm.get_default_triple()
-    module.data_layout = str(target.target_data)
-    module.verify()
-    code: bytes = target.emit_object(module)
-    return code
-
-
-def cached(key: str, make: Any) -> Library:
-    """Return a library from disk, or make it.
-
-    Args:
-        key: names everything the code depends on but the processor.
-        make: () -> text of the code.
-    """
-    return Library(_object(key, make))
-
-
-def linked(driver: str, makers: Mapping[str, Any]) -> Library:
-    """Return a library of functions stored one by one and a driver that calls them.
-
-    Args:
-        driver: text of the code that calls them.
-        makers: name of a function, which names all that it depends on -> () -> its text.
-    """
-    parts = [_object(name, make) for name, make in makers.items()]
-    return Library(_object(driver, lambda: driver), *parts)
-
-
-def _object(key: str, make: Any) -> bytes:
-    """Return machine code from disk, or make it.
-
-    A file that is damaged is made anew. Writing is atomic, so that processes that start
-    together at worst compile the same thing twice.
-
-    Args:
-        key, make: see `cached`.
-    """
-    name = hashlib.sha256(f"{key}\0{machine()}".encode()).hexdigest()[:32]
-    path = cache_folder() / f"kernel-{name}.o"
-    code = _read(path)
-    if code is None:
-        code = compile_text(make())
-        with contextlib.suppress(OSError):  # nowhere to keep it: compiled again next time
-            write_bytes(path, _MARK + hashlib.sha256(code).digest() + code)
-    return code
-
-
 def _read(path: Path) -> bytes | None:
     try:
         data = path.read_bytes()
     except OSError:
         return None
-    head = len(_MARK) + 32
-    code = data[head:]
-    complete = data[: len(_MARK)] == _MARK
-    return (
-        code if complete and hashlib.sha256(code).digest() == data[len(_MARK) : head] else None
-    )
+    start = len(_MARK) + 32
+    mark, stored = data[: len(_MARK)], data[start:]
+    sound = mark == _MARK and hashlib.sha256(stored).digest() == data[len(_MARK) : start]
+    return stored if sound else None

@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 import struct
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from ves_gym._util.params import ParameterError
@@ -218,7 +217,7 @@ class FunctionBody:
         return self.call("copysign", value, x)
 
 
-def emit_function(name: str, graph: casadi.Function, *, shared: bool = False) -> str:
+def emit_function(name: str, graph: casadi.Function, in_place: bool = False) -> str:
     """Return one graph as `void name(ptr inputs ..., ptr outputs ...)` on rows of lanes.
 
     All is read before anything is written.
@@ -226,7 +225,7 @@ def emit_function(name: str, graph: casadi.Function, *, shared: bool = False) ->
     Args:
         name: of the function.
         graph: its operations.
-        shared: seen by other modules, and called with outputs that may be inputs.
+        in_place: outputs may lie where inputs do.
     """
     import casadi as ca
 
@@ -248,11 +247,10 @@ def emit_function(name: str, graph: casadi.Function, *, shared: bool = False) ->
             registers[into[0]] = _operation(code, ca, op, args, unity, zero)
     for (which, row), value in outputs.items():
         code.store(value, f"%out{which}", row)
-    kind = "ptr" if shared else "ptr noalias"
+    kind = "ptr" if in_place else "ptr noalias"
     arguments = [f"{kind} %in{i}" for i in range(graph.n_in())]
     arguments += [f"{kind} %out{i}" for i in range(graph.n_out())]
-    linkage = "" if shared else "internal "
-    head = f"define {linkage}void @{name}({', '.join(arguments)}) noinline {{"
+    head = f"define internal void @{name}({', '.join(arguments)}) noinline {{"
     return "\n".join([head, *code.lines, "  ret void", "}"])
 
 
@@ -306,20 +304,43 @@ def _operation(
     raise ParameterError(f"the kernel cannot compile operation {op}; it knows {operations}")
 
 
-# -------------------------------------------------------------------------- integrators
+# ------------------------------------------------------------------------------ modules
+#
+# A module defines one function, `void run(i64 *table, i64 lo, i64 hi)`, which works on the
+# blocks lo to hi of what the table points to.
 
 
-def emit_module(
+def emit_graph(graph: casadi.Function, in_place: bool) -> str:
+    """A module that evaluates a graph.
+
+    Its table holds, for each argument and then for each result, the address of its rows in
+    block 0 and the number of rows from one block to the next.
+
+    Args:
+        graph: its operations.
+        in_place: results may lie where arguments do.
+    """
+    ends = range(graph.n_in() + graph.n_out())
+    setup = [
+        line for i in ends for line in (*_word(2 * i, f"k{i}"), *_word(2 * i + 1, f"s{i}"))
+    ]
+    setup += [f"  %p{i} = inttoptr i64 %k{i} to ptr" for i in ends]
+    body = [line for i in ends for line in _rows_of(f"p{i}", f"%s{i}")]
+    body.append(f"  call void @point({', '.join(f'ptr %p{i}b' for i in ends)})")
+    run = _OVER_BLOCKS.format(setup="\n".join(setup), body="\n".join(body))
+    return "\n".join([_declarations(), emit_function("point", graph, in_place), run])
+
+
+def emit_stepper(
     motion: casadi.Function, observe: casadi.Function, integrator: str, order: int
 ) -> str:
-    """A module with `advance`, which steps blocks of simulations.
+    """A module that steps blocks of simulations.
 
-        void advance(double *x, double *u, double *p, double *out, double *scratch,
-                     i64 lo, i64 hi, i64 steps, i64 ublock, i64 unode, double h, i64 record)
-
-    Rows are vectors of LANES. Block b has x at row b nx, p at b np, u at b ublock, its nodes
-    unode rows apart (0: held). With `record` outputs go to `out`, steps + 1 nodes a block;
-    the first node of a step sees the commands of that step, the last those at its end.
+    Its table holds the addresses of x, u, p, out and scratch, then steps, ublock, unode, the
+    bits of the step h, and record. Rows are vectors of LANES. Block b has x at row b nx, p at
+    b np, u at b ublock, its nodes unode rows apart (0: held). With `record` outputs go to
+    `out`, steps + 1 nodes a block; the first node of a step sees the commands of that step,
+    the last those at its end.
 
     Args:
         motion: (x, u, p) -> x'. observe: the same with outputs.
@@ -329,49 +350,34 @@ def emit_module(
     nx, nu, np_ = (motion.size1_in(i) for i in range(3))
     ny = observe.size1_out(1)
     parts = [
-        declarations(),
+        _declarations(),
         emit_function("motion", motion),
         emit_function("observe", observe),
     ]
     step = _rk4(nx, nu, ny) if integrator == "rk4" else _rates_first(nx, ny, order)
-    body = _ADVANCE.format(V=_V, nx=nx, np=np_, ny=ny, nu=nu, step=step, L=LANES)
+    words = [line for i, name in enumerate(_STEPPER) for line in _word(i, f"w_{name}")]
+    words += [f"  %{name} = inttoptr i64 %w_{name} to ptr" for name in _STEPPER[:5]]
+    body = _ADVANCE.format(V=_V, nx=nx, np=np_, ny=ny, nu=nu, step=step, words="\n".join(words))
     return "\n".join([*parts, body])
 
 
-def emit_map(graph: casadi.Function) -> str:
-    """A module with `map`, which evaluates (x, p) -> y for blocks of many x and one p.
-
-    void map(double *x, double *p, double *y, i64 lo, i64 hi)
-    """
-    body = "\n".join(
-        [
-            *rows_of("x", graph.size1_in(0)),
-            *rows_of("y", graph.size1_out(0)),
-            "  call void @point(ptr %xb, ptr %p, ptr %yb)",
-        ]
-    )
-    loop = over_blocks("map", "ptr %x, ptr %p, ptr %y", body)
-    return "\n".join([declarations(), emit_function("point", graph), loop])
+_STEPPER = ("x", "u", "p", "out", "scratch", "steps", "ublock", "unode", "h", "record")
 
 
-def over_blocks(name: str, arguments: str, body: str, setup: str = "") -> str:
-    """Return a function that runs a body for the blocks %b from %lo to %hi.
-
-    Args:
-        name: of the function.
-        arguments: those before `i64 %lo, i64 %hi`.
-        body: lines for one block.
-        setup: lines before the first one.
-    """
-    return _OVER_BLOCKS.format(name=name, arguments=arguments, body=body, setup=setup)
+def _word(i: int, name: str) -> list[str]:
+    """Lines that load a word of the table."""
+    return [
+        f"  %at_{name} = getelementptr i64, ptr %table, i64 {i}",
+        f"  %{name} = load i64, ptr %at_{name}",
+    ]
 
 
-def rows_of(pointer: str, rows: int | str) -> list[str]:
+def _rows_of(pointer: str, rows: str) -> list[str]:
     """Lines that find a block's rows of lanes, `%xb` of a pointer `%x`.
 
     Args:
         pointer: its name.
-        rows: of a block, a number or a value.
+        rows: of a block.
     """
     return [
         f"  %{pointer}row = mul i64 %b, {rows}",
@@ -379,68 +385,7 @@ def rows_of(pointer: str, rows: int | str) -> list[str]:
     ]
 
 
-def emit_shared(name: str, graph: casadi.Function) -> str:
-    """Return a module of one function that others may call, and that may write where it reads.
-
-    Args:
-        name: of the function.
-        graph: its operations.
-    """
-    return "\n".join([declarations(), emit_function(name, graph, shared=True)])
-
-
-@dataclass(frozen=True)
-class Call:
-    """A function as a driver calls it: first rows of its arrays in the memory of a block."""
-
-    name: str
-    inputs: tuple[int, ...]
-    parameters: int  # first row of its own, last of its inputs
-    outputs: tuple[int, ...]
-    advance: tuple[int, ...]  # rows each output moves on by between repetitions
-    repeats: int
-
-
-def emit_driver(parts: Mapping[str, Sequence[Call]], rows: int, parameters: int) -> str:
-    """Return a module of functions that call others in a row, for each block of lanes.
-
-    void NAME(double *memory, double *parameters, i64 lo, i64 hi)
-
-    and the same as `void NAME_piece(i64 *table, i64 lo, i64 hi)` for a program (`pieces`), its
-    table the addresses of memory and parameters.
-
-    Args:
-        parts: what each function calls.
-        rows: of memory in a block.
-        parameters: rows of parameters in a block.
-    """
-    calls = [call for part in parts.values() for call in part]
-    declared = {
-        call.name: f"declare void @{call.name}({', '.join(['ptr'] * _arity(call))})"
-        for call in calls
-    }
-    bodies = []
-    for name, part in parts.items():
-        code = FunctionBody()
-        for call in part:
-            fixed = [code.row("%mb", at) for at in call.inputs]
-            fixed.append(code.row("%pb", call.parameters))
-            for k in range(call.repeats):
-                moved = zip(call.outputs, call.advance, strict=True)
-                outputs = [code.row("%mb", at + k * by) for at, by in moved]
-                arguments = ", ".join(f"ptr {pointer}" for pointer in (*fixed, *outputs))
-                code.lines.append(f"  call void @{call.name}({arguments})")
-        body = [*rows_of("m", rows), *rows_of("p", parameters), *code.lines]
-        bodies.append(over_blocks(name, "ptr %m, ptr %p", "\n".join(body)))
-        bodies.append(_ENTRY_BY_TABLE.format(name=name))
-    return "\n".join([*declared.values(), *bodies])
-
-
-def _arity(call: Call) -> int:
-    return len(call.inputs) + 1 + len(call.outputs)
-
-
-def declarations() -> str:
+def _declarations() -> str:
     """The processor's own operations that functions use."""
     unary = ("rint", "floor", "fabs", "sqrt")
     two = ("minimum", "maximum", "copysign")
@@ -496,11 +441,12 @@ def _rates_first(nx: int, ny: int, order: int) -> str:
 
 
 _ADVANCE = """
-define void @advance(ptr %x, ptr %u, ptr %p, ptr %out, ptr %scratch, i64 %lo, i64 %hi,
-                     i64 %steps, i64 %ublock, i64 %unode, double %h, i64 %record) {{
+define void @run(ptr %table, i64 %lo, i64 %hi) {{
 entry:
-  %keep = icmp ne i64 %record, 0
-  %nodes = add i64 %steps, 1
+{words}
+  %h = bitcast i64 %w_h to double
+  %keep = icmp ne i64 %w_record, 0
+  %nodes = add i64 %w_steps, 1
   %oblock0 = mul i64 %nodes, {ny}
   %oblock = select i1 %keep, i64 %oblock0, i64 0
   %onode = select i1 %keep, i64 {ny}, i64 0
@@ -512,29 +458,29 @@ block:
   %xb = getelementptr {V}, ptr %x, i64 %xrow
   %prow = mul i64 %b, {np}
   %pb = getelementptr {V}, ptr %p, i64 %prow
-  %urow = mul i64 %b, %ublock
+  %urow = mul i64 %b, %w_ublock
   %ub = getelementptr {V}, ptr %u, i64 %urow
   %orow = mul i64 %b, %oblock
   %obb = getelementptr {V}, ptr %out, i64 %orow
-  %some = icmp sgt i64 %steps, 0
+  %some = icmp sgt i64 %w_steps, 0
   br i1 %some, label %step, label %last
 step:
   %s = phi i64 [ 0, %block ], [ %snext, %step ]
-  %u0row = mul i64 %s, %unode
+  %u0row = mul i64 %s, %w_unode
   %u0 = getelementptr {V}, ptr %ub, i64 %u0row
-  %u1 = getelementptr {V}, ptr %u0, i64 %unode
+  %u1 = getelementptr {V}, ptr %u0, i64 %w_unode
   %osrow = mul i64 %s, %onode
   %ob = getelementptr {V}, ptr %obb, i64 %osrow
 {step}
   %snext = add i64 %s, 1
-  %more = icmp slt i64 %snext, %steps
+  %more = icmp slt i64 %snext, %w_steps
   br i1 %more, label %step, label %last
 last:
   br i1 %keep, label %final, label %blockend
 final:
-  %lurow = mul i64 %steps, %unode
+  %lurow = mul i64 %w_steps, %w_unode
   %ul = getelementptr {V}, ptr %ub, i64 %lurow
-  %lorow = mul i64 %steps, %onode
+  %lorow = mul i64 %w_steps, %onode
   %ol = getelementptr {V}, ptr %obb, i64 %lorow
   call void @observe(ptr %xb, ptr %ul, ptr %pb, ptr %scratch, ptr %ol)
   br label %blockend
@@ -548,7 +494,7 @@ done:
 """
 
 _OVER_BLOCKS = """
-define void @{name}({arguments}, i64 %lo, i64 %hi) {{
+define void @run(ptr %table, i64 %lo, i64 %hi) {{
 entry:
 {setup}
   %any = icmp slt i64 %lo, %hi
@@ -564,14 +510,28 @@ done:
 }}
 """
 
-_ENTRY_BY_TABLE = """
-define void @{name}_piece(ptr %table, i64 %lo, i64 %hi) {{
-  %a = load i64, ptr %table
-  %second = getelementptr i64, ptr %table, i64 1
-  %b = load i64, ptr %second
-  %m = inttoptr i64 %a to ptr
-  %p = inttoptr i64 %b to ptr
-  call void @{name}(ptr %m, ptr %p, i64 %lo, i64 %hi)
+# several functions one after another; its table: how many, then code and table of each
+PROGRAM = """
+define void @run(ptr %words, i64 %lo, i64 %hi) {
+entry:
+  %count = load i64, ptr %words
+  %some = icmp sgt i64 %count, 0
+  br i1 %some, label %piece, label %done
+piece:
+  %i = phi i64 [ 0, %entry ], [ %inext, %piece ]
+  %k0 = shl i64 %i, 1
+  %k = add i64 %k0, 1
+  %wf = getelementptr i64, ptr %words, i64 %k
+  %f = load i64, ptr %wf
+  %code = inttoptr i64 %f to ptr
+  %wt = getelementptr i64, ptr %wf, i64 1
+  %t = load i64, ptr %wt
+  %table = inttoptr i64 %t to ptr
+  call void %code(ptr %table, i64 %lo, i64 %hi)
+  %inext = add i64 %i, 1
+  %more = icmp slt i64 %inext, %count
+  br i1 %more, label %piece, label %done
+done:
   ret void
-}}
+}
 """

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
-from functools import lru_cache
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.engine.kernel.blocks import aligned, fill, unlane
-from ves_gym.engine.kernel.build import Library, cached
+from ves_gym.engine.kernel.compiled_function import CompiledFunction, Program, everywhere
 from ves_gym.engine.kernel.emit import LANES
-from ves_gym.engine.kernel.pieces import Piece, Program, emit_pieces
 from ves_gym.engine.kernel.symbolic import column, symbols
-from ves_gym.mechanics import modes
 from ves_gym.mechanics.modes import jacobi_sweep, natural_modes, reduced
 
 if TYPE_CHECKING:
@@ -32,7 +28,7 @@ class ModeMap:
     """Modes of K x = omega^2 M x and how vectors push them, for many M, over and over.
 
     Gives what `mechanics.modes.natural_modes` gives, but for the order of the modes and the
-    signs of their shapes; by that function where nothing compiles or k is above 12.
+    signs of their shapes; by that function where k is above 12.
 
     Args:
         K: (k, k) stiffness, symmetric.
@@ -41,30 +37,25 @@ class ModeMap:
     """
 
     def __init__(self, K: Array, columns: int, n: int) -> None:
-        self.K, self._columns = K, columns
-        k = len(K)
+        self.K, k = K, len(K)
         self._lower = np.tril_indices(k)
         entries = len(self._lower[0])
         self._diagonal = np.cumsum(np.arange(1, k + 1)) - 1  # among the lower entries
         self._run: Program | None = None
         if k > _MOST:
             return
-        try:
-            library = _library(k, columns)
-        except (ImportError, RuntimeError, OSError):
-            return
-        self._blocks = -(-n // LANES)
-        sizes = (entries, k * columns, entries + k * columns, entries + k * columns)
-        self._M, self._b, source, target = (
-            aligned(self._blocks, size, LANES) for size in sizes
+        sizes = entries, k * columns, entries + k * columns, entries + k * columns
+        self._M, self._b, source, target = (aligned(-(-n // LANES), m, LANES) for m in sizes)
+        reduce, sweep = (
+            CompiledFunction(f"{graph.__name__} {k} {columns}", partial(graph, k, columns))
+            for graph in (_reduction, _sweep)
         )
-        stiffness = aligned(1, entries, LANES)
-        stiffness[:] = K[self._lower][:, None]
-        pieces = [Piece(library, "reduce", [self._M, stiffness, self._b, source])]
-        for _ in range(next(n for most, n in _SWEEPS.items() if k <= most)):
-            pieces.append(Piece(library, "sweep", [source, target]))
+        stiffness = everywhere(K[self._lower])
+        pieces = [reduce.piece(self._M, stiffness, self._b, source)]
+        for _ in range(next(count for most, count in _SWEEPS.items() if k <= most)):
+            pieces.append(sweep.piece(source, target))
             source, target = target, source
-        self._out, self._run = source, Program(library, pieces)
+        self._out, self._run = source, Program(pieces)
 
     def __call__(self, M: Array, b: Array) -> tuple[Array, Array]:
         """Return frequencies and pushes of m systems, m at most the number given.
@@ -79,29 +70,13 @@ class ModeMap:
         if self._run is None:
             omega, shapes = natural_modes(self.K, M)
             return omega, np.swapaxes(shapes, -1, -2) @ b
-        m, size = len(M), b.shape[1] * self._columns
+        m, size = len(M), b.shape[1] * b.shape[2]
         fill(self._M, M[:, *self._lower])
         fill(self._b, b.reshape(m, size))
         self._run(0, -(-m // LANES))  # the blocks that hold them
         out = unlane(self._out, m)
         omega = np.sqrt(np.maximum(out[:, self._diagonal], 0.0))
         return omega, out[:, -size:].reshape(b.shape)
-
-
-@lru_cache
-def _library(k: int, columns: int) -> Library:
-    def text() -> str:
-        return emit_pieces({"reduce": _reduction(k, columns), "sweep": _sweep(k, columns)})
-
-    return cached(f"modes {k} {columns} {_source()}", text)
-
-
-@lru_cache(maxsize=1)
-def _source() -> str:
-    """Digest of the text that writes the code, so that a changed one is compiled anew."""
-    files = [Path(__file__).with_name(name) for name in ("emit.py", "modes.py", "pieces.py")]
-    files += [Path(str(modes.__file__)), Path(__file__).with_name("symbolic.py")]
-    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
 def _reduction(k: int, columns: int) -> casadi.Function:

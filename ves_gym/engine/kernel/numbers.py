@@ -11,7 +11,6 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +18,6 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.engine.kernel.symbolic import Traced, column, expressions, symbols, traced
-from ves_gym.mechanics import dynamics
 from ves_gym.mechanics.arm import STILL, Chain, JointFrame, LinkBodies
 from ves_gym.mechanics.carried import ReactionWheel
 from ves_gym.mechanics.dynamics import expand
@@ -309,6 +307,12 @@ def _is_zero(value: Any) -> bool:
 
 def parameters(system: System) -> tuple[tuple[str, ...], Array]:
     """Names and values of p for a system."""
+    names, values = _parameters(system)
+    return names, values.copy()
+
+
+@lru_cache(maxsize=256)
+def _parameters(system: System) -> tuple[tuple[str, ...], Array]:
     names: list[str] = []
     values: list[float] = []
 
@@ -345,11 +349,27 @@ def symbolic_model(system: System) -> tuple[Model, tuple[str, ...], Traced]:
 
 
 def structure(system: System) -> str:
-    """Return a digest of the graph's shape, on which a system's compiled code depends."""
+    """Describe what a system's compiled code depends on: all but the values of its numbers.
+
+    Effects of the package are told apart by their classes, those of a user by their formulas.
+    """
+    effects = [type(e) for e in system.effects if isinstance(e, TorqueEffect)]
+    if all(is_ours(kind) for kind in effects):
+        return _described(system)
+    return f"{_described(system)} {_laws(system)}"
+
+
+def is_ours(kind: type) -> bool:
+    """True if the text of a class is the package's, so that it cannot change unseen."""
+    return kind.__module__.startswith("ves_gym.") and "<locals>" not in kind.__qualname__
+
+
+@lru_cache(maxsize=256)
+def _described(system: System) -> str:
     names, _ = parameters(system)
     step = system.physics_dt if system.integrator == "implicitfast" else None
     balance = system.mode == "emulated" and system.emulator_settings.joint_balance
-    laws = _laws(system) if any(isinstance(e, TorqueEffect) for e in system.effects) else None
+    laws = [type(e).__qualname__ for e in system.effects if isinstance(e, TorqueEffect)]
     what: tuple[Any, ...] = (names, laws, system.mode, system.integrator, step, balance)
     if system.base.carried:
         what = (*what, [replaced(part) for part in system.base.carried])
@@ -363,19 +383,19 @@ def replaced(part: Carried) -> tuple[Any, ...]:
 
 
 def geometry(arm: Arm) -> str:
-    """Return a digest of an arm's lengths and angles: its code depends on no weight."""
+    """Describe an arm's lengths and angles: its code depends on no weight."""
     lengths: list[Any] = [(k.d, k.a, k.alpha, k.beta, k.offset) for k in arm.links]
     if arm.sliding:
         lengths.append(arm.sliding)
     if arm.bends:
         chain = expand(arm)
         lengths += [(k.d, k.a, k.alpha, k.beta, k.offset) for k in chain.arm.links]
-        return f"{_source()} {arm.mount!r} {chain.arm.mount!r} {chain.driven!r} {lengths!r}"
-    return f"{_source()} {arm.mount!r} {lengths!r}"
+        return f"{arm.mount!r} {chain.arm.mount!r} {chain.driven!r} {lengths!r}"
+    return f"{arm.mount!r} {lengths!r}"
 
 
 def _laws(system: System) -> str:
-    """Digest of the graph of the effects' laws, whatever text and constants it came from."""
+    """Digest of the graph of effects' laws, whatever text of a user it came from."""
     import casadi as ca
 
     model, _, p = symbolic_model(system)
@@ -384,17 +404,3 @@ def _laws(system: System) -> str:
     inputs = [column(k) for k in (q, v, tau, p)]
     graph = ca.Function("laws", inputs, [column(torque)])
     return hashlib.sha256(graph.serialize().encode()).hexdigest()
-
-
-@lru_cache(maxsize=1)
-def _source() -> str:
-    """Digest of the text that writes the code, so that a changed one is compiled anew."""
-    mechanics = Path(dynamics.__file__).parent
-    kernel = Path(__file__).parent
-    files = [mechanics / f"{name}.py" for name in _TEXTS]
-    files += [kernel / f"{name}.py" for name in _WRITERS]
-    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
-
-
-_TEXTS = ("arm", "kinematics", "dynamics", "carried", "equations", "gravity", "spatial")
-_WRITERS = ("trace", "numbers", "emit", "symbolic", "scene", "pieces")

@@ -7,6 +7,7 @@ the derivative is that of the computed result and not of the differential equati
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -14,14 +15,12 @@ import numpy.typing as npt
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.engine.kernel.blocks import aligned, lanes, unlane
-from ves_gym.engine.kernel.build import Library, cached
-from ves_gym.engine.kernel.emit import LANES, emit_module
+from ves_gym.engine.kernel.compiled_function import Stepper
+from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.numbers import parameters, structure
 from ves_gym.engine.kernel.trace import tangents
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.system.system import System
-
-_LIBRARIES: dict[str, Library] = {}
 
 
 @dataclass(frozen=True)
@@ -128,28 +127,11 @@ def _advance(
     system: System, wrt: tuple[str, ...], controls: int, x: Array, u: Array, p: Array
 ) -> Array:
     key = f"tangents {wrt} {controls} {structure(system)}"
-    if key not in _LIBRARIES:
-
-        def make() -> str:
-            graphs = tangents(system, wrt, controls)
-            return emit_module(graphs.motion, graphs.observe, "rk4", 0)
-
-        _LIBRARIES[key] = cached(key, make)
+    stepper = Stepper(key, partial(tangents, system, wrt, controls), "rk4")
     rows, inputs, values = lanes(x), lanes(u.reshape(len(u), -1)), lanes(p)
     nx, nu, steps = x.shape[1], u.shape[2], u.shape[1] - 1
     scratch, unread = aligned(3 * nx + nu, LANES), aligned(1, LANES)
-    _LIBRARIES[key].advance(
-        rows.ctypes.data,
-        inputs.ctypes.data,
-        values.ctypes.data,
-        unread.ctypes.data,
-        scratch.ctypes.data,
-        0,
-        len(rows),
-        steps,
-        (steps + 1) * nu,
-        nu,
-        system.physics_dt,
-        0,
-    )
+    strides, h = ((steps + 1) * nu, nu), system.physics_dt
+    memory = rows, inputs, values, unread, scratch
+    stepper.steps(*memory, steps=steps, h=h, strides=strides, record=False)(0, len(rows))
     return unlane(rows, len(x))

@@ -50,6 +50,11 @@ class Equations:
     observe: casadi.Function  # (x, u, p) -> x', (z'', drive torque, wrench if emulated)
     hidden: int = 0  # coordinates h: deflections of gears, internal modes of the base
 
+    @property
+    def order(self) -> int:
+        """Number of coordinates (z, h)."""
+        return 6 + self.n + self.hidden
+
 
 def equations(system: System) -> Equations:
     """Trace the system's equations of motion."""
@@ -224,7 +229,7 @@ def regressor(arm: Arm, moving: bool) -> casadi.Function:
 
     Moving: at (q, v, a, spin, turn, accel) as in `newton_euler`, by ten numbers a body (m, m c,
     inertia about its frame xx xy yy xz yz zz) and the rotor inertias. Otherwise at (q, free
-    fall), by the four of a body that weigh. The second argument, p, is empty.
+    fall), by the four of a body that weigh.
 
     The balance is linear in these numbers. It is differentiated by (m, c, I_c) at unit masses
     in the origins of their frames, which is the same: m c = c there, and what moves I_c to the
@@ -254,9 +259,7 @@ def regressor(arm: Arm, moving: bool) -> casadi.Function:
     load = column(-wrench, torque)
     unit = ca.vertcat(*[1.0, *[0.0] * 9] * (n + 1), ca.SX.zeros(n))
     slope = ca.substitute(ca.jacobian(load, unknowns), every, unit)
-    return ca.Function(
-        "regressor", [column(x), ca.SX(0, 1)], [ca.cse(ca.densify(ca.vec(slope)))]
-    )
+    return ca.Function("regressor", [column(x)], [ca.cse(ca.densify(ca.vec(slope)))])
 
 
 def coupling(system: System) -> casadi.Function:

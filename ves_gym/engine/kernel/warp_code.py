@@ -8,16 +8,12 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
-from ves_gym.engine.kernel.numbers import structure
 from ves_gym.engine.kernel.scalar import advance_text, graph_text
-from ves_gym.engine.kernel.trace import equations
-from ves_gym.system.system import System
 
 THREADS = 64  # of a block; one takes all the registers that it can have
-_KERNELS: dict[tuple[str, ...], Any] = {}
 _SLOTS = tuple(f"a{k}" for k in range(12))  # arrays of a graph's kernel, unused ones included
 _LOADED: set[tuple[Any, str]] = set()  # kernel, device
 
@@ -42,38 +38,16 @@ def _quiet(warp: Any) -> Iterator[None]:
         setattr(warp.config, name, before)
 
 
-def advance_kernel(system: System, real: str, record: bool) -> Any:
-    """The kernel of `scalar.advance_text`; systems that differ in values only share it.
-
-    Args:
-        system: what to simulate.
-        real: float64 or float32.
-        record: with what is observed.
-    """
-    key = (structure(system), real, "record" if record else "advance")
-    if key not in _KERNELS:
-        graphs = equations(system)
-        order = 6 + graphs.n + graphs.hidden
-        observe = graphs.observe if record else None
-        text = advance_text(graphs.motion, observe, system.integrator, order, real)
-        _KERNELS[key] = _advance(load_warp(), text, real)
-    return _KERNELS[key]
-
-
-def graph_kernel(
-    key: str, real: str, make: Callable[[], Any], shared: tuple[int, ...] = ()
+def advance_kernel(
+    motion: Any, observe: Any | None, integrator: str, order: int, real: str
 ) -> Any:
-    """The kernel of `scalar.graph_text`, to be run by `launch_graph`.
+    """Return the kernel of `scalar.advance_text`, which see."""
+    return _advance(load_warp(), advance_text(motion, observe, integrator, order, real), real)
 
-    Args:
-        key: names everything that the graph depends on.
-        real: float64 or float32.
-        make: () -> the graph.
-        shared: inputs that may have one column for all simulations.
-    """
-    if (key, real) not in _KERNELS:
-        _KERNELS[key, real] = _graph(load_warp(), graph_text(make(), real, shared), real)
-    return _KERNELS[key, real]
+
+def graph_kernel(graph: Any, real: str, shared: tuple[int, ...] = ()) -> Any:
+    """Return the kernel of `scalar.graph_text`, which see, to be run by `launch_graph`."""
+    return _graph(load_warp(), graph_text(graph, real, shared), real)
 
 
 def _advance(wp: Any, text: str, real: str) -> Any:

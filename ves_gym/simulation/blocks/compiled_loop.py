@@ -1,25 +1,21 @@
 """The wired blocks compiled: half a control period of many simulations in one call.
 
 The text of each block is traced with arrays of symbols and emitted as the engine's equations
-are, a simulation per lane; a small driver calls the blocks in the order of the wiring. Machine
-code is stored block by block, so that loops share what they have in common.
+are, a simulation per lane; a program calls the blocks in the order of the wiring. Loops share
+the code of the blocks that they have in common.
 """
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterable, Mapping
-from functools import lru_cache
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ves_gym._util.params import Array, Index, Rows
 from ves_gym.engine.kernel.blocks import aligned, fill, put_rows, unlane
-from ves_gym.engine.kernel.build import Library, linked
-from ves_gym.engine.kernel.emit import LANES, Call, emit_driver, emit_shared
-from ves_gym.engine.kernel.pieces import LoopPiece
+from ves_gym.engine.kernel.compiled_function import CompiledFunction, Piece, Program
+from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.symbolic import column, symbols, traced
 from ves_gym.simulation.blocks.block import Block
 from ves_gym.simulation.blocks.memory import NamedArrays
@@ -27,8 +23,6 @@ from ves_gym.simulation.blocks.wiring import Parameters, Wiring
 
 if TYPE_CHECKING:
     import casadi
-
-_LIBRARIES: dict[str, Library] = {}
 
 
 class CompiledLoop:
@@ -45,7 +39,7 @@ class CompiledLoop:
         # which entries of an array are parameters, where zeros are part of the structure
         self._entries: dict[tuple[str, str], Index] = {}
         self._places: dict[tuple[str, str], slice] = {}  # of these in `_p`
-        self._library: Library | None = None
+        self._halves: dict[str, list[Piece]] = {}
         self._p = aligned(len(self.lanes), 0, LANES)
         self._rows = {name: self.lanes[:, place] for name, place in memory.places.items()}
 
@@ -70,12 +64,13 @@ class CompiledLoop:
         ends = np.cumsum([0, *(len(entries) for entries in self._entries.values())]).tolist()
         self._places = dict(zip(self._entries, map(slice, ends[:-1], ends[1:]), strict=True))
         width = ends[-1]
-        changed = self._library is None or width != self._p.shape[1]
+        changed = not self._halves or width != self._p.shape[1]
         if changed:
             self._p = aligned(len(self.lanes), width, LANES)
         fill(self._p, np.concatenate(rows, axis=1) if rows else np.zeros((n, 0)))
         if changed:
-            self._library = self._linked(p)
+            self._halves = self._wired(p)
+            self._programs = {half: Program(pieces) for half, pieces in self._halves.items()}
 
     def change(self, which: Rows, p: Parameters, names: Mapping[str, Iterable[str]]) -> None:
         """Take some parameters of some simulations.
@@ -98,41 +93,36 @@ class CompiledLoop:
             rows = flat[which][:, self._entries[key]]
             put_rows(self._p[:, self._places[key]], which, rows)
 
-    def _linked(self, p: Parameters) -> Library:
-        """The machine code of both halves."""
-        halves: dict[str, list[Call]] = {"before": [], "after": []}
-        makers, at = {}, 0
+    def _wired(self, p: Parameters) -> dict[str, list[Piece]]:
+        """The blocks of both halves on their places in memory."""
+        halves: dict[str, list[Piece]] = {}
+        at = 0
         for half, blocks in (("before", self.wiring.before), ("after", self.wiring.after)):
+            halves[half] = []
             for block in blocks:
-                code = _BlockCode(block, p[block.name], self._entries, self.memory.shapes)
-                makers[code.name] = code.text
-                halves[half].append(self._call(code, at))
-                at += code.width
-        sizes = (self.memory.size, self._p.shape[1])
-        key = repr((halves, sizes))
-        if key not in _LIBRARIES:
-            _LIBRARIES[key] = linked(emit_driver(halves, *sizes), makers)
-        return _LIBRARIES[key]
+                entries = [self._entries[block.name, name] for name in p[block.name]]
+                end = at + sum(map(len, entries))
+                function = block_function(block, p[block.name], entries, self.memory.shapes)
+                halves[half] += self._pieces(block, function, self._p[:, at:end])
+                at = end
+        return halves
 
-    def _call(self, code: _BlockCode, at: int) -> Call:
-        """Return the places of a block's arrays; `at`: the first row of its parameters."""
-        places, block = self.memory.places, code.block
-        mine = [places[f"{block.name}.{k}"].start for k in block.memory]
-        reads = [places[k].start for k in block.inputs]
-        writes = [places[k].start for k in block.outputs]
-        sizes = [places[k].stop - places[k].start for k in block.outputs]
-        steps = [
-            size // block.repeats if name in block.stacked else 0
-            for name, size in zip(block.outputs, sizes, strict=True)
-        ]
-        return Call(
-            name=code.name,
-            inputs=(*mine, *reads),
-            parameters=at,
-            outputs=(*mine, *writes),
-            advance=(*(0 for _ in mine), *steps),
-            repeats=block.repeats,
-        )
+    def _pieces(self, block: Block, function: CompiledFunction, p: Array) -> list[Piece]:
+        """A block as often as it repeats; what it stacks goes on from time to time."""
+        mine = [self._rows[f"{block.name}.{k}"] for k in block.memory]
+        reads = [self._rows[k] for k in block.inputs]
+        out = []
+        for k in range(block.repeats):
+            writes = [self._rows[name] for name in block.outputs]
+            if block.repeats > 1:
+                writes = [
+                    rows[:, k * rows.shape[1] // block.repeats :]
+                    if name in block.stacked
+                    else rows
+                    for name, rows in zip(block.outputs, writes, strict=True)
+                ]
+            out.append(function.piece(*mine, *reads, p, *mine, *writes))
+        return out
 
     def __call__(self, half: str, external: Mapping[str, Array]) -> None:
         """Run a half for all simulations, in place.
@@ -141,25 +131,22 @@ class CompiledLoop:
             half: "before" or "after" the engine.
             external: (n, ...) signals from outside.
         """
-        assert self._library is not None
         n = self.memory.n
         for name, values in external.items():
             if name in self._rows:
                 rows = self._rows[name]
                 fill(rows, values.reshape(n, rows.shape[1]))
-        run = self._library.before if half == "before" else self._library.after
-        run(self.lanes.ctypes.data, self._p.ctypes.data, 0, len(self.lanes))
+        self._programs[half](0, len(self.lanes))
 
-    def piece(self, half: str) -> LoopPiece:
-        """A half as a piece of a program; another one after `load` (see `version`).
+    def pieces(self, half: str) -> list[Piece]:
+        """A half as pieces of a program; other ones after `load` (see `version`).
 
         What it reads from outside and puts out lies in `rows`.
 
         Args:
             half: "before" or "after" the engine.
         """
-        assert self._library is not None
-        return LoopPiece(self._library, half, self.lanes, self._p)
+        return self._halves[half]
 
     @property
     def version(self) -> object:
@@ -176,58 +163,53 @@ class CompiledLoop:
         return values.reshape(self.memory.n, *self.memory.shapes[name])
 
 
-class _BlockCode:
-    """One block's function: (memory, signals, parameters) -> (memory, signals)."""
+def block_function(
+    block: Block,
+    p: Mapping[str, Array],
+    entries: Sequence[Index],
+    shapes: Mapping[str, tuple[int, ...]],
+) -> CompiledFunction:
+    """(memory, signals, parameters) -> (memory, signals) of a block.
 
-    def __init__(
-        self,
-        block: Block,
-        p: Mapping[str, Array],
-        entries: Mapping[tuple[str, str], Index],
-        shapes: Mapping[str, tuple[int, ...]],
-    ) -> None:
-        self.block = block
-        self._parameters = {
-            name: (values.shape[1:], entries[block.name, name]) for name, values in p.items()
-        }
-        self._inputs = {name: shapes[name] for name in block.inputs}
-        self.width = sum(len(which) for _, which in self._parameters.values())
-        what = (
-            type(block).__name__,
-            block.structure,
-            block.shape,
-            {k: memory.shape for k, memory in block.memory.items()},
-            self._inputs,
-            block.outputs,
-            {k: (shape, which.tolist()) for k, (shape, which) in self._parameters.items()},
-        )
-        digest = hashlib.sha256(f"{_source()} {what!r}".encode()).hexdigest()
-        self.name = f"block_{digest[:32]}"
+    Args:
+        block: whose text is traced.
+        p: its parameters (n, ...).
+        entries: of each, those that are not zero by structure.
+        shapes: of the signals.
+    """
+    inputs = {name: shapes[name] for name in block.inputs}
+    used = [(name, p[name].shape[1:], which) for name, which in zip(p, entries, strict=True)]
+    key = (
+        type(block).__name__,
+        block.structure,
+        block.shape,
+        {k: memory.shape for k, memory in block.memory.items()},
+        inputs,
+        block.outputs,
+        [(name, shape, which.tolist()) for name, shape, which in used],
+    )
 
-    def text(self) -> str:
-        """The LLVM module."""
-        return emit_shared(self.name, self._graph())
-
-    def _graph(self) -> casadi.Function:
+    def graph() -> casadi.Function:
         import casadi as ca
 
-        block = self.block
-        numbers, p = [], {}
-        for name, (shape, which) in self._parameters.items():
+        numbers, values = [], {}
+        for name, shape, which in used:
             flat = traced(np.zeros(int(np.prod(shape))), (int(np.prod(shape)),))
             flat[which] = symbols(f"p.{name}", (len(which),))
             numbers.append(flat[which])
-            p[name] = flat.reshape(1, *shape)
+            values[name] = flat.reshape(1, *shape)
         x = {k: symbols(f"x.{k}", (1, *m.shape)) for k, m in block.memory.items()}
-        u = {k: symbols(f"u.{k}", (1, *shape)) for k, shape in self._inputs.items()}
-        x_new, y = block.step(p, x, u)
-        inputs = [*x.values(), *u.values()]
-        outputs = [*(x_new[k] for k in x), *(y[k] for k in block.outputs)]
+        u = {k: symbols(f"u.{k}", (1, *shape)) for k, shape in inputs.items()}
+        x_new, y = block.step(values, x, u)
+        arguments = [*x.values(), *u.values()]
+        results = [*(x_new[k] for k in x), *(y[k] for k in block.outputs)]
         return ca.Function(
             "block",
-            [*(column(k) for k in inputs), column(*numbers)],
-            ca.cse([column(k) for k in outputs]),
+            [*(column(k) for k in arguments), column(*numbers)],
+            ca.cse([column(k) for k in results]),
         )
+
+    return CompiledFunction(key, graph, in_place=True)
 
 
 def _flat(values: Array) -> Array:
@@ -244,13 +226,3 @@ def _entries(values: Array, sparse: bool, before: Index | None) -> Index:
     if before is not None:
         used[before] = True
     return np.flatnonzero(used)
-
-
-@lru_cache(maxsize=1)
-def _source() -> str:
-    """Digest of every text that may be traced, so that a changed one is compiled anew."""
-    root = Path(__file__).parents[2]
-    folders = ("mechanics", "hardware", "simulation/blocks")
-    files = [path for folder in folders for path in sorted((root / folder).glob("*.py"))]
-    files += [root / "engine/kernel" / name for name in ("emit.py", "symbolic.py", "trace.py")]
-    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()

@@ -8,7 +8,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.engine.batch_parameters import Bodies
-from ves_gym.engine.kernel.maps import WeightMap
+from ves_gym.engine.kernel.maps import weight_function
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
 from ves_gym.simulation.blocks.block import Block, LoopShape, Memory, Values
@@ -24,7 +24,7 @@ class GravityEstimate(Block):
     def __init__(self, arm: Arm, shape: LoopShape, oldest: int, tabulated: bool) -> None:
         """`oldest`: periods to look back over; `tabulated`: from a table, not the model."""
         self.arm, self.shape, self.oldest, self.tabulated = arm, shape, oldest, tabulated
-        self._weights = WeightMap(arm)
+        self._weights = weight_function(arm)
         self.inputs = ("table",) if tabulated else ("q", "y_measured")
 
     @property
@@ -68,7 +68,7 @@ class GravityEstimate(Block):
         if self.tabulated:
             fresh = u["table"]
         else:  # what `estimate` gives, sooner
-            fresh = self._weights(u["q"], self._pose(p, u), p["mass"], p["P"])
+            fresh = self._weights(u["q"], self._pose(p, u), p["mass"][:, None], p["P"])
         history = np.repeat(fresh[:, None], self.oldest + 1, axis=1)
         return {"history": history}, {"weight": fresh}
 

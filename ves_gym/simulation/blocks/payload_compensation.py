@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import Array, Index
-from ves_gym.engine.batch_parameters import Bodies, Inertias
-from ves_gym.engine.kernel.maps import InertiaMap
+from ves_gym._util.params import Array
+from ves_gym.engine.batch_parameters import Bodies
+from ves_gym.engine.kernel.maps import inertia_function
 from ves_gym.engine.kernel.numbers import geometry, parameters
 from ves_gym.engine.kernel.symbolic import Traced, column, traced
 from ves_gym.engine.kernel.trace import inertia_matrix
@@ -27,11 +27,9 @@ class ArmInertia(Block):
     inputs = ("q",)
     outputs = ("inertia",)
 
-    def __init__(self, system: System, n: int) -> None:
+    def __init__(self, system: System) -> None:
         """`system` without effects: the arm as described."""
-        self.system, self.alike = system, InertiaMap(system, n)
-        self.n = n
-        self.different: Inertias | None = None  # where arms differ in numbers
+        self.system, self._entries = system, inertia_function(system)
 
     @property
     def structure(self) -> tuple[Any, ...]:
@@ -48,23 +46,17 @@ class ArmInertia(Block):
             entries = inertia_matrix(self.system)(column(q), column(p["numbers"]))
             H = traced([entries[k] for k in range(size**2)], (1, size, size))
             return {}, {"inertia": p["scale"][:, None, None] * H}
-        return {}, {"inertia": self.rows(p, q, np.arange(len(q)))}
+        return {}, {"inertia": self.rows(p, q)}
 
-    def tell_apart(self) -> Inertias:
-        """Inertias of arms that may differ from now on."""
-        if self.different is None:
-            self.different = Inertias(self.system, self.n)
-        return self.different
-
-    def rows(self, p: Values, q: Array, ids: Index) -> Array:
+    def rows(self, p: Values, q: Array) -> Array:
         """H (m, 6 + n, 6 + n) of some simulations.
 
         Args:
             p: parameters of m simulations.
             q: (m, n) [rad].
-            ids: (m,) which.
         """
-        H = self.alike(q) if self.different is None else self.different(q, ids, p["numbers"])
+        size = 6 + self.system.arm.n
+        H = self._entries(q, p["numbers"]).reshape(-1, size, size)
         return np.asarray(p["scale"][:, None, None] * H, dtype=np.float64)
 
 

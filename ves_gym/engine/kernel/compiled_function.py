@@ -1,0 +1,340 @@
+"""`CompiledFunction`: a function of rows of numbers in NumPy, in machine code, or on a GPU."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ves_gym._util.params import Array
+from ves_gym.engine.kernel import build
+from ves_gym.engine.kernel.blocks import aligned, fill, lanes, unlane
+from ves_gym.engine.kernel.emit import LANES, PROGRAM, emit_graph, emit_stepper
+
+if TYPE_CHECKING:
+    import casadi
+
+    from ves_gym.engine.kernel.trace import Equations
+
+_CHUNK = 512  # blocks at a time: inputs and outputs stay in the cache
+
+
+class CompiledFunction:
+    """y = f(x_1, ..., x_k) for many points, from one graph; all that is compiled is one.
+
+    Calling it with arrays gives arrays, in machine code where the machine has a compiler, else
+    by `numpy`. `piece` is the same on rows of lanes, as a part of a `Program`; `buffered` keeps
+    such rows for those who ask over and over; `gpu` is the code of a GPU. Nobody else has to
+    know whether something compiles: only a `Stepper` raises where nothing does.
+
+    The graph is made of NumPy text by `symbolic`, and only where neither this process nor the
+    store on disk has the code (`build.code`).
+
+    Args:
+        key: all that the graph depends on besides the package's text and the processor, as its
+            `repr`; None for what comes from a user's text: the graph itself is the key then.
+        graph: makes it.
+        in_place: results may lie where arguments do.
+    """
+
+    def __init__(
+        self, key: object, graph: Callable[[], casadi.Function], *, in_place: bool = False
+    ) -> None:
+        self._key, self._make, self._in_place = key, graph, in_place
+
+    @cached_property
+    def graph(self) -> casadi.Function:
+        """The graph, traced when first asked for."""
+        return self._make()
+
+    @cached_property
+    def digest(self) -> str:
+        """What its code is filed under."""
+        what = self.graph.serialize() if self._key is None else repr(self._key)
+        return build.digest(f"{type(self).__name__} {self._in_place} {what}")
+
+    @property
+    def code(self) -> build.Code:
+        """The machine code.
+
+        Raises:
+            ImportError, RuntimeError, OSError: nothing compiles here.
+        """
+        return build.code(
+            self.digest, lambda: emit_graph(self.graph, self._in_place), lambda: self._sizes
+        )
+
+    @property
+    def _compiled(self) -> build.Code | None:
+        try:
+            return self.code
+        except build.NOT_HERE:
+            return None
+
+    @property
+    def _sizes(self) -> tuple[list[int], list[int]]:
+        graph = self.graph
+        inputs = [graph.size1_in(i) for i in range(graph.n_in())]
+        return inputs, [graph.size1_out(i) for i in range(graph.n_out())]
+
+    @cached_property
+    def sizes(self) -> tuple[Sequence[int], Sequence[int]]:
+        """Numbers in each argument and in each result."""
+        made = self._compiled
+        return self._sizes if made is None else (made.inputs, made.outputs)
+
+    # ------------------------------------------------------------------- executors
+
+    def numpy(self, *x: Array) -> list[Array]:
+        """Evaluate the graph, interpreted.
+
+        Args:
+            x: (n, k) each, or (1, k) for all points.
+
+        Returns:
+            Each result (n, m).
+        """
+        n = max((len(part) for part in x), default=1)
+        out = self.graph.call([np.broadcast_to(part, (n, part.shape[1])).T for part in x])
+        return [np.array(part.full().T) for part in out]
+
+    def piece(self, *rows: Array) -> Piece:
+        """Return the function on fixed rows.
+
+        Args:
+            rows: of its arguments, then of its results: (blocks, k, LANES), or a slice along
+                the second axis of such an array; (1, k, LANES) serves all blocks.
+        """
+        made = self._compiled
+        if made is None:
+            return Piece(None, (), rows, lambda lo, hi: self._interpret(rows, lo, hi))
+        stride = LANES * 8  # bytes of a row
+        words = [
+            word
+            for k in rows
+            for word in (k.ctypes.data, k.strides[0] // stride * (len(k) > 1))
+        ]
+        return Piece(made, words, rows)
+
+    def _interpret(self, rows: Sequence[Array], lo: int, hi: int) -> None:
+        count = len(self.sizes[0])
+        parts = [k if len(k) == 1 else k[lo:hi] for k in rows]
+        n = (hi - lo) * LANES
+        x = [unlane(np.repeat(k, (hi - lo) // len(k), axis=0), n) for k in parts[:count]]
+        for row, value in zip(parts[count:], self.numpy(*x), strict=True):
+            fill(row, value)
+
+    def gpu(self, real: str, shared: tuple[int, ...] = ()) -> Any:
+        """Return Warp's kernel, one point a thread (`warp_code.launch_graph`).
+
+        Args:
+            real: float64 or float32.
+            shared: arguments that may have one column for all points.
+        """
+        from ves_gym.engine.kernel.warp_code import graph_kernel
+
+        key = f"{self.digest} {real} {shared}"
+        return build.once(key, lambda: graph_kernel(self.graph, real, shared))
+
+    # ---------------------------------------------------------------------- arrays
+
+    def __call__(self, *x: Array) -> Array:
+        """Evaluate at many points, in chunks on all processors.
+
+        Args:
+            x: (..., k) each, with the same leading axes; (k,) serves all points.
+
+        Returns:
+            (..., m), the results side by side.
+        """
+        batch = next((part.shape[:-1] for part in x if part.ndim > 1), ())
+        count, widths = math.prod(batch), self.sizes[1]
+        flat = [
+            everywhere(part) if part.ndim == 1 else part.reshape(count, part.shape[-1])
+            for part in x
+        ]
+        out = np.empty((count, sum(widths)))
+        size = _CHUNK * LANES
+
+        def evaluate(first: int) -> None:
+            n = min(size, count - first)
+            rows = [part if part.ndim == 3 else lanes(part[first : first + n]) for part in flat]
+            blocks = -(-n // LANES)
+            results = [aligned(blocks, k, LANES) for k in widths]
+            self.piece(*rows, *results)(0, blocks)
+            np.concatenate([unlane(k, n) for k in results], axis=1, out=out[first : first + n])
+
+        starts = range(0, count, size)
+        if len(starts) > 1:
+            with ThreadPoolExecutor(min(os.cpu_count() or 1, len(starts))) as pool:
+                list(pool.map(evaluate, starts))
+        elif count:
+            evaluate(0)
+        return out.reshape(*batch, out.shape[1])
+
+    def buffered(self, n: int, *shared: Array) -> Buffered:
+        """Return the function for at most n points, over and over, on rows that it keeps.
+
+        Args:
+            n: points at most.
+            shared: (k,) last arguments, the same for all points.
+        """
+        return Buffered(self, n, shared)
+
+
+class Stepper(CompiledFunction):
+    """Physics steps of many simulations; raises where nothing compiles.
+
+    Args:
+        key: see `CompiledFunction`.
+        equations: makes the graphs.
+        integrator: rk4, euler or implicitfast.
+    """
+
+    def __init__(
+        self, key: object, equations: Callable[[], Equations], integrator: str
+    ) -> None:
+        super().__init__((key, integrator), lambda: self._equations.motion)
+        self._trace, self._integrator = equations, integrator
+
+    @cached_property
+    def _equations(self) -> Equations:
+        return self._trace()
+
+    @property
+    def code(self) -> build.Code:
+        """The machine code.
+
+        Raises:
+            ImportError, RuntimeError, OSError: nothing compiles here.
+        """
+
+        def text() -> str:
+            graphs = self._equations
+            return emit_stepper(graphs.motion, graphs.observe, self._integrator, graphs.order)
+
+        return build.code(self.digest, text, lambda: self._sizes)
+
+    def steps(
+        self,
+        x: Array,
+        u: Array,
+        p: Array,
+        out: Array,
+        scratch: Array,
+        *,
+        steps: int,
+        h: float,
+        strides: tuple[int, int],
+        record: bool,
+    ) -> Piece:
+        """Return some steps as a piece.
+
+        Args:
+            x: (blocks, nx, LANES) states, changed.
+            u: commands; `strides`: rows from block to block, and from node to node.
+            p: (blocks, np, LANES).
+            out: (blocks, (steps + 1) ny, LANES) observed; ny rows without `record`.
+            scratch: 3 nx + nu rows, of this thread alone.
+            steps: how many.
+            h: their length [s].
+        """
+        rows = x, u, p, out, scratch
+        bits = int(np.float64(h).view(np.int64))
+        words = [*(k.ctypes.data for k in rows), steps, *strides, bits, record]
+        return Piece(self.code, words, rows)
+
+    def gpu_steps(self, real: str, record: bool) -> Any:
+        """Return Warp's kernel, one simulation a thread (`scalar.advance_text`)."""
+        from ves_gym.engine.kernel.warp_code import advance_kernel
+
+        def make() -> Any:
+            graphs = self._equations
+            observe = graphs.observe if record else None
+            return advance_kernel(graphs.motion, observe, self._integrator, graphs.order, real)
+
+        return build.once(f"{self.digest} {real} {record}", make)
+
+
+class Piece:
+    """A function on fixed rows; calling it runs it for the blocks lo to hi.
+
+    Args:
+        code: of the function; None where nothing compiles.
+        words: its table.
+        owners: arrays that the table points into: addresses do not keep memory alive.
+        interpreted: (lo, hi) -> None, without code.
+    """
+
+    def __init__(
+        self,
+        code: build.Code | None,
+        words: Sequence[int],
+        owners: Sequence[Array],
+        interpreted: Callable[[int, int], None] | None = None,
+    ) -> None:
+        self.code, self._owners, self._interpreted = code, owners, interpreted
+        self._table: npt.NDArray[np.int64] = np.array(words, np.int64)
+        self.where = self._table.ctypes.data
+
+    def __call__(self, lo: int, hi: int) -> None:
+        if self.code is not None:
+            self.code.run(self.where, lo, hi)
+        elif self._interpreted is not None:
+            self._interpreted(lo, hi)
+
+
+class Program:
+    """Pieces in order, without a return to Python between; run for the blocks lo to hi.
+
+    Args:
+        pieces: what to run.
+    """
+
+    def __init__(self, pieces: Sequence[Piece]) -> None:
+        self._pieces = tuple(pieces)
+        codes = [piece.code for piece in pieces if piece.code is not None]
+        self._all: Piece | None = None
+        if len(codes) == len(self._pieces):
+            made = build.code(build.digest("program"), lambda: PROGRAM, lambda: ((), ()))
+            words = [len(codes)]
+            for code, piece in zip(codes, pieces, strict=True):
+                words += [code.address, piece.where]
+            self._all = Piece(made, words, ())
+
+    def __call__(self, lo: int, hi: int) -> None:
+        for piece in (self._all,) if self._all is not None else self._pieces:
+            piece(lo, hi)
+
+
+class Buffered:
+    """A function for at most n points on rows of its own (`CompiledFunction.buffered`)."""
+
+    def __init__(self, function: CompiledFunction, n: int, shared: Sequence[Array]) -> None:
+        blocks = -(-n // LANES)
+        inputs, outputs = function.sizes
+        self._x = [aligned(blocks, k, LANES) for k in inputs[: len(inputs) - len(shared)]]
+        self._y = [aligned(blocks, k, LANES) for k in outputs]
+        self._run = function.piece(*self._x, *map(everywhere, shared), *self._y)
+
+    def __call__(self, *x: Array) -> Array:
+        """(m, k) each -> (m, all results), m at most n."""
+        m = len(x[0])
+        for rows, values in zip(self._x, x, strict=True):
+            fill(rows, values)
+        self._run(0, -(-m // LANES))
+        parts = [unlane(k, m) for k in self._y]
+        return parts[0] if len(parts) == 1 else np.hstack(parts)
+
+
+def everywhere(values: Array) -> Array:
+    """(k,) numbers as rows that serve all blocks."""
+    rows = aligned(1, len(values), LANES)
+    rows[:] = values[:, None]
+    return rows
