@@ -49,7 +49,6 @@ HEAVY = {
     "matplotlib",
     "minari",
     "mujoco",
-    "numba",
     "OpenGL",
     "ompl",
     "onnx",

@@ -14,7 +14,6 @@ from ves_gym.effects import (
     JointStribeck,
     JointTorqueLimit,
     JointViscous,
-    joint_friction,
 )
 from ves_gym.engine.kernel.numbers import structure
 from ves_gym.mechanics.motion import Motion
@@ -80,17 +79,26 @@ def test_null_laws_leave_the_run_as_it_is():
     np.testing.assert_array_equal(*runs)
 
 
-def test_a_changed_constant_of_a_law_is_another_kernel(monkeypatch):
-    """The text of the class alone would not show it, and the cache would serve the old code."""
-    system = System(vehicle=BENT_THESIS, effects=(JointCoulomb(torque=(1.0,) * 3),))
-    before = structure(system)
-    assert structure(system) == before
-    assert (
-        structure(System(vehicle=BENT_THESIS, effects=(JointCoulomb(torque=(2.0,) * 3),)))
-        == before
+SLOPE = 0.05  # rad/s, of a user's law
+
+
+class Smooth(JointCoulomb):
+    """A user's effect, whose formula may change without the package knowing."""
+
+    def law(self, q, v, tau):
+        return -self.torque * np.tanh(v / SLOPE)
+
+
+def test_a_changed_constant_of_a_users_law_is_another_kernel(monkeypatch):
+    """The text of the class alone would not show it, and the store would serve the old code."""
+    one, two = (
+        System(vehicle=BENT_THESIS, effects=(Smooth(torque=(k,) * 3),)) for k in (1.0, 2.0)
     )
-    monkeypatch.setattr(joint_friction, "CREEP", 0.02)
-    assert structure(system) != before
+    before = structure(one)
+    assert structure(two) == before
+    assert structure(one.replace(effects=(JointCoulomb(torque=(1.0,) * 3),))) != before
+    monkeypatch.setitem(globals(), "SLOPE", 0.02)
+    assert structure(one) != before
 
 
 def test_one_number_per_joint():

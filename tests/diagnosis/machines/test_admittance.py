@@ -7,6 +7,7 @@ import pytest
 
 import ves_gym.effects as E
 from ves_gym.diagnosis.data.measured_run import run_of
+from ves_gym.diagnosis.machines.recursions import implicit_matrices
 from ves_gym.diagnosis.machines.ringing import loop_rings
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.hardware.admittance import implicit_step
@@ -138,16 +139,15 @@ def test_a_log_of_every_second_period_is_filled_in(compensated):
     assert gap(system, run) < 3e-3
 
 
-def test_columns_advance_as_single_states_do():
-    from ves_gym.diagnosis.machines.recursions import _implicit
-
+def test_matrices_advance_states_as_the_trapezoidal_rule_does():
     rng = np.random.default_rng(0)
-    M, D, K = (k @ k.T + np.eye(4) for k in rng.standard_normal((3, 4, 4)))
+    M, D, K = (k @ k.T + np.eye(4) for k in rng.standard_normal((3, 3, 4, 4)))
     X, W = rng.standard_normal((3, 8)), rng.standard_normal((3, 4))
-    one = implicit_step(*(np.broadcast_to(k, (3, 4, 4)) for k in (M, D, K)), X, W, 0.02)
-    parts = (np.ascontiguousarray(k.T) for k in (X[:, :4], X[:, 4:], W))
-    many = _implicit(M, D, K, *parts, 0.02)
-    np.testing.assert_allclose(np.concatenate(many).T, one, rtol=0, atol=1e-13)
+    expected = implicit_step(M, D, K, X, W, 0.02)
+    for rows, which in ((None, np.arange(8)), (2, [0, 1, 4, 5])):
+        A, B = implicit_matrices(M, D, K, 0.02, rows)
+        found = np.einsum("nij,nj->ni", A, X) + np.einsum("nij,nj->ni", B, W)
+        np.testing.assert_allclose(found, expected[:, which], rtol=0, atol=1e-13)
 
 
 def test_a_loop_rings_at_its_own_modes_alone():

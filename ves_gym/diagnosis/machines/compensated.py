@@ -20,6 +20,7 @@ from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import NEAR, Run
 from ves_gym.diagnosis.machines.controller_signals import ControllerSignals, extended
 from ves_gym.diagnosis.machines.platform_response import Platforms
+from ves_gym.diagnosis.machines.recursions import wrenches
 from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.hardware.admittance import implicit_step
 from ves_gym.hardware.platform import PoseServo
@@ -179,8 +180,6 @@ def _inverse(
     run: Run, taken: ControllerSignals, system: System, described: System, near: Trajectory
 ) -> Trajectory:
     """Wrenches that make the commands of the log, linearised about a trajectory near it."""
-    from ves_gym.diagnosis.machines.recursions import wrenches  # numba takes a second to load
-
     m, dt = _moving(system), system.control_dt
     base, lag = system.actual.base, system.emulator_settings.lag(dt)
     k = m + base.m

@@ -13,6 +13,7 @@ from ves_gym._util.params import Array
 from ves_gym._util.signals import differentiated, noise_power
 from ves_gym.diagnosis.data.measured_run import Run, cached
 from ves_gym.diagnosis.machines.arm_load import bodies_of
+from ves_gym.diagnosis.machines.recursions import crossing, deflection
 from ves_gym.diagnosis.machines.torque_balance import filtered, winding_noise
 from ves_gym.effects.joint_drive import HARD
 from ves_gym.mechanics.arm import Arm
@@ -41,8 +42,6 @@ def deflections(
         run: measured.
         hardening: joints whose springs harden.
     """
-    from ves_gym.diagnosis.machines.recursions import deflection  # numba takes a second to load
-
     out = np.zeros_like(torque)
     for i, link in enumerate(arm.links):
         gear = link.gear
@@ -66,8 +65,6 @@ def _between_teeth(arm: Arm, i: int, torque: Array, taken: Array, run: Run) -> A
     which the torque is zero and tells nothing; one that is not is crossed at once, by a torque
     without what noise may be: noise that turned it over would be all that is seen of it.
     """
-    from ves_gym.diagnosis.machines.recursions import crossing, deflection
-
     gear = arm.links[i].gear
     assert gear is not None
     stiffness, half = 1 / gear.compliance, gear.gap / 2

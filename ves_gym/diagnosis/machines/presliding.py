@@ -16,6 +16,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.machines.recursions import follow
 from ves_gym.effects import JointMemory
 from ves_gym.system.effect import Effect
 from ves_gym.system.rest_friction import contacts, friction
@@ -47,8 +48,6 @@ class Presliding:
             v: (..., T, n) joint rates [rad/s].
             dt: between samples [s].
         """
-        from ves_gym.diagnosis.machines.recursions import follow  # numba takes a second to load
-
         part = -np.expm1(-np.abs(v) * dt / self.length)
         flat = (-1, *torque.shape[-2:])
         rows = follow(torque.reshape(flat), np.broadcast_to(part, torque.shape).reshape(flat))

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
-from numba import njit
 
 from ves_gym._util.params import Array
+from ves_gym.engine.kernel.compiled_function import CompiledFunction
 
 _PARTS = 8  # of the time between samples, in which a link crosses its gap
-_NEWTON, _NEAR = 40, 1e-15  # steps at most to where a spring that hardens stands; rad, the last
+_POLISH = 2  # steps of Newton's method after the closed form of a cubic
+
+
+@lru_cache
+def _function(text: Callable[..., Any], *widths: int) -> CompiledFunction:
+    """(x, u, p) -> (x at the next sample, y) of NumPy text on rows."""
+    return CompiledFunction.of((text.__name__, widths), text, *widths, in_place=True)
 
 
 def deflection(
@@ -35,30 +45,44 @@ def deflection(
     Returns:
         (..., T) rad.
     """
-    rows = np.ascontiguousarray(torque).reshape(-1, torque.shape[-1])
+    rows, c = torque.reshape(-1, torque.shape[-1], 1), damping / dt
+    first = rows[:, 0]
     if hard < np.inf:
-        rows = _wound(rows, stiffness, damping / dt, hard)
+        thick = np.full(rows.shape, c)
+        thick[:, 0] = 0.0  # it begins at rest
+        u, p = np.concatenate([rows, thick], axis=2), np.array([stiffness, hard])
+        out = _function(_wound, 1, 2, 2).over_time(0 * first, u, p)
     else:
-        rows = _deflection(rows, stiffness, damping / dt, half)
-    return np.asarray(rows).reshape(torque.shape)
+        p = np.array([stiffness, c, half])
+        begin = first / stiffness + half * np.sign(first)
+        out = _function(_within_teeth, 1, 1, 3).over_time(begin, rows, p)
+    return out.reshape(torque.shape)
 
 
-@njit(cache=True)
-def _deflection(torque: Array, k: float, c: float, half: float) -> Array:
-    out = np.empty_like(torque)
-    for row in range(torque.shape[0]):
-        first = torque[row, 0]
-        x = first / k + half * np.sign(first)
-        for t in range(torque.shape[1]):
-            push = torque[row, t] + c * x
-            x = push / c if c > 0.0 else 0.0  # between the teeth, unless it is beyond them
-            above, below = (push + k * half) / (c + k), (push - k * half) / (c + k)
-            if above > half:
-                x = above
-            elif below < -half:
-                x = below
-            out[row, t] = x
-    return out
+def _within_teeth(x: Array, torque: Array, p: Array) -> tuple[Array, Array]:
+    k, c, half = (p[:, i : i + 1] for i in range(3))
+    push = torque + c * x
+    # between the teeth, unless it is beyond them
+    between = np.where(c > 0.0, push / np.where(c > 0.0, c, 1.0), 0.0)
+    above, below = (push + k * half) / (c + k), (push - k * half) / (c + k)
+    x = np.where(above > half, above, np.where(below < -half, below, between))
+    return x, x
+
+
+def _wound(x: Array, u: Array, p: Array) -> tuple[Array, Array]:
+    """The real root of k x (1 + (x / hard)^2) + c x = push: a hyperbolic sine (Vieta)."""
+    torque, c, k, hard = u[:, :1], u[:, 1:], p[:, :1], p[:, 1:]
+    push = torque + c * x
+    linear, size = k + c, np.abs(push)
+    scale = 2 * hard * np.sqrt(linear / (3 * k))
+    z = 3 * size / (linear * scale)
+    third = np.log(z + np.sqrt(z * z + 1)) / 3
+    x = scale / 2 * (np.exp(third) - np.exp(-third))
+    for _ in range(_POLISH):  # the logarithm of about 1 has no digits of a small angle
+        square = (x / hard) ** 2
+        x = x - (k * x * (1 + square) + c * x - size) / (k * (1 + 3 * square) + c)
+    x = np.where(push < 0.0, -x, x)
+    return x, x
 
 
 def crossing(load: Array, inertia: Array, damping: float, half: float, dt: float) -> Array:
@@ -75,55 +99,33 @@ def crossing(load: Array, inertia: Array, damping: float, half: float, dt: float
         half: the gap [rad].
         dt: between samples [s].
     """
-    rows = np.ascontiguousarray(load).reshape(-1, load.shape[-1])
-    heavy = np.ascontiguousarray(inertia)
-    return np.asarray(_crossing(rows, heavy, damping, half, dt / _PARTS)).reshape(load.shape)
+    rows = load.reshape(-1, load.shape[-1])
+    u = np.stack([rows, np.broadcast_to(inertia, rows.shape)], axis=2)
+    side = np.sign(rows[:, :1])  # on which teeth meet; 0: none do
+    # x, x', side, and load and inertia at the sample before
+    begin = np.concatenate([half * side, 0 * side, side, u[:, 0]], axis=1)
+    p = np.array([damping, half, dt / _PARTS])
+    out = _function(_crossed, 5, 2, 3).over_time(begin, u[:, 1:], p)[..., 0]
+    return np.concatenate([begin[:, :1], out], axis=1).reshape(load.shape)
 
 
-@njit(cache=True)
-def _crossing(load: Array, inertia: Array, c: float, half: float, h: float) -> Array:
-    out = np.empty_like(load)
-    for row in range(load.shape[0]):
-        side = np.sign(load[row, 0])  # on which teeth meet; 0: none do
-        x, v = half * side, 0.0
-        out[row, 0] = x
-        for t in range(1, load.shape[1]):
-            for part in range(_PARTS):
-                share = (part + 0.5) / _PARTS
-                push = (1 - share) * load[row, t - 1] + share * load[row, t]
-                M = (1 - share) * inertia[t - 1] + share * inertia[t]
-                if side * push < 0.0:
-                    side = 0.0
-                if side == 0.0:
-                    v = (M * v + h * push) / (M + h * c)
-                    x += h * v
-                    if abs(x) >= half:
-                        side = np.sign(x)
-                        x, v = half * side, 0.0
-            out[row, t] = x
-    return out
+def _crossed(state: Array, u: Array, p: Array) -> tuple[Array, Array]:
+    x, v, side, load, inertia = (state[:, i : i + 1] for i in range(5))
+    c, half, h = (p[:, i : i + 1] for i in range(3))
+    for part in range(_PARTS):
+        share = (part + 0.5) / _PARTS
+        push = (1 - share) * load + share * u[:, :1]
+        M = (1 - share) * inertia + share * u[:, 1:]
+        side = np.where(side * push < 0.0, 0.0, side)
+        free = side == 0.0
+        v = np.where(free, (M * v + h * push) / (M + h * c), v)
+        x = np.where(free, x + h * v, x)
+        lands = free & (np.abs(x) >= half)
+        side = np.where(lands, np.sign(x), side)
+        x, v = np.where(lands, half * side, x), np.where(lands, 0.0, v)
+    return np.concatenate([x, v, side, u], axis=1), x
 
 
-@njit(cache=True)
-def _wound(torque: Array, k: float, c: float, hard: float) -> Array:
-    out = np.empty_like(torque)
-    for row in range(torque.shape[0]):
-        x = 0.0
-        for t in range(torque.shape[1]):
-            thick = c if t else 0.0  # it begins at rest
-            push = torque[row, t] + thick * x
-            for _ in range(_NEWTON):
-                square = (x / hard) ** 2
-                imbalance = k * x * (1 + square) + thick * x - push
-                newton = imbalance / (k * (1 + 3 * square) + thick)
-                x -= newton
-                if abs(newton) < _NEAR:
-                    break
-            out[row, t] = x
-    return out
-
-
-@njit(cache=True)
 def stepped(step: Array, pushes: Array, begin: Array) -> Array:
     """Return the states (m, T, n) of x[t + 1] = step x[t] + pushes[t].
 
@@ -132,15 +134,15 @@ def stepped(step: Array, pushes: Array, begin: Array) -> Array:
         pushes: (m, T, n).
         begin: (m, n) the first states.
     """
-    out = np.empty_like(pushes)
-    for row in range(pushes.shape[0]):
-        out[row, 0] = begin[row]
-        for t in range(pushes.shape[1] - 1):
-            out[row, t + 1] = step @ out[row, t] + pushes[row, t]
-    return out
+    n = len(step)
+    return _function(_linear, n, n, n * n).over_time(begin, pushes, step.ravel())
 
 
-@njit(cache=True)
+def _linear(x: Array, push: Array, step: Array) -> tuple[Array, Array]:
+    n = x.shape[1]
+    return (step.reshape(-1, n, n) @ x[..., None])[..., 0] + push, x
+
+
 def follow(law: Array, part: Array) -> Array:
     """Return rows that go a part of the way to their law in every sample.
 
@@ -148,16 +150,17 @@ def follow(law: Array, part: Array) -> Array:
         law: (m, T, n).
         part: (m, T, n) of the way, 0 to 1.
     """
-    out = law.copy()
-    for row in range(law.shape[0]):
-        for t in range(1, law.shape[1]):
-            for j in range(law.shape[2]):
-                before = out[row, t - 1, j]
-                out[row, t, j] = before + part[row, t, j] * (law[row, t, j] - before)
-    return out
+    m, length, n = law.shape
+    u = np.moveaxis(np.stack([law, part]), 3, 1).reshape(2, n * m, length)
+    out = _function(_followed, 1, 2).over_time(u[0, :, :1], np.moveaxis(u, 0, 2))
+    return np.moveaxis(out.reshape(n, m, length), 0, 2)
 
 
-@njit(cache=True)
+def _followed(x: Array, u: Array) -> tuple[Array, Array]:
+    x = x + u[:, 1:] * (u[:, :1] - x)
+    return x, x
+
+
 def wrenches(
     M: Array,
     D: Array,
@@ -174,8 +177,8 @@ def wrenches(
 ) -> tuple[Array, Array, Array, Array]:
     """Invert a period of `implicit_step` and one of length `ahead` under the same force.
 
-    Found is how much of each of n forces makes the second step end at the target; the
-    response is linear, so one force of each beside none tells it.
+    Found is how much of each of n forces makes the second step end at the target. All is
+    linear in state, force and target, so one matrix per period takes a state to the next.
 
     Args:
         M, D, K: (N, s, s) of each period.
@@ -191,42 +194,61 @@ def wrenches(
         States (r, N, 2 s) before each period, poses and rates (r, N, 12) ahead, how much of
         each force (r, N, n), and what the pose ahead misses (r, N, 6).
     """
-    rows, length, _ = target.shape
-    s, n = M.shape[1], ways.shape[1]
-    states = np.empty((rows, length, 2 * s))
-    sent, missed = np.empty((rows, length, 12)), np.empty((rows, length, 6))
-    amounts = np.empty((rows, length, n))
-    y, v, W = np.zeros((s, 1 + n)), np.zeros((s, 1 + n)), np.zeros((s, 1 + n))
-    W[:6, 1:] = ways
-    share = np.ones(1 + n)
-    for row in range(rows):
-        x = start[row].copy()
-        for t in range(length):
-            states[row, t] = x
-            y[:, 0], v[:, 0], W[:, 0] = x[:s], x[s:], offset[t]
-            W[:6, 0] += applied[row, t]
-            y1, v1 = _implicit(M[t], D[t], K[t], y, v, W, dt)
-            y2, v2 = _implicit(M[t], D[t], K[t], y1, v1, W, ahead)
-            reply = np.dot(output, np.ascontiguousarray(y2[:6]))
-            share[1:] = np.linalg.solve(
-                np.ascontiguousarray(reply[:, 1:]), np.dot(output, target[row, t]) - reply[:, 0]
-            )
-            x[:s], x[s:] = np.dot(y1, share), np.dot(v1, share)
-            amounts[row, t] = share[1:]
-            sent[row, t, :6] = target[row, t]
-            sent[row, t, 6:] = np.dot(v2, share)[:6]
-            missed[row, t] = target[row, t] - np.dot(y2, share)[:6]
-            correction = np.dot(back, missed[row, t])
-            x[:6] += correction[:6]
-            x[s : s + 6] += correction[6:]
-    return states, sent, amounts, missed
+    length, s, _ = M.shape
+    measured = np.r_[:6, s : s + 6]
+    A, B = implicit_matrices(M, D, K, dt)
+    # the pose ahead and its rate, by the state and by the force
+    further, push = implicit_matrices(M, D, K, ahead, 6)
+    further, push = further @ A, further @ B + push
+    reply = push[:, :6, :6] @ ways
+    gain = np.linalg.solve(output @ reply, np.broadcast_to(output, (length, *output.shape)))
+    force = np.repeat(offset[None], len(target), axis=0)
+    force[..., :6] += applied
+    # poses that forces other than those found leave to be done, but for the state
+    wanted = target - _times(push[:, :6], force)
+    miss = np.eye(6) - reply @ gain
+    onward = B[:, :, :6] @ ways @ gain
+    onward[:, measured] += back @ miss
+    # x[t + 1] = A x + B force + onward (wanted - further x)
+    flow, known = A - onward @ further[:, :6], _times(B, force) + _times(onward, wanted)
+    states = np.empty((len(target), length, 2 * s))
+    x = start
+    for t in range(length):
+        states[:, t] = x
+        x = x @ flow[t].T + known[:, t]
+    wanted = wanted - _times(further[:, :6], states)
+    amounts = _times(gain, wanted)
+    force[..., :6] += amounts @ ways.T
+    rates = _times(further[:, 6:], states) + _times(push[:, 6:], force)
+    return states, np.concatenate([target, rates], axis=2), amounts, _times(miss, wanted)
 
 
-@njit(cache=True)
-def _implicit(
-    M: Array, D: Array, K: Array, y: Array, v: Array, W: Array, dt: float
+def _times(matrices: Array, rows: Array) -> Array:
+    """(N, a, b) of every instant times (r, N, b)."""
+    return np.asarray((matrices @ rows[..., None])[..., 0])
+
+
+def implicit_matrices(
+    M: Array, D: Array, K: Array, dt: float, rows: int | None = None
 ) -> tuple[Array, Array]:
-    """Advance columns (s, c) as `hardware.admittance.implicit_step` advances one."""
+    """`hardware.admittance.implicit_step` as matrices of the state and of the force.
+
+    Args:
+        M, D, K: (N, s, s).
+        dt: s.
+        rows: the first so many coordinates and their rates; None: all.
+
+    Returns:
+        (N, 2 rows, 2 s) and (N, 2 rows, s).
+    """
+    s = M.shape[-1]
+    k = rows or s
     loss = dt / 2 * D + dt**2 / 4 * K
-    rate = np.linalg.solve(M + loss, np.dot(M - loss, v) + dt * (W - np.dot(K, y)))
-    return y + dt / 2 * (v + rate), rate
+    # the matrix is symmetric: rows of its inverse are columns
+    columns = np.broadcast_to(np.eye(s)[:, :k], (len(M), s, k))
+    inverse = np.swapaxes(np.linalg.solve(M + loss, columns), 1, 2)
+    rate = np.concatenate([-dt * inverse @ K, inverse @ (M - loss)], axis=2)
+    here = np.eye(2 * s)
+    pose = here[:k] + dt / 2 * (here[s : s + k] + rate)
+    state = np.concatenate([pose, rate], axis=1)
+    return state, np.concatenate([dt**2 / 2 * inverse, dt * inverse], axis=1)

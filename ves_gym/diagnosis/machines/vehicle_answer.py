@@ -16,6 +16,7 @@ import scipy
 
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.machines.recursions import stepped
 from ves_gym.diagnosis.machines.vehicle_force import along_rates, force_of_states
 from ves_gym.mechanics.vehicle import BaseModel, InternalModes
 
@@ -45,8 +46,6 @@ def _answer(run: Run, base: BaseModel, force: Array) -> Array:
 
     The vehicle begins as is nearest to the pose measured, its modes at rest beside it.
     """
-    from ves_gym.diagnosis.machines.recursions import stepped  # numba takes a second to load
-
     M, D, K = base.full()
     coupling = np.zeros((6, 0)) if base.internal is None else base.internal.coupling
     n, size = len(M), run.length
@@ -60,7 +59,7 @@ def _answer(run: Run, base: BaseModel, force: Array) -> Array:
     step = scipy.linalg.expm(flow * run.dt)[: 2 * n]
     pushes = run.derived("wrench's spline", ("y", "w"), lambda: _spline(run, force))
     pushes = (pushes @ step[:, 2 * n :].T).reshape(-1, size, 2 * n)
-    within = np.ascontiguousarray(step[:, : 2 * n])
+    within = step[:, : 2 * n]
     forced = stepped(within, pushes, np.zeros((len(pushes), 2 * n)))
     # a base that moves carries its modes with it: u = P^T Y
     carried = np.zeros((2, 6, 2, n))

@@ -16,6 +16,7 @@ from ves_gym._util.params import Array
 from ves_gym.engine.kernel import build
 from ves_gym.engine.kernel.blocks import aligned, fill, lanes, unlane
 from ves_gym.engine.kernel.emit import LANES, PROGRAM, emit_graph, emit_stepper
+from ves_gym.engine.kernel.symbolic import column, symbols
 
 if TYPE_CHECKING:
     import casadi
@@ -47,6 +48,28 @@ class CompiledFunction:
         self, key: object, graph: Callable[[], casadi.Function], *, in_place: bool = False
     ) -> None:
         self._key, self._make, self._in_place = key, graph, in_place
+
+    @staticmethod
+    def of(
+        key: object, text: Callable[..., Any], *widths: int, in_place: bool = False
+    ) -> CompiledFunction:
+        """Return the function that NumPy text computes.
+
+        Args:
+            key, in_place: see the class.
+            text: arrays (n, k) -> an array (n, m), or a tuple of them; see `symbolic`.
+            widths: k of each argument.
+        """
+
+        def graph() -> casadi.Function:
+            import casadi as ca
+
+            x = [symbols(f"x{i}", (1, k)) for i, k in enumerate(widths)]
+            out = text(*x)
+            results = [column(k) for k in (out if isinstance(out, tuple) else (out,))]
+            return ca.Function("text", [column(k) for k in x], ca.cse(results))
+
+        return CompiledFunction(key, graph, in_place=in_place)
 
     @cached_property
     def graph(self) -> casadi.Function:
@@ -124,11 +147,11 @@ class CompiledFunction:
 
     def _interpret(self, rows: Sequence[Array], lo: int, hi: int) -> None:
         count = len(self.sizes[0])
-        parts = [k if len(k) == 1 else k[lo:hi] for k in rows]
-        n = (hi - lo) * LANES
-        x = [unlane(np.repeat(k, (hi - lo) // len(k), axis=0), n) for k in parts[:count]]
-        for row, value in zip(parts[count:], self.numpy(*x), strict=True):
-            fill(row, value)
+        for b in range(lo, hi):  # one after another: a result may be the next one's argument
+            parts = [k if len(k) == 1 else k[b : b + 1] for k in rows]
+            x = [unlane(k, LANES) for k in parts[:count]]
+            for row, value in zip(parts[count:], self.numpy(*x), strict=True):
+                fill(row, value)
 
     def gpu(self, real: str, shared: tuple[int, ...] = ()) -> Any:
         """Return Warp's kernel, one point a thread (`warp_code.launch_graph`).
@@ -177,6 +200,29 @@ class CompiledFunction:
         elif count:
             evaluate(0)
         return out.reshape(*batch, out.shape[1])
+
+    def over_time(self, x: Array, u: Array, *p: Array) -> Array:
+        """Run x[t + 1], y[t] = f(x[t], u[t], p) with a function that works in place.
+
+        Args:
+            x: (m, s) first states.
+            u: (m, T, k) inputs.
+            p: (j,) further arguments.
+
+        Returns:
+            y (m, T, q).
+        """
+        m, length, width = u.shape
+        fixed = [everywhere(part) for part in p]
+        out = np.empty((m, length, self.sizes[1][1]))
+        for first in range(0, m, LANES):
+            state, part = lanes(x[first : first + LANES]), u[first : first + LANES]
+            rows, y = aligned(length, width, LANES), aligned(length, out.shape[2], LANES)
+            rows[:, :, : len(part)] = np.moveaxis(part, 0, 2)
+            # instants in place of blocks: they run in order, and the state serves all of them
+            self.piece(state, rows, *fixed, state, y)(0, length)
+            out[first : first + LANES] = np.moveaxis(y, 2, 0)[: len(part)]
+        return out
 
     def buffered(self, n: int, *shared: Array) -> Buffered:
         """Return the function for at most n points, over and over, on rows that it keeps.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -11,14 +10,10 @@ import numpy.typing as npt
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
 from ves_gym.engine.kernel.numbers import geometry, parameters, structure
-from ves_gym.engine.kernel.symbolic import column, symbols
 from ves_gym.engine.kernel.trace import coupling, inertia_matrix
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench, minimal_model
 from ves_gym.system.system import System
-
-if TYPE_CHECKING:
-    import casadi
 
 
 def coupling_matrices(system: System, q: Array) -> Array:
@@ -69,16 +64,12 @@ def weight_function(arm: Arm) -> CompiledFunction:
     In platform axes [N, N m], of the pose y, the arm's mass (1) [kg] and its minimal
     parameters P [kg m].
     """
-    return CompiledFunction(f"weight {geometry(arm)}", partial(_weight, arm))
 
+    def weight(q: Array, y: Array, mass: Array, P: Array) -> Array:
+        return gravity_wrench(arm, q, gravity_vector(y), mass[:, 0], P)
 
-def _weight(arm: Arm) -> casadi.Function:
-    import casadi as ca
-
-    sizes = {"q": arm.n, "y": 6, "mass": 1, "P": minimal_model(arm).size}
-    q, y, mass, P = x = [symbols(name, (1, k)) for name, k in sizes.items()]
-    wrench = gravity_wrench(arm, q, gravity_vector(y), mass[:, 0], P)
-    return ca.Function("weight", [column(k) for k in x], [ca.cse(column(wrench))])
+    size = minimal_model(arm).size
+    return CompiledFunction.of(f"weight {geometry(arm)}", weight, arm.n, 6, 1, size)
 
 
 def points(*parts: tuple[npt.ArrayLike, int, str]) -> Array:
