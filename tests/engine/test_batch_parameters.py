@@ -21,7 +21,6 @@ from ves_gym.effects import (
     GravityMass,
     GravityMoment,
     JointCoulomb,
-    JointStribeck,
     JointViscous,
     PayloadInertia,
     PlatformBandwidth,
@@ -34,7 +33,6 @@ from ves_gym.effects import (
     SensorNoise,
 )
 from ves_gym.engine.backends.mujoco import compile_model
-from ves_gym.engine.batch_parameters import Laws
 from ves_gym.hardware.leg_servo import LOW_GAINS, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.arm import Inertial, diagonal, matrix
@@ -659,7 +657,7 @@ def test_effects_on_the_laboratory_may_be_zero_in_the_template():
 
 
 def test_a_law_that_takes_single_coefficients():
-    """Its coefficient[0] would be a whole simulation's: such laws run one by one."""
+    """And not those of all joints, or simulations, at once."""
     kind = "joint/test_only"
     try:
 
@@ -677,22 +675,10 @@ def test_a_law_that_takes_single_coefficients():
             IDEAL.replace(effects=(JointCoulomb(torque=(1.0, 2.0, 3.0)), Fourier(size=k)))
             for k in ((1.0, 2.0, 3.0), (3.0, 1.0, 2.0), (0.5, 4.0, 1.0))
         )
-        assert not Laws(template, 2)._stackable
         for backend in BACKENDS:
             check(template, systems, backend, ids=[0, 2], n=3)
     finally:
         EFFECTS.pop(kind, None)
-
-
-def test_registered_laws_run_together():
-    laws = [
-        draw_effect(kind, IDEAL, np.random.default_rng(0), 0.5)
-        for kind in kinds(IDEAL)
-        if issubclass(EFFECTS[kind], TorqueEffect)
-    ]
-    assert {JointCoulomb, JointStribeck, JointViscous} <= {type(k) for k in laws}
-    for law in laws:
-        assert Laws(IDEAL.replace(effects=(law,)), 2)._stackable, law.kind
 
 
 def test_many_simulations_on_several_threads():

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NoReturn
 
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Rows, content_hash
-from ves_gym.engine.kernel.numbers import parameters
+from ves_gym.engine.kernel.compiled_function import CompiledFunction
+from ves_gym.engine.kernel.numbers import laws, parameters, structure
 from ves_gym.hardware.admittance import admittance_matrices, require_admittance
 from ves_gym.mechanics.gravity import GravityModel
-from ves_gym.system.effect import Effect, TorqueEffect, joint_torque
+from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.system import System
 
 _SETTINGS = ("mode", "drive", "integrator", "physics_dt", "control_dt")
@@ -78,9 +80,9 @@ def require_alike(template: System, other: System, which: str) -> None:
             parts = tuple(getattr(s.vehicle, name, None) for s in (template, other))
             if parts[0] != parts[1]:
                 refuse(name, *parts)
-    held = tuple("none" if s.payload is None else "one" for s in (template, other))
-    if held[0] != held[1]:
-        refuse("the payload", *held)
+    payloads = tuple("none" if s.payload is None else "one" for s in (template, other))
+    if payloads[0] != payloads[1]:
+        refuse("the payload", *payloads)
     if template.contact != other.contact:
         refuse("contact", template.contact, other.contact)
     if other.emulator is not template.emulator:
@@ -260,32 +262,21 @@ class Laws:
     """Torque laws of n simulations whose effects differ in values (`effect.joint_torque`)."""
 
     def __init__(self, system: System, n: int) -> None:
-        effects, joints = system.effects, system.arm.n
-        chosen = [(i, e) for i, e in enumerate(effects) if isinstance(e, TorqueEffect)]
-        self._which, laws = [i for i, _ in chosen], [e for _, e in chosen]
-        self._alone = [laws] * n
-        self._limits = np.tile(system.arm.column("tau_max"), (n, 1))
-        self._values = [
-            {name: np.tile(np.ravel(getattr(effect, name)), (n, 1)) for name in _names(effect)}
-            for effect in laws
-        ]
-        # they keep the arrays, whose rows may change
-        self._stacked = _bound(laws, self._values)
-        self._stackable = _stackable(laws, joints)
+        self._rows = ParameterRows(system)
+        self._p = np.tile(self._rows.values, (n, 1))
+        names = [f"limit{k + 1}" for k in range(system.arm.n)]
+        self._limits = [self._rows.names.index(name) for name in names]
+        self._torque = CompiledFunction(f"laws {structure(system)}", partial(laws, system))
 
-    def put(self, i: int, system: System) -> None:
-        """Set the values of one simulation.
+    def row(self, system: System, which: str) -> Array:
+        """Numbers of a system, `which` in messages."""
+        row = self._rows.with_effects(self._rows.values, system, which)
+        row[self._limits] = system.arm.column("tau_max")
+        return row
 
-        Args:
-            i: which.
-            system: whose effects.
-        """
-        chosen = [system.effects[k] for k in self._which]
-        self._alone[i] = [e for e in chosen if isinstance(e, TorqueEffect)]
-        self._limits[i] = system.arm.column("tau_max")
-        for effect, values in zip(self._alone[i], self._values, strict=True):
-            for name, rows in values.items():
-                rows[i] = np.ravel(getattr(effect, name))
+    def put(self, i: int, row: Array) -> None:
+        """Set the numbers of simulation i."""
+        self._p[i] = row
 
     def torque(self, q: Array, v: Array, tau: Array) -> Array:
         """Return the torque of the laws.
@@ -297,53 +288,4 @@ class Laws:
         Returns:
             (n, joints) [N m].
         """
-        q, v, tau = (np.ascontiguousarray(k) for k in (q, v, tau))  # as `_stackable` tried
-        if self._stackable:
-            return joint_torque(self._stacked, q, v, tau, self._limits)
-        rows = zip(self._alone, q, v, tau, self._limits, strict=True)
-        return np.stack([joint_torque(*row) for row in rows])
-
-
-def _names(effect: Effect) -> list[str]:
-    return [field.name for field in dataclasses.fields(effect)]  # type: ignore[arg-type]
-
-
-def _bound(laws: list[TorqueEffect], values: list[dict[str, Array]]) -> list[TorqueEffect]:
-    return [effect.bound(fields) for effect, fields in zip(laws, values, strict=True)]
-
-
-_PROBES = 17  # simulations: every place in vectors of up to eight numbers, and what is over
-
-
-def _stackable(laws: list[TorqueEffect], joints: int) -> bool:
-    """Return True if all simulations at once get the very bits that each gets by itself.
-
-    Not so where a law takes single entries (its coefficient[0] would be a whole simulation),
-    where it looks at its neighbours, and where it rounds by the place in the batch or by the
-    shape of a number: x**2.0 is a square, x**[2.0, 2.0] a power. Tried with made-up numbers,
-    which differ between the simulations; nothing in NumPy promises that its vector loops
-    round alike in every place.
-    """
-    rng = np.random.default_rng(0)
-    q, tau = rng.uniform(-2.0, 2.0, (2, _PROBES, joints))
-    v = rng.uniform(-1.0, 1.0, q.shape) * 10 ** rng.uniform(-4.0, 0.5, q.shape)
-    limits = rng.uniform(0.5, 1.0, q.shape)
-    values_of = [
-        {k: rng.uniform(0.5, 2.0, (_PROBES, *np.shape(getattr(e, k)))) for k in _names(e)}
-        for e in laws
-    ]
-    stacked = [{k: x.reshape(_PROBES, -1) for k, x in values.items()} for values in values_of]
-    rows = [
-        [{k: x[i] for k, x in values.items()} for values in values_of] for i in range(_PROBES)
-    ]
-    with np.errstate(all="ignore"):
-        try:
-            stacked_torque = joint_torque(_bound(laws, stacked), q, v, tau, limits)
-        except (ValueError, IndexError):
-            return False
-        states = zip(rows, q, v, tau, limits, strict=True)
-        alone = [joint_torque(_bound(laws, own), *state) for own, *state in states]
-    return (
-        stacked_torque.shape == q.shape
-        and stacked_torque.tobytes() == np.stack(alone).tobytes()
-    )
+        return self._torque(q, v, tau, self._p)

@@ -201,7 +201,8 @@ def wrenches(
     further, push = implicit_matrices(M, D, K, ahead, 6)
     further, push = further @ A, further @ B + push
     reply = push[:, :6, :6] @ ways
-    gain = np.linalg.solve(output @ reply, np.broadcast_to(output, (length, *output.shape)))
+    measures = np.broadcast_to(output, (length, *output.shape))
+    gain = np.asarray(np.linalg.solve(output @ reply, measures), np.float64)
     force = np.repeat(offset[None], len(target), axis=0)
     force[..., :6] += applied
     # poses that forces other than those found leave to be done, but for the state

@@ -34,8 +34,8 @@ class CompiledBackend(ABC):
         self.dt = system.physics_dt
         self.rows = ParameterRows(system)
         self.names = self.rows.names
-        held = ("kp", "kd", "jet", "motor")  # set by a controller, not by a system
-        self._gains = np.array([name.startswith(held) for name in self.names])
+        by_controllers = ("kp", "kd", "jet", "motor")  # set by a controller, not by a system
+        self._gains = np.array([name.startswith(by_controllers) for name in self.names])
         self._systems = [system] * n
         self._own_bases: set[int] = set()  # simulations with another than their system's
         size = 6 + self.joints

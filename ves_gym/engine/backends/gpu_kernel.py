@@ -60,14 +60,14 @@ class DeviceSimulations:
         self.p = self.array(p[:, :1] if alike and (p == p[:, :1]).all() else p)
 
     def advance(
-        self, u: Any, steps: int, each: int, ids: Index | None = None, record: bool = False
+        self, u: Any, steps: int, stride: int, ids: Index | None = None, record: bool = False
     ) -> Any:
         """Take physics steps, all of them in one launch.
 
         Args:
             u: ((nodes nu), n) on the device; see `scalar.advance_text`.
             steps: how many.
-            each: steps from node to node.
+            stride: steps from node to node.
             ids: simulations that move, None for all.
             record: return what is observed.
 
@@ -84,7 +84,7 @@ class DeviceSimulations:
             out = self.wp.empty(shape, dtype=self.number, device=self.device)
         parts = [self.x, u, self.p, out, active, self.fault]
         kernel = stepper(self.system).gpu_steps(self.real, record)
-        launch(kernel, self.n, [*parts, steps, each, self.system.physics_dt], self.device)
+        launch(kernel, self.n, [*parts, steps, stride, self.system.physics_dt], self.device)
         return out
 
 
@@ -131,7 +131,7 @@ class GpuKernelBackend(CompiledBackend):
         self.simulations.x.assign(np.ascontiguousarray(states.T).astype(self.real))
 
     def _run(
-        self, nodes: Array, steps: int, each: int, ids: Index | None, record: bool = False
+        self, nodes: Array, steps: int, stride: int, ids: Index | None, record: bool = False
     ) -> Array:
         """Advance; nodes (n, k, nu) of the commands. Outputs (n, steps + 1, ny), or none."""
         sims = self.simulations
@@ -139,7 +139,7 @@ class GpuKernelBackend(CompiledBackend):
             sims.set_parameters(self._p)
             self._loaded = True
         u = sims.array(np.moveaxis(nodes, 0, 2).reshape(-1, self.n))
-        outputs = sims.advance(u, steps, each, ids, record).numpy()
+        outputs = sims.advance(u, steps, stride, ids, record).numpy()
         self._ticks[slice(None) if ids is None else ids] += steps
         return np.array(np.moveaxis(outputs.reshape(-1, self._ny, self.n), 2, 0), np.float64)
 

@@ -153,7 +153,6 @@ class MujocoBackend:
         self._parts = len(where) + np.arange(len(parts))  # coordinates of wheels, appendages
         wheels = [k for k in parts if isinstance(k, ReactionWheel)]  # the first of them
         self._wheels = self._parts[: len(wheels)]
-        # from the start as after `assign`: x**2.0 is a square, x**[2.0, 2.0] a power
         has_law = any(isinstance(e, TorqueEffect) for e in system.effects)
         self._laws = Laws(system, n) if has_law else None
         self._full = False  # the layout of `compile_model`
@@ -205,7 +204,7 @@ class MujocoBackend:
         turn, place = self.system.arm.links[-1].far_end  # the engine's frame is at the joint
         moments, axes = np.linalg.eigh(turn @ inertia @ turn.T)
         axes = axes * np.where(np.linalg.det(axes) < 0, -1.0, 1.0)[:, None, None]
-        more = mass - self.batch.expand("body_mass")[ids, last]
+        gained = mass - self.batch.expand("body_mass")[ids, last]
         values = {
             "body_mass": mass,
             "body_ipos": place + com @ turn.T,
@@ -217,7 +216,7 @@ class MujocoBackend:
             self.batch.expand(name)[ids, last] = numbers
         above = last
         while above:  # and what stands on the bodies below it
-            self.batch.expand("body_subtreemass")[ids, above] += more
+            self.batch.expand("body_subtreemass")[ids, above] += gained
             above = int(self.model.body_parentid[above])
 
     def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
@@ -239,6 +238,9 @@ class MujocoBackend:
                 changes_of[bodies_of(system)] = _changes(
                     reference, model, f"system of simulation {i}"
                 )
+        rows_of_laws = {}
+        if self._laws is not None:
+            rows_of_laws = {i: self._laws.row(k, f"system of simulation {i}") for i, k in pairs}
         if reference is not self.model:
             state = self.get_state()
             self._load(reference)
@@ -246,7 +248,7 @@ class MujocoBackend:
             self._full = True
         for i, system in pairs:
             if self._laws is not None:
-                self._laws.put(i, system)
+                self._laws.put(i, rows_of_laws[i])
                 self._limits[i] = system.arm.column("tau_max")
             if i in others:
                 change = changes_of[bodies_of(system)]

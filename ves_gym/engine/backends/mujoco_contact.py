@@ -111,6 +111,6 @@ class ContactBatch:
         At this instant, under the command of now.
         """
         self.batch.forward()
-        found: Any = self._sensed[:, self._data].reshape(self.batch.nsim, -1, FIELDS)
-        wrench = net_wrench(found, self._tool[:, self._site])
-        return wrench, spring_energy(found, self.contact.stiffness)
+        points: Any = self._sensed[:, self._data].reshape(self.batch.nsim, -1, FIELDS)
+        wrench = net_wrench(points, self._tool[:, self._site])
+        return wrench, spring_energy(points, self.contact.stiffness)

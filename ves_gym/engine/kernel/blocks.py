@@ -27,8 +27,8 @@ def fill(rows: Array, values: Array) -> None:
     """
     full, remainder = divmod(len(values), LANES)
     if full:
-        whole = values[: full * LANES].reshape(full, LANES, values.shape[1])
-        rows[:full] = whole.swapaxes(1, 2)
+        complete = values[: full * LANES].reshape(full, LANES, values.shape[1])
+        rows[:full] = complete.swapaxes(1, 2)
     if full < len(rows):
         rows[full:] = 0.0
         if remainder:

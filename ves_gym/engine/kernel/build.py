@@ -42,7 +42,9 @@ NOT_HERE = (
     OSError,
 )  # what compiling raises where it is not possible
 _RUN = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
-_made: dict[str, Any] = {}  # by key: `Code`, or the error where none can be; a GPU's kernel
+_functions: dict[
+    str, Any
+] = {}  # by key: `Code`, or the error where none can be; a GPU's kernel
 
 
 @dataclass(frozen=True)
@@ -58,9 +60,9 @@ class Code:
 
 def once(key: str, make: Callable[[], Any]) -> Any:
     """Return what was made under a key in this process, or make it."""
-    if key not in _made:
-        _made[key] = make()
-    return _made[key]
+    if key not in _functions:
+        _functions[key] = make()
+    return _functions[key]
 
 
 def digest(description: str) -> str:
@@ -82,10 +84,10 @@ def code(key: str, text: Callable[[], str], sizes: Callable[[], Any]) -> Code:
     Raises:
         ImportError, RuntimeError, OSError: nothing compiles here.
     """
-    made: Code | Exception = once(key, lambda: _built(key, text, sizes))
-    if isinstance(made, Exception):
-        raise made
-    return made
+    result: Code | Exception = once(key, lambda: _built(key, text, sizes))
+    if isinstance(result, Exception):
+        raise result
+    return result
 
 
 def _built(key: str, text: Callable[[], str], sizes: Callable[[], Any]) -> Code | Exception:
@@ -133,8 +135,8 @@ def compile_text(text: str) -> bytes:
     module.triple = llvm.get_default_triple()
     module.data_layout = str(target.target_data)
     module.verify()
-    made: bytes = target.emit_object(module)
-    return made
+    object_code: bytes = target.emit_object(module)
+    return object_code
 
 
 @lru_cache(maxsize=1)

@@ -109,8 +109,8 @@ class CompiledFunction:
     @cached_property
     def sizes(self) -> tuple[Sequence[int], Sequence[int]]:
         """Numbers in each argument and in each result."""
-        made = self._compiled
-        return self._sizes if made is None else (made.inputs, made.outputs)
+        code = self._compiled
+        return self._sizes if code is None else (code.inputs, code.outputs)
 
     # ------------------------------------------------------------------- executors
 
@@ -134,8 +134,8 @@ class CompiledFunction:
             rows: of its arguments, then of its results: (blocks, k, LANES), or a slice along
                 the second axis of such an array; (1, k, LANES) serves all blocks.
         """
-        made = self._compiled
-        if made is None:
+        code = self._compiled
+        if code is None:
             return Piece(None, (), rows, lambda lo, hi: self._interpret(rows, lo, hi))
         stride = LANES * 8  # bytes of a row
         words = [
@@ -143,7 +143,7 @@ class CompiledFunction:
             for k in rows
             for word in (k.ctypes.data, k.strides[0] // stride * (len(k) > 1))
         ]
-        return Piece(made, words, rows)
+        return Piece(code, words, rows)
 
     def _interpret(self, rows: Sequence[Array], lo: int, hi: int) -> None:
         count = len(self.sizes[0])
@@ -348,11 +348,11 @@ class Program:
         codes = [piece.code for piece in pieces if piece.code is not None]
         self._all: Piece | None = None
         if len(codes) == len(self._pieces):
-            made = build.code(build.digest("program"), lambda: PROGRAM, lambda: ((), ()))
+            program = build.code(build.digest("program"), lambda: PROGRAM, lambda: ((), ()))
             words = [len(codes)]
             for code, piece in zip(codes, pieces, strict=True):
                 words += [code.address, piece.where]
-            self._all = Piece(made, words, ())
+            self._all = Piece(program, words, ())
 
     def __call__(self, lo: int, hi: int) -> None:
         for piece in (self._all,) if self._all is not None else self._pieces:

@@ -65,7 +65,7 @@ def splat(value: float) -> str:
     return f"<{', '.join([text] * LANES)}>"
 
 
-def _whole(value: int) -> str:
+def _integers(value: int) -> str:
     """A vector of one whole number in every lane."""
     return f"<{', '.join([f'i64 {value}'] * LANES)}>"
 
@@ -167,7 +167,7 @@ class FunctionBody:
         value = self._polynomial(terms, r)
         shifted = self.add(k, splat(6755399441055744.0))  # 1.5 * 2^52: k in the low bits
         bits = self.put(f"bitcast {_V} {shifted} to {_INT}")
-        power = self.put(f"shl {_INT} {bits}, {_whole(52)}")
+        power = self.put(f"shl {_INT} {bits}, {_integers(52)}")
         scaled = self.put(f"add {_INT} {self.put(f'bitcast {_V} {value} to {_INT}')}, {power}")
         out = self.put(f"bitcast {_INT} {scaled} to {_V}")
         out = self.select(self.compare("ogt", x, splat(709.0)), splat(math.inf), out)
@@ -180,13 +180,13 @@ class FunctionBody:
         bits = self.put(
             f"bitcast {_V} {self.select(small, self.mul(x, splat(2.0**54)), x)} to {_INT}"
         )
-        shifted = self.put(f"add {_INT} {bits}, {_whole(_ONE - _ROOT_HALF)}")
-        power = self.put(f"ashr {_INT} {shifted}, {_whole(52)}")
-        power = self.put(f"sub {_INT} {power}, {_whole(1023)}")
+        shifted = self.put(f"add {_INT} {bits}, {_integers(_ONE - _ROOT_HALF)}")
+        power = self.put(f"ashr {_INT} {shifted}, {_integers(52)}")
+        power = self.put(f"sub {_INT} {power}, {_integers(1023)}")
         k = self.put(f"sitofp {_INT} {power} to {_V}")
         k = self.sub(k, self.select(small, splat(54.0), splat(0.0)))
-        mantissa = self.put(f"and {_INT} {shifted}, {_whole(2**52 - 1)}")
-        mantissa = self.put(f"add {_INT} {mantissa}, {_whole(_ROOT_HALF)}")
+        mantissa = self.put(f"and {_INT} {shifted}, {_integers(2**52 - 1)}")
+        mantissa = self.put(f"add {_INT} {mantissa}, {_integers(_ROOT_HALF)}")
         f = self.sub(self.put(f"bitcast {_INT} {mantissa} to {_V}"), splat(1.0))
         s = self.div(f, self.add(splat(2.0), f))
         square = self.mul(s, s)
@@ -325,7 +325,7 @@ def emit_graph(graph: casadi.Function, in_place: bool) -> str:
         line for i in ends for line in (*_word(2 * i, f"k{i}"), *_word(2 * i + 1, f"s{i}"))
     ]
     setup += [f"  %p{i} = inttoptr i64 %k{i} to ptr" for i in ends]
-    body = [line for i in ends for line in _rows_of(f"p{i}", f"%s{i}")]
+    body = [text for i in ends for text in _rows_of(f"p{i}", f"%s{i}")]
     body.append(f"  call void @point({', '.join(f'ptr %p{i}b' for i in ends)})")
     run = _OVER_BLOCKS.format(setup="\n".join(setup), body="\n".join(body))
     return "\n".join([_declarations(), emit_function("point", graph, in_place), run])
@@ -355,7 +355,7 @@ def emit_stepper(
         emit_function("observe", observe),
     ]
     step = _rk4(nx, nu, ny) if integrator == "rk4" else _rates_first(nx, ny, order)
-    words = [line for i, name in enumerate(_STEPPER) for line in _word(i, f"w_{name}")]
+    words = [text for i, name in enumerate(_STEPPER) for text in _word(i, f"w_{name}")]
     words += [f"  %{name} = inttoptr i64 %w_{name} to ptr" for name in _STEPPER[:5]]
     body = _ADVANCE.format(V=_V, nx=nx, np=np_, ny=ny, nu=nu, step=step, words="\n".join(words))
     return "\n".join([*parts, body])

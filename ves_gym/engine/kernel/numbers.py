@@ -27,6 +27,8 @@ from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.system import PRESCRIBED_INERTIA
 
 if TYPE_CHECKING:
+    import casadi
+
     from ves_gym.mechanics.arm import Arm
     from ves_gym.mechanics.vehicle import Carried, InternalModes
     from ves_gym.system.system import System
@@ -68,8 +70,8 @@ class _Reader:
 
     def always(self, name: str, values: Sequence[float]) -> Array:
         """The same, of numbers that may be set at any time and are never structural zeros."""
-        made = [self.make(f"{name}{i}", k) for i, k in enumerate(values, 1)]
-        return self.array(made, (len(values),))
+        numbers = [self.make(f"{name}{i}", k) for i, k in enumerate(values, 1)]
+        return self.array(numbers, (len(values),))
 
     def matrix(self, name: str, values: Array) -> Array:
         """A symmetric matrix: its entries on and above the diagonal."""
@@ -142,10 +144,12 @@ def _read(system: System, read: _Reader) -> Model:
         changes = system.payload is not None and i == n
         links.append(read.body(f"link{i}", link.inertial, changes))
         rotors.append(read.number(f"link{i}.rotor", link.rotor_inertia + added))
-    own = read.body("base", arm.base)
+    arm_base = read.body("base", arm.base)
     flexible, flexures = _flexible(system, read, rotors)
     satellite = base.body if ideal else None
-    host = own if satellite is None else merged([own, read.body("satellite", satellite)])
+    host = (
+        arm_base if satellite is None else merged([arm_base, read.body("satellite", satellite)])
+    )
     zero = np.zeros((6, 6))
     M, D, K = (
         read.matrix(name, part if ideal else zero)
@@ -181,7 +185,7 @@ def _read(system: System, read: _Reader) -> Model:
     places = rigid if flexible is None else flexible
     chain, driven, passive = places.unfolded(set(arm.geared))
     return Model(
-        alone=replace(rigid, base=own).chain(),
+        alone=replace(rigid, base=arm_base).chain(),
         arm=rigid.chain(),
         chain=chain,
         driven=driven,
@@ -263,8 +267,8 @@ class _Joints:
             joints.append(joint)
             links.append(link)
             rotors.append(rotor)
-        whole = replace(self, joints=joints, links=links, rotors=rotors)
-        return whole.chain(), driven, [*gears, *flexures]
+        expanded = replace(self, joints=joints, links=links, rotors=rotors)
+        return expanded.chain(), driven, [*gears, *flexures]
 
 
 def _flexible(
@@ -273,21 +277,23 @@ def _flexible(
     """All joints of an arm whose links bend, and numbers of its flexures."""
     if not system.arm.bends:
         return None, []
-    whole = expand(system.arm)
-    links = [read.body(f"part{k}", link.inertial) for k, link in enumerate(whole.arm.links, 1)]
-    base = read.body("root", whole.arm.base)
+    expanded = expand(system.arm)
+    links = [
+        read.body(f"part{k}", link.inertial) for k, link in enumerate(expanded.arm.links, 1)
+    ]
+    base = read.body("root", expanded.arm.base)
     satellite = system.base.body if system.mode == "ideal" else None
     if satellite is not None:
         base = merged([base, read.body("host", satellite)])
-    springs = enumerate(zip(whole.stiffness, whole.damping, strict=True), start=1)
+    springs = enumerate(zip(expanded.stiffness, expanded.damping, strict=True), start=1)
     numbers = [
         [read(f"flexure{k}.stiffness", float(a)), read(f"flexure{k}.damping", float(b)), 0.0]
         for k, (a, b) in springs
     ]
-    by_place = dict(zip(whole.driven, rotors, strict=True))
-    behind = [by_place.get(k, np.zeros(())) for k in range(whole.arm.n)]
-    joints = whole.arm.joints, whole.arm.start
-    return _Joints(*joints, base, links, behind, list(whole.driven)), numbers
+    by_place = dict(zip(expanded.driven, rotors, strict=True))
+    behind = [by_place.get(k, np.zeros(())) for k in range(expanded.arm.n)]
+    joints = expanded.arm.joints, expanded.arm.start
+    return _Joints(*joints, base, links, behind, list(expanded.driven)), numbers
 
 
 def _vanishes(effect: TorqueEffect, values: dict[str, Array]) -> bool:
@@ -338,14 +344,18 @@ def symbolic_model(system: System) -> tuple[Model, tuple[str, ...], Traced]:
     """The model with a symbol for each of `parameters(system)`; their names, and themselves."""
     import casadi as ca
 
-    made: list[Any] = []
+    symbols_of_p: list[Any] = []
 
     def make(name: str, value: float) -> Any:
-        made.append(ca.SX.sym(name))
-        return made[-1]
+        symbols_of_p.append(ca.SX.sym(name))
+        return symbols_of_p[-1]
 
     model = _read(system, _Reader(make, traced))
-    return model, tuple(str(k) for k in made), traced(made, (len(made),))
+    return (
+        model,
+        tuple(str(k) for k in symbols_of_p),
+        traced(symbols_of_p, (len(symbols_of_p),)),
+    )
 
 
 def structure(system: System) -> str:
@@ -356,7 +366,8 @@ def structure(system: System) -> str:
     effects = [type(e) for e in system.effects if isinstance(e, TorqueEffect)]
     if all(is_ours(kind) for kind in effects):
         return _described(system)
-    return f"{_described(system)} {_laws(system)}"
+    formulas = hashlib.sha256(laws(system).serialize().encode()).hexdigest()
+    return f"{_described(system)} {formulas}"
 
 
 def is_ours(kind: type) -> bool:
@@ -369,8 +380,8 @@ def _described(system: System) -> str:
     names, _ = parameters(system)
     step = system.physics_dt if system.integrator == "implicitfast" else None
     balance = system.mode == "emulated" and system.emulator_settings.joint_balance
-    laws = [type(e).__qualname__ for e in system.effects if isinstance(e, TorqueEffect)]
-    what: tuple[Any, ...] = (names, laws, system.mode, system.integrator, step, balance)
+    kinds = [type(e).__qualname__ for e in system.effects if isinstance(e, TorqueEffect)]
+    what: tuple[Any, ...] = (names, kinds, system.mode, system.integrator, step, balance)
     if system.base.carried:
         what = (*what, [replaced(part) for part in system.base.carried])
     return f"{geometry(system.arm)} {what!r}"
@@ -394,13 +405,11 @@ def geometry(arm: Arm) -> str:
     return f"{arm.mount!r} {lengths!r}"
 
 
-def _laws(system: System) -> str:
-    """Digest of the graph of effects' laws, whatever text of a user it came from."""
+def laws(system: System) -> casadi.Function:
+    """(q, v, motor torque, p) -> torque of the effects' laws (`effect.joint_torque`)."""
     import casadi as ca
 
     model, _, p = symbolic_model(system)
     q, v, tau = (symbols(name, (system.arm.n,)) for name in ("q", "v", "tau"))
     torque = sum(law(q, v, tau) for law in model.laws) + 0.0 * q
-    inputs = [column(k) for k in (q, v, tau, p)]
-    graph = ca.Function("laws", inputs, [column(torque)])
-    return hashlib.sha256(graph.serialize().encode()).hexdigest()
+    return ca.Function("laws", [column(k) for k in (q, v, tau, p)], [column(torque)])

@@ -253,10 +253,10 @@ def _solved(A: Any, b: Any) -> Any:
         factor = (A[..., :k, k] * inverse)[..., None]
         A, b = (x[..., :k, :] - factor * x[..., k, None, :] for x in (A[..., :k], b))
     out: list[Any] = []
-    for row, right, inverse in reversed(rows):
-        for j, found in enumerate(out):
-            right = right - row[..., j, None] * found
-        out.append(right * inverse)
+    for row, rhs, inverse in reversed(rows):
+        for j, solved in enumerate(out):
+            rhs = rhs - row[..., j, None] * solved
+        out.append(rhs * inverse)
     return np.stack(out, axis=-2)
 
 

@@ -68,9 +68,12 @@ def equations(system: System) -> Equations:
             " by rk4 or euler, got implicitfast: use backend mujoco"
         )
     x, u = symbols("x", (2 * (size + h),)), symbols("u", (size,))
-    seen = motion(model, x, u)  # what is observed
-    step = motion(model, x, u, system.physics_dt) if implicit else seen  # and integrated
-    slope, out = column(step.rate), column(seen.acceleration, seen.drive, seen.wrench)
+    observed = motion(model, x, u)  # what is observed
+    step = motion(model, x, u, system.physics_dt) if implicit else observed  # and integrated
+    slope, out = (
+        column(step.rate),
+        column(observed.acceleration, observed.drive, observed.wrench),
+    )
     arguments = [column(x), column(u), column(p)]
     return Equations(
         model.n,
@@ -140,7 +143,7 @@ def _balance(system: System) -> _Balance:
     mass, loads = mass[order][:, order], loads[order]
     tried = along_the_chain(model, a[:size], model.parted(a[size:])[0])
     missing = residual(model, pose, moving, tried, u[:6] + push, tau)[order]
-    found = solve_symmetric(mass, loads[:, None])[:, 0]
+    solution = solve_symmetric(mass, loads[:, None])[:, 0]
     return _Balance(
         names=names,
         x=column(x),
@@ -150,7 +153,7 @@ def _balance(system: System) -> _Balance:
         missing=column(missing, a[len(order) :] - sdd),
         energy=column(base_energy(model, z, zd, at[size:], rate[size:])[0]),
         mass=mass,
-        solution=column(found, sdd),
+        solution=column(solution, sdd),
     )
 
 
