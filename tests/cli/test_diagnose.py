@@ -119,22 +119,16 @@ def test_bad_arguments_are_one_line(call, logs, words, said):
     assert said in err and err.count("\n") == 1
 
 
-def test_an_empty_folder_and_a_log_given_twice_are_refused(call, logs, tmp_path):
+def test_logs_that_say_too_little_or_twice_are_refused(call, logs, tmp_path):
     (tmp_path / "empty").mkdir()
-    assert "no run log" in call("diagnose", tmp_path / "empty")[2]
-    assert "given more than once" in call("diagnose", logs, logs / "run-1.parquet")[2]
-
-
-def test_a_log_that_names_no_system_asks_for_one(call, logs, tmp_path):
     log = RunLog.load(logs / "run-1.parquet")
     meta = {k: v for k, v in log.meta.items() if k != "system"}
     dataclasses.replace(log, meta=meta).save(tmp_path / "bare.parquet")
-    said = call("diagnose", tmp_path / "bare.parquet")[2]
-    assert "names no system; give --system FILE" in said
-
-
-def test_the_arm_is_given_by_name_and_must_be_that_of_the_logs(call, logs):
-    status, _, err, _ = call("diagnose", logs, "--arm", "iiwa14")
-    assert status == 2 and "run-1.parquet: has 3 joints, iiwa14 has 7" in err
-    status, _, err, _ = call("diagnose", logs, "--arm", "iiwa14", "--machine", "m.toml")
-    assert status == 2 and "--arm and --machine describe two machines" in err
+    for words, said in (
+        ([tmp_path / "empty"], "no run log"),
+        ([logs, logs / "run-1.parquet"], "given more than once"),
+        ([tmp_path / "bare.parquet"], "names no system; give --system FILE"),
+        ([logs, "--arm", "iiwa14"], "run-1.parquet: has 3 joints, iiwa14 has 7"),
+    ):
+        status, out, err, _ = call("diagnose", *words)
+        assert (status, out) == (2, "") and said in err

@@ -17,9 +17,10 @@ from ves_gym.system.system import System
 
 ROOT = Path(__file__).parents[2]
 
-# As on a machine without the packages: they are neither found nor loaded.
-HIDDEN = """
-import sys
+# As on a machine without the packages: they are neither found nor loaded. The commands are
+# loaded once, without any of them; each is then run by a copy of this process.
+SERVER = """
+import importlib, json, os, signal, sys
 from importlib.abc import MetaPathFinder
 
 class Hidden(MetaPathFinder):
@@ -30,13 +31,6 @@ class Hidden(MetaPathFinder):
 hidden = set(sys.argv[1].split(","))
 sys.meta_path.insert(0, Hidden())
 from ves_gym.cli.main import COMMANDS, main
-"""
-ONE = HIDDEN + "sys.exit(main(sys.argv[2:]))"
-# Loads the commands once, without the packages; each command is then run by a copy of itself.
-MANY = (
-    HIDDEN
-    + """
-import importlib, json, os, signal
 for name in COMMANDS:
     importlib.import_module("ves_gym.cli." + name.replace("-", "_"))
 for request in sys.stdin:
@@ -52,7 +46,6 @@ for request in sys.stdin:
         sys.exit(main(words))
     print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
-)
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
 EVERYTHING = ",".join({name.partition(".")[0] for name in PACKAGES} - {"mujoco"})
 TRAIN = ["train", "ves/BeamLQR-v0", "--steps", "64"]
@@ -68,28 +61,10 @@ space = { "train.0.changes.total_timesteps" = { low = 400, high = 800 } }
 """
 
 
-@pytest.fixture
-def alone(tmp_path):
-    """Run a command in a process of its own: (status, stdout, stderr)."""
-
-    def run(hidden, *words):
-        done = subprocess.run(
-            [sys.executable, "-c", ONE, hidden, *map(str, words)],
-            cwd=tmp_path,
-            env=ENVIRONMENT,
-            capture_output=True,
-            text=True,
-            timeout=120,
-        )
-        return done.returncode, done.stdout, done.stderr
-
-    return run
-
-
 @pytest.fixture(scope="module")
 def server():
     with subprocess.Popen(
-        [sys.executable, "-c", MANY, EVERYTHING],
+        [sys.executable, "-c", SERVER, EVERYTHING],
         env=ENVIRONMENT,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -99,11 +74,9 @@ def server():
 
 
 @pytest.fixture
-def command(request, tmp_path, tmp_path_factory):
+def command(server, tmp_path, tmp_path_factory):
     """Run a command in an empty folder with packages hidden: (status, stdout, stderr)."""
-    if not hasattr(os, "fork"):
-        return request.getfixturevalue("alone")
-    server, files = request.getfixturevalue("server"), tmp_path_factory.mktemp("streams")
+    files = tmp_path_factory.mktemp("streams")
 
     def run(hidden, *words):
         streams = [files / "out", files / "err"]
@@ -115,30 +88,34 @@ def command(request, tmp_path, tmp_path_factory):
     return run
 
 
-@pytest.mark.parametrize("hidden", [EVERYTHING, "torch", "stable_baselines3", "safetensors"])
-def test_train(command, hidden, tmp_path):
-    status, out, err = command(hidden, *TRAIN)
-    assert status == 2 and not out
-    assert err.startswith("ves-gym: error: training needs the package")
-    assert err.count("\n") == 1 and "pip install" in err
-    assert "'ves-gym[rl]'" in err or hidden == "safetensors"
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("hidden", "words", "says"),
     [
+        (EVERYTHING, [], "training needs the packages torch and stable-baselines3 and"),
+        ("torch", [], "training needs the package torch: pip install 'ves-gym[rl]'"),
         (
-            ["--tensorboard", "board"],
+            "stable_baselines3",
+            [],
+            "needs the package stable-baselines3: pip install 'ves-gym[rl]'",
+        ),
+        ("safetensors", [], "training needs the package safetensors: pip install safetensors"),
+        (
+            "tensorboard",
+            ["--learner", "native", "--tensorboard", "board"],
             "a curve in TensorBoard needs the package tensorboard:"
             " pip install 'ves-gym[tensorboard]'",
         ),
-        (["--wandb", "arms"], "a curve in W&B needs the package wandb: pip install wandb"),
+        (
+            "wandb",
+            ["--learner", "native", "--wandb", "arms"],
+            "a curve in W&B needs the package wandb: pip install wandb",
+        ),
     ],
 )
-def test_curves_elsewhere(command, words, says, tmp_path):
-    status, out, err = command("tensorboard,wandb", *TRAIN, "--learner", "native", *words)
-    assert (status, out, err) == (2, "", f"ves-gym: error: {says}\n")
+def test_train(command, hidden, words, says, tmp_path):
+    status, out, err = command(hidden, *TRAIN, *words)
+    assert (status, out) == (2, "") and says in err
+    assert err.startswith("ves-gym: error: ") and err.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
 

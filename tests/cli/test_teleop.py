@@ -33,7 +33,7 @@ def test_a_script_is_driven_and_recorded(call, keys, tmp_path, mode):
     assert log.q[-1, 0] > 0.05 and "written" in out
 
 
-def test_readings_are_printed(call, monkeypatch):
+def test_readings_are_printed_for_as_long_as_the_script(call, keys, monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.StringIO("0.5 p\n"))
     status, out, err, result = call("teleop", "--keys", "-", "--mode", "emulated", "--zero")
     assert status == 0 and result["log"] is None
@@ -42,9 +42,6 @@ def test_readings_are_printed(call, monkeypatch):
     assert "measured" in lines[0] and "estimated" in lines[0] and "panic button" in lines[0]
     assert "panic button" in err
     assert [event["reason"] for event in result["events"]] == ["panic button"]
-
-
-def test_duration_is_that_of_the_script(call, keys):
     *_, result = call("teleop", "--keys", keys, "--duration", "0.25")
     assert result["seconds"] == pytest.approx(0.25)
 
@@ -58,11 +55,9 @@ def test_without_a_display_a_script_is_suggested(refused, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--keys", "missing.txt"], "missing.txt"),
         (["--keys", "keys.txt", "--log", "run.gif"], ".parquet"),
         (["--keys", "keys.txt", "--duration", "0"], "--duration"),
         (["--keys", "keys.txt", "--start", "0,120,0"], "joint 2"),
-        (["--duration", "1"], "--keys"),
         (["--keys", "keys.txt", "--zero"], "--mode emulated"),
     ],
 )

@@ -1,12 +1,15 @@
 """`view`: pictures where OpenGL works, one clear line where it does not."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
-from ves_gym._util import optional
+from tests.display import require_opengl, type_keys, virtual_display
 from ves_gym.rendering import live
 from ves_gym.rendering import opengl as gl
-from ves_gym.rendering.opengl import Probe, RenderError
+from ves_gym.rendering.opengl import Probe
 from ves_gym.system.runlog import RunLog
 
 TINY = ("--size", "128x64", "--fps", "5")
@@ -15,10 +18,7 @@ TINY = ("--size", "128x64", "--fps", "5")
 @pytest.fixture(scope="session")
 def opengl():
     """Skip where nothing can draw: the other tests here say what happens then."""
-    try:
-        return gl.choose_backend()
-    except RenderError as error:
-        pytest.skip(str(error))
+    return require_opengl()
 
 
 def test_gif_shows_a_structure_that_moves(call, run_log, tmp_path, opengl):
@@ -103,12 +103,6 @@ def test_window_without_a_display_is_one_line(refused, run_log, monkeypatch):
     assert "DISPLAY" in refused("view", run_log, "--window")
 
 
-def test_missing_package_names_the_extra(refused, run_log, monkeypatch):
-    monkeypatch.setattr(optional, "installed", lambda module: False)
-    assert "ves-gym[report]" in refused("view", run_log, "--gif", "a.gif")
-    assert "ves-gym[movie]" in refused("view", run_log, "--mp4", "a.mp4")
-
-
 # ------------------------------------------------------------------------- bad input
 
 
@@ -130,30 +124,29 @@ def test_bad_options_are_one_line(words, expected, refused, run_log):
     assert expected in refused("view", run_log, *words)
 
 
-@pytest.fixture
-def damaged(run_log, tmp_path):
-    """A copy of the log with its table or metadata changed."""
-
-    def make(table=lambda text: text, meta=lambda text: text):
-        path = tmp_path / "bad.csv"
-        path.write_text(table(run_log.read_text()))
-        path.with_suffix(".json").write_text(meta(run_log.with_suffix(".json").read_text()))
-        return path
-
-    return make
-
-
-def test_truncated_log_names_file_and_row(refused, damaged):
-    path = damaged(table=lambda text: text[: len(text) // 2].rpartition(",")[0])
-    line = refused("view", path)
-    assert "bad.csv" in line and "row" in line
+@pytest.mark.parametrize(
+    ("table", "meta", "said"),
+    [
+        (lambda text: text[: len(text) // 2].rpartition(",")[0], str, "bad.csv: row "),
+        (str, lambda text: '{"format": "ves-run/1"}', "system"),
+        (str, lambda text: text[:100], "JSON"),
+    ],
+)
+def test_a_damaged_log_is_named(refused, run_log, tmp_path, table, meta, said):
+    path = tmp_path / "bad.csv"
+    path.write_text(table(run_log.read_text()))
+    path.with_suffix(".json").write_text(meta(run_log.with_suffix(".json").read_text()))
+    assert said in refused("view", path)
 
 
-def test_log_without_a_system_is_named(refused, damaged):
-    path = damaged(meta=lambda text: '{"format": "ves-run/1"}')
-    assert "system" in refused("view", path)
-
-
-def test_log_whose_metadata_is_cut_is_named(refused, damaged):
-    path = damaged(meta=lambda text: text[:100])
-    assert "JSON" in refused("view", path)
+def test_a_window_replays_the_log_until_escape(run_log):
+    words = [sys.executable, "-m", "ves_gym.cli.main", "view", str(run_log), "--window"]
+    with virtual_display():
+        run = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+        try:
+            type_keys("ves-gym view", "key Escape")
+            _, err = run.communicate(timeout=60)
+        finally:
+            run.kill()
+            run.wait()
+    assert (run.returncode, err) == (0, "")

@@ -90,7 +90,7 @@ def render(
 
 
 def show(log: RunLog, view: View | None = None) -> None:
-    """Replay a run log in a window, over and over, until it is closed.
+    """Replay a run log in a window, over and over, until it is closed (Escape does, too).
 
     Args:
         log: with a system in its metadata.
@@ -106,8 +106,8 @@ def show(log: RunLog, view: View | None = None) -> None:
         due = time.monotonic()
         for k in count():
             episode, at = divmod(k, len(samples))
-            live.show({**samples[at], "episode": episode})
-            if not live.open:
+            keys = live.show({**samples[at], "episode": episode})
+            if ("escape", True) in keys or not live.open:
                 return
             due = max(due + 1 / view.fps, time.monotonic() - 1.0)  # no catching up
             time.sleep(max(0.0, due - time.monotonic()))
