@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.optional import require
@@ -193,8 +192,8 @@ def plan(
     elif goal is None:
         raise ParameterError("plan needs a goal: joint angles, a tool pose, or a case's query")
     else:
-        home = tuple(np.clip(0.0, arm.column("q_min"), arm.column("q_max")).tolist())
-        usual: dict[str, Any] = {"start": home, "duration": 2.0, "v_max": speed_limits(arm)}
+        usual: dict[str, Any] = {"duration": 2.0, "v_max": speed_limits(arm)}
+        usual["start"] = tuple(arm.home.tolist())
         usual["servo"] = case.servo if arm == case.system.arm else OWN_GAINS
         parts = {**usual, **parts}
         query = Query(system=system, **{"goal": parts["start"], **parts})
@@ -270,7 +269,7 @@ def coupling_map(
 
     system = _system(system)
     arm, n = system.arm, system.arm.n
-    fixed = np.clip(np.zeros(n), arm.column("q_min"), arm.column("q_max"))
+    fixed = arm.home
     names = [f"q{k + 1}" for k in range(n)]
     for name, value in at.items():
         if name not in names:

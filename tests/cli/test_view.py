@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 
 from tests.display import require_opengl, type_keys, virtual_display
-from ves_gym.rendering import live
+from ves_gym.rendering import live, render
 from ves_gym.rendering import opengl as gl
 from ves_gym.rendering.opengl import Probe
+from ves_gym.rendering.render import View
+from ves_gym.system.energy import log_base_energy
 from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
 
 TINY = ("--size", "128x64", "--fps", "5")
 
@@ -37,6 +40,19 @@ def test_gif_shows_a_structure_that_moves(call, run_log, tmp_path, opengl):
     for half in (frames[0][:, :63], frames[0][:, 65:]):
         assert len(np.unique(half.reshape(-1, 3), axis=0)) > 10  # not just background
     assert np.abs(frames[-1] - frames[0]).max() > 50
+
+
+def test_what_is_drawn_is_the_log_at_the_pictures_times(run_log):
+    log = RunLog.load(run_log)
+    system, samples = render.log_samples(log, View(fps=20.0, speed=2.0))
+    assert system == System() and [k["t"] for k in samples] == pytest.approx(np.arange(7) / 10)
+    energy = log_base_energy(log, system)
+    for sample in samples:
+        k = int(np.abs(log.t - sample["t"]).argmin())
+        for name, column in (("q", log.q), ("y", log.y), ("u", log.u), ("w", log.w)):
+            np.testing.assert_allclose(sample[name], column[k], rtol=1e-6, atol=1e-9)
+        parts = sample["E"], sample["strain"]
+        assert parts == pytest.approx((energy.total[k], energy.strain[k]), rel=1e-6, abs=1e-12)
 
 
 def test_mp4_has_the_asked_frames(call, run_log, tmp_path, opengl):

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import ves_gym.api as vg
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.cli.files import PICTURES
@@ -36,10 +34,10 @@ def run(
     progress: Any = None,
 ) -> Answer:
     """Judge the emulation; negative if it is unstable."""
-    system, arm = case.system, case.system.arm
+    system = case.system
     if system.mode != MODE:
         raise ParameterError(f"emulation-check is about --mode {MODE}, got {system.mode}")
-    q = np.clip(0.0, arm.column("q_min"), arm.column("q_max")) if at is None else at
+    q = system.arm.home if at is None else at
     servo = case.servo if gains is None else gains
     progress(0.0, "linearising the loop")
     check = vg.check_emulation(system, q, servo=servo, search=not no_search)

@@ -203,8 +203,7 @@ def _motion(
     if goal is None and via:
         raise ParameterError("--via needs --goal: way-points lie between start and goal")
     arm, seconds = case.system.arm, duration or 2.0
-    home = np.clip(0.0, arm.column("q_min"), arm.column("q_max"))
-    begin = home if start is None else start
+    begin = arm.home if start is None else start
     end = usual_goal(arm, begin, seconds) if goal is None else goal
     return Motion.through(np.stack([begin, *via, end]), seconds)
 

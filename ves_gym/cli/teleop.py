@@ -6,8 +6,6 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
-
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.cli.files import log_files, log_path
 from ves_gym.cli.flags import Answer, Flag, number, say, text
@@ -44,10 +42,9 @@ def run(
     """Drive; write the log. Faults are found before anyone drives."""
     path = None if log is None else log_path(Path(out or "", log), json)
     system = case.system
-    limits = system.arm.column("q_min"), system.arm.column("q_max")
     teleop = Teleop(
         system,
-        start=np.clip(0.0, *limits) if start is None else start,
+        start=system.arm.home if start is None else start,
         seed=case.seed,
         record=path is not None,
     )

@@ -294,6 +294,12 @@ class Arm:
         """Number of joints."""
         return len(self.links)
 
+    @property
+    def home(self) -> Array:
+        """Joint angles (n,) [rad] as near to 0 as the limits allow."""
+        out: Array = np.clip(0.0, self.column("q_min"), self.column("q_max"))
+        return out
+
     @cached_property
     def joints(self) -> tuple[JointFrame, ...]:
         """Lengths and angles of the links as `dynamics` takes them."""

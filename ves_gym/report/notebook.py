@@ -9,7 +9,6 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import ParameterError, write_text
@@ -101,8 +100,7 @@ class Studio:
             )
         if not (isinstance(height, int) and height >= 100):
             raise ParameterError(f"height must be a whole number of px >= 100, got {height!r}")
-        home = np.clip(0.0, arm.column("q_min"), arm.column("q_max"))
-        begin = home if start is None else arm.require_within_limits(start, "start")
+        begin = arm.home if start is None else arm.require_within_limits(start, "start")
         if goal is None:
             end = usual_goal(arm, begin, duration)
         else:
