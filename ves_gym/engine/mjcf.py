@@ -16,7 +16,7 @@ from ves_gym._util.mujoco_loader import mujoco
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.mechanics.arm import Arm, Inertial, matrix
-from ves_gym.mechanics.dynamics import expand
+from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.vehicle import BaseModel, InternalModes
 
 if TYPE_CHECKING:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.dynamics import expand, inertia
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.spatial import quadratic
 from ves_gym.system.system import System
 
