@@ -49,7 +49,7 @@ def diagonal(*moments: float) -> Matrix:
 
 def matrix(values: Array) -> Matrix:
     """A 2-D array as nested tuples of float."""
-    return tuple(tuple(row) for row in np.asarray(values, float).tolist())
+    return tuple(map(tuple, np.asarray(values, float).tolist()))
 
 
 def require_length_1(vector: Vector, name: str) -> None:
@@ -289,7 +289,7 @@ class Arm:
         if self.bandwidth is not None:
             require_positive(self, "bandwidth")
 
-    @property
+    @cached_property
     def n(self) -> int:
         """Number of joints."""
         return len(self.links)
@@ -376,7 +376,7 @@ class Arm:
                 " simulate it in mode ideal, or lock them (locked=)"
             )
 
-    @property
+    @cached_property
     def bends(self) -> int:
         """Number of flexures: passive joints between the driven ones."""
         parts = (self.base_flexures, *(link.flexures for link in self.links))
