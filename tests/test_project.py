@@ -61,7 +61,6 @@ HEAVY = {
     "stable_baselines3",
     "tensorboard",
     "torch",
-    "wandb",
     "warp",
 }
 

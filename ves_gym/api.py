@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy.typing as npt
 
-from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError, Vector, finite
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import PUMA_560
@@ -437,9 +436,8 @@ def train(
     folder: str | os.PathLike[str] | None = None,
     workers: int = 1,
     resume: bool = False,
-    progress: Callable[[int, float, str], None] | None = None,
-    tensorboard: str | os.PathLike[str] = "",
-    wandb: str = "",
+    progress: Callable[[int, float, str], None] = lambda seed, done, note: None,
+    tensorboard: str | os.PathLike[str] | None = None,
 ) -> TrainingResult:
     """Learn policies, one per seed, as `ves-gym train` does.
 
@@ -447,7 +445,7 @@ def train(
         config: an environment that a configuration comes with, a .toml file, or a
             `TrainConfig`.
         algorithm: ppo, sac or sac-her; default the first there is.
-        learner: sb3 or native; default the configuration's.
+        learner: native or sb3; default the configuration's.
         imitate: a controller whose actions are learned first (native).
         steps: in all, instead of the configuration's.
         seeds: of weights, exploration and training episodes; default the configuration's.
@@ -457,7 +455,6 @@ def train(
         resume: go on from the checkpoints in `folder`.
         progress: called with the seed, the fraction done and a few words.
         tensorboard: a folder in which TensorBoard shows the curves as they grow.
-        wandb: a project of Weights & Biases, likewise.
 
     Returns:
         Learning curves and the best policy of each seed.
@@ -467,10 +464,11 @@ def train(
             holds a run and `resume` is false.
     """
     from ves_gym.baselines.config import TrainConfig, choose_config
-    from ves_gym.baselines.tracking import Tracking
-    from ves_gym.baselines.train import PACKAGES, train_seeds
+    from ves_gym.baselines.train import train_seeds
     from ves_gym.baselines.training_result import TrainingResult
 
+    if workers < 1:
+        raise ParameterError(f"workers must be >= 1, got {workers}")
     chosen = config if isinstance(config, TrainConfig) else choose_config(config, algorithm)
     changes: dict[str, Any] = {
         "imitate": imitate,
@@ -481,14 +479,9 @@ def train(
     }
     changes = {name: value for name, value in changes.items() if value is not None}
     chosen = dataclasses.replace(chosen, **changes)
-    if workers < 1:
-        raise ParameterError(f"workers must be >= 1, got {workers}")
-    require("training", *PACKAGES[chosen.learner])
-    tracking = Tracking(tensorboard=os.fspath(tensorboard), wandb=wandb)
-    tracking.require()
     where = Path("out", "train", chosen.name) if folder is None else Path(folder)
-    how: dict[str, Any] = {"workers": workers, "resume": resume, "tracking": tracking}
-    curves = train_seeds(chosen, chosen.seeds, where, progress=progress, **how)
+    how: dict[str, Any] = {"workers": workers, "resume": resume, "tensorboard": tensorboard}
+    curves = train_seeds(chosen, where, progress=progress, **how)
     return TrainingResult(chosen, where, curves)
 
 

@@ -131,7 +131,6 @@ def test_a_row_does_not_depend_on_its_neighbours():
 
 
 def test_a_file_says_them_and_an_onnx_model_computes_them(tmp_path):
-    pytest.importorskip("safetensors")
     env, rows = moving("ves/PumaReachGoal-v0")
     policy = some_policy(arm_features(env.task, env.goal))
     again = load_policy(save_policy(policy, tmp_path / "p.json"))

@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
+from ves_gym.baselines.checkpoint import load_state, save_state
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
-
-pytest.importorskip("safetensors")
-from ves_gym.baselines.checkpoint import load_state, save_state
 
 
 def test_values_come_back_as_they_were(tmp_path):

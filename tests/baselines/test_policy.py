@@ -9,14 +9,10 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-
-pytest.importorskip("safetensors")
 from ves_gym.baselines.policy import (
     Network,
     Policy,
-    from_sb3,
     load_policy,
-    read_sb3_zip,
     save_policy,
 )
 
@@ -70,51 +66,6 @@ def test_an_action_is_held_from_each_episodes_start():
             observation, _ = env.reset(options={"reset_mask": np.array([True, False])})
         else:
             observation = env.step(fresh)[0]
-
-
-@pytest.mark.parametrize("algorithm", ["PPO", "SAC", "SAC with goals"])
-def test_acts_like_the_torch_network(algorithm):
-    """Tolerance: rounding of torch's float32; ours is float64."""
-    sb3 = pytest.importorskip("stable_baselines3")
-    from ves_gym.baselines.sb3 import Sb3VecEnv
-
-    id = "ves/PumaReachGoal-v0" if "goals" in algorithm else "ves/PumaRestToRest-v0"
-    env = gym.make_vec(id, num_envs=4, threads=1, duration=0.5)
-    kind = "MultiInputPolicy" if env.goal else "MlpPolicy"
-    options = {"buffer_size": 100} if "SAC" in algorithm else {"n_steps": 40, "batch_size": 80}
-    cls = getattr(sb3, algorithm[:3])
-    model = cls(kind, Sb3VecEnv(env), device="cpu", seed=1, **options)
-    if algorithm == "PPO":  # its last layer starts next to zero
-        model.policy.action_net.weight.data.mul_(50)
-    policy = from_sb3(model)
-
-    observation, _ = env.reset(seed=3)
-    largest = 0.0
-    for _ in range(40):
-        wanted, _ = model.predict(observation, deterministic=True)
-        got = policy.act(env, observation)
-        largest = max(largest, np.abs(got).max())
-        np.testing.assert_allclose(got, wanted, atol=1e-6)
-        observation = env.step(got)[0]
-    assert largest > 0.01
-
-
-def test_an_sb3_zip_is_read_only_where_it_is_trusted(tmp_path):
-    sb3 = pytest.importorskip("stable_baselines3")
-    from ves_gym.baselines.sb3 import Sb3VecEnv
-
-    env = gym.make_vec(
-        "ves/PumaRestToRest-v0", num_envs=2, autoreset_mode="SameStep", threads=1
-    )
-    model = sb3.PPO("MlpPolicy", Sb3VecEnv(env), n_steps=8, batch_size=16, device="cpu")
-    model.save(tmp_path / "model.zip")
-    with pytest.raises(ParameterError, match="trusted=True"):
-        read_sb3_zip(tmp_path / "model.zip", "PPO", trusted=False)
-    policy = read_sb3_zip(tmp_path / "model.zip", "PPO", trusted=True)
-    observation, _ = env.reset(seed=0)
-    np.testing.assert_array_equal(policy(observation), from_sb3(model)(observation))
-    with pytest.raises(ParameterError, match="pickles are not read"):
-        load_policy(tmp_path / "model.zip")
 
 
 def test_pickles_are_refused_unread(tmp_path):

@@ -43,7 +43,6 @@ def test_nothing_but_numbers_and_json_is_shipped():
 
 @pytest.mark.parametrize("config", EVERY, ids=lambda c: c.name)
 def test_a_policy_is_what_its_configuration_makes(config, monkeypatch):
-    pytest.importorskip("safetensors")
 
     def refuse(*arguments, **more):
         raise AssertionError("a policy was unpickled")
@@ -66,7 +65,6 @@ def test_a_policy_is_what_its_configuration_makes(config, monkeypatch):
 @pytest.mark.parametrize("config", EVERY, ids=lambda c: c.name)
 def test_a_policy_beats_doing_nothing_and_chance(config):
     """On a few episodes; test_policies_learn.py has more."""
-    pytest.importorskip("safetensors")
     policy = load_policy(released(config.env)[config.label])
     some = {"episodes": 24, "seed": 5000, "threads": 1}
     found = evaluate(policy, config.env, **some)

@@ -8,9 +8,11 @@ from tests.envs.walks import IDS
 from ves_gym._util.params import ParameterError
 
 pytest.importorskip("stable_baselines3")
+import stable_baselines3
 from stable_baselines3.common.env_checker import check_env
 
-from ves_gym.baselines.sb3 import Sb3VecEnv
+from ves_gym.baselines.policy import load_policy
+from ves_gym.baselines.sb3 import Sb3VecEnv, from_sb3, read_sb3_zip
 
 SHORT = {"duration": 0.5, "tail": 0.5}  # 40 steps
 
@@ -25,9 +27,9 @@ def actions(rng, venv):
 
 def test_gives_what_the_environment_gives():
     venv, env = Sb3VecEnv(vector(**SHORT)), vector(**SHORT)
-    assert venv.seed(5) == [5, 5, 5]
+    assert venv.seed(5) == [5, 6, 7]
     first = venv.reset()
-    np.testing.assert_array_equal(first, env.reset(seed=5)[0])
+    np.testing.assert_array_equal(first, env.reset(seed=[5, 6, 7])[0])
 
     rng, total = np.random.default_rng(0), np.zeros(3)
     for step in range(1, 81):
@@ -62,20 +64,6 @@ def test_a_time_limit_that_is_no_part_of_the_task_truncates():
     for _ in range(40):
         _, _, done, infos = venv.step(np.zeros((3, *venv.action_space.shape), np.float32))
     assert done.all() and all(info["TimeLimit.truncated"] for info in infos)
-
-
-def test_an_endless_task_is_told_to_be_cut_off_but_for_failures():
-    venv = Sb3VecEnv(vector(control="torque", duration=0.5), endless=True)
-    venv.reset()
-    for _ in range(40):
-        done, infos = venv.step(np.zeros((3, 3), np.float32))[2:]
-    assert done.all() and all(info["TimeLimit.truncated"] for info in infos)
-    for _ in range(40):
-        done, infos = venv.step(np.ones((3, 3), np.float32))[2:]
-        if done.any():
-            break
-    (info,) = [infos[i] for i in np.flatnonzero(done)[:1]]
-    assert info["episode"]["l"] < 40 and not info["TimeLimit.truncated"]
 
 
 @pytest.mark.parametrize("hold", [1, 5])
@@ -132,7 +120,7 @@ def test_an_action_is_held_and_rewards_add_up():
     settings = {"control": "torque", "duration": 0.5, "tail": 0.5}
     venv, env = Sb3VecEnv(vector(n=4, **settings), hold=8), vector(n=4, **settings)
     venv.seed(3)
-    np.testing.assert_array_equal(venv.reset(), env.reset(seed=3)[0])
+    np.testing.assert_array_equal(venv.reset(), env.reset(seed=[3, 4, 5, 6])[0])
     rng = np.random.default_rng(0)
     alive, ends = np.ones(4, bool), []
     for _ in range(5):
@@ -164,10 +152,10 @@ def test_continues_from_a_snapshot():
     rng = np.random.default_rng(0)
     for _ in range(30):
         venv.step(actions(rng, venv))
-    kept, rest = venv.env.snapshot(), [actions(rng, venv) for _ in range(30)]
-    first = [venv.step(a) for a in rest]
-    venv.env.restore(kept)
-    for a, (observation, reward, done, infos) in zip(rest, first, strict=True):
+    snapshot, remaining = venv.env.snapshot(), [actions(rng, venv) for _ in range(30)]
+    first = [venv.step(a) for a in remaining]
+    venv.env.restore(snapshot)
+    for a, (observation, reward, done, infos) in zip(remaining, first, strict=True):
         again = venv.step(a)
         np.testing.assert_array_equal(again[0], observation)
         np.testing.assert_array_equal(again[1], reward)
@@ -182,3 +170,47 @@ def test_check_env_has_nothing_to_say(id):
     assert hasattr(env.unwrapped, "compute_reward") == ("Goal" in id)
     check_env(env)
     check_env(env.unwrapped)
+
+
+# ----------------------------------------------------------------------- policies
+
+
+@pytest.mark.parametrize("algorithm", ["PPO", "SAC", "SAC with goals"])
+def test_acts_like_the_torch_network(algorithm):
+    """Tolerance: rounding of torch's float32; ours is float64."""
+    id = "ves/PumaReachGoal-v0" if "goals" in algorithm else "ves/PumaRestToRest-v0"
+    env = gym.make_vec(id, num_envs=4, threads=1, duration=0.5)
+    kind = "MultiInputPolicy" if env.goal else "MlpPolicy"
+    options = {"buffer_size": 100} if "SAC" in algorithm else {"n_steps": 40, "batch_size": 80}
+    cls = getattr(stable_baselines3, algorithm[:3])
+    model = cls(kind, Sb3VecEnv(env), device="cpu", seed=1, **options)
+    if algorithm == "PPO":  # its last layer starts next to zero
+        model.policy.action_net.weight.data.mul_(50)
+    policy = from_sb3(model)
+
+    observation, _ = env.reset(seed=3)
+    largest = 0.0
+    for _ in range(40):
+        wanted, _ = model.predict(observation, deterministic=True)
+        got = policy.act(env, observation)
+        largest = max(largest, np.abs(got).max())
+        np.testing.assert_allclose(got, wanted, atol=1e-6)
+        observation = env.step(got)[0]
+    assert largest > 0.01
+
+
+def test_an_sb3_zip_is_read_only_where_it_is_trusted(tmp_path):
+    env = gym.make_vec(
+        "ves/PumaRestToRest-v0", num_envs=2, autoreset_mode="SameStep", threads=1
+    )
+    model = stable_baselines3.PPO(
+        "MlpPolicy", Sb3VecEnv(env), n_steps=8, batch_size=16, device="cpu"
+    )
+    model.save(tmp_path / "model.zip")
+    with pytest.raises(ParameterError, match="trusted=True"):
+        read_sb3_zip(tmp_path / "model.zip", "PPO", trusted=False)
+    policy = read_sb3_zip(tmp_path / "model.zip", "PPO", trusted=True)
+    observation, _ = env.reset(seed=0)
+    np.testing.assert_array_equal(policy(observation), from_sb3(model)(observation))
+    with pytest.raises(ParameterError, match="pickles are not read"):
+        load_policy(tmp_path / "model.zip")

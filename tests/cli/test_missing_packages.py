@@ -105,11 +105,6 @@ def command(server, tmp_path, tmp_path_factory):
             "a curve in TensorBoard needs the package tensorboard:"
             " pip install 'ves-gym[tensorboard]'",
         ),
-        (
-            "wandb",
-            ["--learner", "native", "--wandb", "arms"],
-            "a curve in W&B needs the package wandb: pip install wandb",
-        ),
     ],
 )
 def test_train(command, hidden, words, says, tmp_path):
@@ -196,10 +191,10 @@ def test_what_is_installed_is_left_alone():
 def test_several_packages_are_one_command(monkeypatch):
     monkeypatch.setattr(optional, "installed", lambda module: False)
     with pytest.raises(MissingPackageError) as caught:
-        require("a picture", "PIL", "matplotlib", "pyarrow", "wandb")
+        require("a picture", "PIL", "matplotlib", "pyarrow", "safetensors")
     assert str(caught.value) == (
-        "a picture needs the packages pillow and matplotlib and pyarrow and wandb: pip install"
-        " 'ves-gym[report]' 'ves-gym[parquet]' wandb"
+        "a picture needs the packages pillow and matplotlib and pyarrow and safetensors: pip"
+        " install 'ves-gym[report]' 'ves-gym[parquet]' safetensors"
     )
 
 
@@ -228,4 +223,4 @@ def test_every_extra_is_one_that_has_the_package():
     for module, source in PACKAGES.items():
         texts = extras[source.extra] if source.extra else project["dependencies"]
         names = [re.match(r"[\w.-]+", text)[0] for text in texts]
-        assert source.package in names or module in ("ray", "wandb")  # only where installed
+        assert source.package in names or module == "ray"  # only where installed

@@ -37,7 +37,6 @@ PACKAGES = {  # module -> what installs it
     "stable_baselines3": Source("stable-baselines3", "rl"),
     "tensorboard": Source("tensorboard", "tensorboard"),
     "torch": Source("torch", "rl"),
-    "wandb": Source("wandb"),
     "warp": Source("warp-lang", "gpu"),
 }
 

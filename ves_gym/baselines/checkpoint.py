@@ -30,7 +30,9 @@ def save_state(
     """Write nested state completely or not at all.
 
     Args:
-        given: objects that the reader has; they are saved by name.
+        path: of the file.
+        value: numbers, text, arrays, containers, systems and data classes of `ves_gym`.
+        references: objects that the reader has; they are saved by name.
     """
     packer = _Packer(references or {})
     tree = {"value": packer.pack(value), "systems": packer.systems}
@@ -44,7 +46,8 @@ def load_state(
     """Read what `save_state` wrote.
 
     Args:
-        given: what was given by name then.
+        path: of the file.
+        references: what was saved by name.
 
     Raises:
         ParameterError: no such file, or another kind of file.
@@ -77,7 +80,7 @@ class _Packer:
         if value is None or isinstance(value, (bool, str)) or type(value) in (int, float):
             return value
         if id(value) in self.references:
-            return {_TAG: "given", "name": self.references[id(value)]}
+            return {_TAG: "reference", "name": self.references[id(value)]}
         if isinstance(value, (np.ndarray, np.generic)):
             return self._array(np.asarray(value), "array")
         if type(value).__module__ == "torch":  # a Tensor
@@ -135,7 +138,7 @@ def _unpack(
         import torch
 
         return torch.from_numpy(array)
-    if kind == "given":
+    if kind == "reference":
         return references[tree["name"]]
     if kind == "system":
         return systems[tree["at"]]

@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ves_gym._util.params import (
     ParameterError,
@@ -20,9 +20,29 @@ from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.policy import ACTIVATIONS, task_name
 
 CONFIGS = Path(__file__).parent / "configs"
-ALGORITHMS = ("PPO", "SAC", "DAgger")
 FEATURES = ("", "arm")
-LEARNERS = ("sb3", "native")
+PACKAGES: dict[str, tuple[str, ...]] = {  # what training needs, by learner
+    "sb3": ("torch", "stable_baselines3", "safetensors"),
+    "native": ("safetensors",),
+}
+LEARNERS = tuple(PACKAGES)
+
+
+class Algorithm(NamedTuple):
+    """Learners that have it, the default first, and what a run of it needs."""
+
+    learners: tuple[str, ...]
+    goal: bool = False  # observations of a goal variant
+    imitates: bool = False  # learns from a controller alone
+
+
+ALGORITHMS = {
+    "PPO": Algorithm(("native", "sb3")),
+    "SAC": Algorithm(("sb3",)),
+    "SAC-HER": Algorithm(("sb3",), goal=True),  # with hindsight replay
+    "DAgger": Algorithm(("native",), imitates=True),
+}
+_RESERVED = {"policy", "env", "seed", "device", "verbose", "policy_kwargs", "use_sde"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,22 +51,21 @@ class TrainConfig:
 
     A step is a decision, held for `hold` control periods of each of `n_envs` environments.
     `settings` go to the environment (see `envs.build_task`), `hyperparameters` to the
-    algorithm's constructor in Stable-Baselines3 under its names, but for the learning rate,
-    which falls linearly to `final_rate` of itself. Where the network or the noise start is
-    said by `layers`, `activation` and `log_std`. `her` adds hindsight replay to SAC on a goal
-    variant. Algorithm DAgger imitates and does no more.
+    algorithm under the names of its constructor in Stable-Baselines3, but for the learning
+    rate, which falls linearly to `final_rate` of itself. Where the network or the noise start
+    is said by `layers`, `activation` and `log_std`.
 
-    `learner` native trains with `ves_gym.baselines.ppo`, which knows PPO's hyper-parameters
-    under the same names; `imitate`, `imitation` and `frames` need it. With `imitate`, the
-    policy first learns what a built-in controller does (`imitation` are the fields of
-    `ves_gym.baselines.imitation.ImitationConfig`); its decisions count as steps.
+    `learner` native trains with `ves_gym.baselines.ppo`; `imitate`, `imitation`, `frames` and
+    `features` need it. With `imitate`, the policy first learns what a built-in controller does
+    (`imitation` are the fields of `ves_gym.baselines.imitation.ImitationConfig`); its
+    decisions count as steps. Algorithm DAgger does no more than that.
     """
 
     env: str
     algorithm: str
     total_timesteps: int
     n_envs: int
-    learner: str = "sb3"
+    learner: str = ""  # default: the algorithm's first in `ALGORITHMS`
     imitate: str = ""  # a controller, by its name
     imitation: dict = field(default_factory=dict)
     frames: int = 1  # observations that the policy sees, those of its last decisions
@@ -55,36 +74,38 @@ class TrainConfig:
     settings: dict = field(default_factory=dict)
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     hyperparameters: dict = field(default_factory=dict)
-    her: dict | None = None
     layers: tuple[int, ...] = (64, 64)
     activation: str = "tanh"
     log_std: float = -1.0  # of PPO's noise at first
     final_rate: float = 0.0  # of the learning rate
-    endless: bool = False  # learn as if no deadline came, see `Sb3VecEnv`
     reward_scale: float = 1.0  # constant factor of the rewards that the algorithm sees
     eval_every: int = 0  # steps; 0: a twentieth of the run
     eval_episodes: int = 100
     checkpoint_every: int = 0  # steps; 0: as often as it is evaluated
 
     def __post_init__(self) -> None:
-        require_choice(self, "algorithm", ALGORITHMS)
+        require_choice(self, "algorithm", tuple(ALGORITHMS))
+        algorithm = ALGORITHMS[self.algorithm]
+        if not self.learner:
+            object.__setattr__(self, "learner", algorithm.learners[0])
         require_choice(self, "learner", LEARNERS)
         require_choice(self, "activation", ACTIVATIONS)
         require_choice(self, "features", FEATURES)
-        if self.learner == "native" and self.algorithm == "SAC":
+        if self.learner not in algorithm.learners:
             raise ParameterError(
-                f"TrainConfig.learner native is of PPO, got algorithm {self.algorithm}"
+                f"TrainConfig.learner of {self.algorithm} must be"
+                f" {' or '.join(algorithm.learners)}, got {self.learner}"
             )
         ours = self.imitate or self.imitation or self.frames != 1 or self.features
-        if self.learner != "native" and (ours or self.algorithm == "DAgger"):
+        if self.learner != "native" and ours:
             raise ParameterError(
-                "TrainConfig.imitate, imitation, frames, features and DAgger need learner"
-                f" native, got {self.learner}"
+                "TrainConfig.imitate, imitation, frames and features need learner native, got"
+                f" {self.learner}"
             )
-        if self.algorithm == "DAgger" and not self.imitate:
-            raise ParameterError("TrainConfig.algorithm DAgger needs a controller to imitate")
-        if self.imitation and not self.imitate:
-            raise ParameterError("TrainConfig.imitation needs a controller to imitate")
+        if (self.imitation or algorithm.imitates) and not self.imitate:
+            raise ParameterError(
+                "TrainConfig.imitation and algorithm DAgger need a controller to imitate"
+            )
         for name in ("total_timesteps", "n_envs", "hold", "frames", "eval_episodes"):
             if getattr(self, name) < 1:
                 raise ParameterError(
@@ -102,13 +123,10 @@ class TrainConfig:
                 "TrainConfig needs 0 <= final_rate <= 1 and reward_scale > 0, got"
                 f" {self.final_rate} and {self.reward_scale}"
             )
-        if self.her is not None and self.algorithm != "SAC":
-            raise ParameterError(f"TrainConfig.her needs SAC, got {self.algorithm}")
-        reserved = {"policy", "env", "seed", "device", "verbose", "policy_kwargs", "use_sde"}
-        taken = reserved & set(self.hyperparameters)
-        if taken:
+        reserved = _RESERVED & set(self.hyperparameters)
+        if reserved:
             raise ParameterError(
-                f"TrainConfig.hyperparameters cannot set {', '.join(sorted(taken))}"
+                f"TrainConfig.hyperparameters cannot set {', '.join(sorted(reserved))}"
             )
 
     @property
@@ -119,14 +137,22 @@ class TrainConfig:
     @property
     def label(self) -> str:
         """The algorithm's name in file names: ppo, sac, sac-her, resolved-ppo."""
-        if self.imitate:
-            return f"{self.imitate}-{self.algorithm.lower()}"
-        return self.algorithm.lower() + ("-her" if self.her is not None else "")
+        return "-".join(filter(None, (self.imitate, self.algorithm.lower())))
 
-    def decisions(self) -> dict[str, Any]:
-        """Return how decisions are made of actions and rewards, see `Decisions`."""
-        names = ("hold", "reward_scale", "endless")
-        return {name: getattr(self, name) for name in names}
+    @property
+    def env_settings(self) -> dict[str, Any]:
+        """Settings of the environment, the algorithm's own among them."""
+        goal = {"goal": True} if ALGORITHMS[self.algorithm].goal else {}
+        return {**goal, **self.settings}
+
+    def learning_rate(self, rate: float, remaining: float) -> float:
+        """Return the learning rate where a share of the training remains.
+
+        Args:
+            rate: at the beginning.
+            remaining: 1 there, 0 at the end; below counts as 0.
+        """
+        return rate * (self.final_rate + (1 - self.final_rate) * max(0.0, remaining))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data."""

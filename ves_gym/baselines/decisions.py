@@ -37,18 +37,9 @@ class Decisions:
         hold: control periods that an action is held for. Rewards add up meanwhile; those of a
             goal variant are `hold` times the last, as `compute_reward` gives them.
         reward_scale: constant factor of the rewards; returns of `Endings` are without it.
-        endless: tell a deadline as a time limit, whatever the task calls it: values are then
-            learned as if the episode went on.
     """
 
-    def __init__(
-        self,
-        env: VesVectorEnv,
-        *,
-        hold: int = 1,
-        reward_scale: float = 1.0,
-        endless: bool = False,
-    ) -> None:
+    def __init__(self, env: VesVectorEnv, *, hold: int = 1, reward_scale: float = 1.0) -> None:
         if not isinstance(env, VesVectorEnv):
             raise ParameterError(f"decisions need a VesVectorEnv, got {type(env).__name__}")
         if hold < 1 or not reward_scale > 0:
@@ -56,7 +47,7 @@ class Decisions:
                 f"decisions need hold >= 1 and reward_scale > 0, got {hold} and {reward_scale}"
             )
         self.env, self.hold, self.reward_scale = env, hold, reward_scale
-        self.endless, self.stepping = endless, 0.0
+        self.stepping = 0.0
 
     def step(self, actions: Any) -> tuple[Any, Array, Mask, list[Endings]]:
         """Hold actions (n, a); observations, rewards (n,) float32, those over, and how."""
@@ -88,14 +79,11 @@ class Decisions:
         return split_goals(self.env.task, rows) if self.env.goal else rows
 
     def _endings(self, ended: Mask, terminated: Mask, truncated: Mask, info: Any) -> Endings:
-        limit = truncated & ~terminated
-        if self.endless:
-            limit = ~(info["reward/failure"] < 0)
         ids, final, e = np.flatnonzero(ended), self.observe(), self.env.batch.episodes
         return Endings(
             ids=ids,
             final={k: v[ids] for k, v in final.items()} if self.env.goal else final[ids],
-            cut_off=limit[ids],
+            cut_off=(truncated & ~terminated)[ids],
             total=e.total[ids],
             steps=e.steps[ids],
             success=info["success"][ids],

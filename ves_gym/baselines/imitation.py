@@ -28,7 +28,9 @@ class ImitationConfig:
     """How long to imitate, and how."""
 
     rounds: int = 20  # each an episode of every environment
-    shown: int = 10  # rounds over which the controller's share of the actions falls to none
+    expert_rounds: int = (
+        10  # rounds over which the controller's share of the actions falls to none
+    )
     noise: float = 0.1  # standard deviation of what is added to the actions
     recall: int = 10  # rounds that are learned from, the latest
     epochs: int = 4  # per round, of what is remembered
@@ -38,7 +40,7 @@ class ImitationConfig:
     learning_rate: float = 1e-3  # falls linearly to a tenth
 
     def __post_init__(self) -> None:
-        for name in ("rounds", "shown", "recall", "epochs", "batch_size"):
+        for name in ("rounds", "expert_rounds", "recall", "epochs", "batch_size"):
             if getattr(self, name) < 1:
                 raise ParameterError(
                     f"imitation: {name} must be >= 1, got {getattr(self, name)}"
@@ -53,7 +55,7 @@ class ImitationConfig:
 
 
 class Imitation:
-    """Rounds of lessons.
+    """Rounds of episodes, each learned from.
 
     Args:
         env: where.
@@ -77,7 +79,7 @@ class Imitation:
         self.config, self.rng = config, rng
         self.optimiser = Adam(len(agent.numbers))
         self.round = 0
-        self.memory: list[tuple[Floats, Floats]] = []  # seen, wanted: of the latest rounds
+        self.memory: list[tuple[Floats, Floats]] = []  # rows, targets: of the latest rounds
         self.logged: dict[str, float] = {}
 
     @property
@@ -97,16 +99,16 @@ class Imitation:
 
     def advance(self) -> int:
         """One round; the decisions that it took."""
-        seen, wanted = self._episode(max(0.0, 1 - self.round / self.config.shown))
+        rows, targets = self._episode(max(0.0, 1 - self.round / self.config.expert_rounds))
         if not self.stack.count:
-            self.stack.learn(seen)
-        self.memory = [*self.memory, (seen, wanted)][-self.config.recall :]
+            self.stack.learn(rows)
+        self.memory = [*self.memory, (rows, targets)][-self.config.recall :]
         share = self.round / max(1, self.config.rounds - 1)
         self._learn(self.config.learning_rate * (1 - 0.9 * share))
         self.round += 1
         if self.over:
             self.memory = []
-        return len(seen)
+        return len(rows)
 
     def _episode(self, share: float) -> tuple[Floats, Floats]:
         """One episode per environment: raw observations (k, o) and the expert's actions.
@@ -119,14 +121,14 @@ class Imitation:
         env.reset()
         self.expert.reset(env, everyone)
         rows = self.stack.first(flat(self.env.observe()))
-        seen, wanted = [], []
-        for left in reversed(range(self._periods)):
+        inputs, targets = [], []
+        for remaining in reversed(range(self._periods)):
             target = np.clip(self.expert.act(env, None), -1.0, 1.0).astype(np.float32)
-            seen.append(rows)
-            wanted.append(target)
+            inputs.append(rows)
+            targets.append(target)
             action = self.agent.actor(self.stack.scaled(rows))
-            shown = self.rng.random(len(action)) < share
-            action = np.where(shown[:, None], target, action)
+            expert_acts = self.rng.random(len(action)) < share
+            action = np.where(expert_acts[:, None], target, action)
             noise = self.rng.standard_normal(target.shape, np.float32)
             moved = action + np.float32(self.config.noise) * noise
             observation, _, over, _ = self.env.step(np.clip(moved, -1.0, 1.0))
@@ -135,22 +137,22 @@ class Imitation:
             if over.any():
                 ids = np.flatnonzero(over)
                 rows[ids] = self.stack.first(new[ids])
-                if left:  # after the last all begin anew
+                if remaining:  # after the last all begin anew
                     self.expert.reset(env, ids)
-        return np.concatenate(seen), np.concatenate(wanted)
+        return np.concatenate(inputs), np.concatenate(targets)
 
     def _learn(self, rate: float) -> None:
         """Least squares, over what is remembered."""
         k, agent = self.config, self.agent
-        seen = self.stack.scaled(np.concatenate([rows for rows, _ in self.memory]))
-        wanted = np.concatenate([rows for _, rows in self.memory])
-        late = np.arange(len(seen)) % self.decisions >= _LATE * self.decisions
+        rows = self.stack.scaled(np.concatenate([rows for rows, _ in self.memory]))
+        targets = np.concatenate([targets for _, targets in self.memory])
+        late = np.arange(len(rows)) % self.decisions >= _LATE * self.decisions
         weight = np.where(late, 1 + k.late, 1).astype(np.float32)
         weight /= weight.mean()
         agent.slopes[:] = 0  # the critic's stay so
         errors = []
-        for at in self._batches(len(seen)):
-            gap = agent.actor(seen[at]) - wanted[at]
+        for at in self._batches(len(rows)):
+            gap = agent.actor(rows[at]) - targets[at]
             errors.append(float(np.square(gap).mean()))
             gap *= np.float32(2 / gap.size) * weight[at][:, None]
             agent.actor.backward(gap)
@@ -177,12 +179,11 @@ class Imitation:
         return {
             "round": self.round,
             "memory": self.memory,
-            "optimiser": (self.optimiser.steps, self.optimiser.mean, self.optimiser.square),
+            "optimiser": self.optimiser.state(),
             "logged": self.logged,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a state."""
         self.round, self.memory, self.logged = state["round"], state["memory"], state["logged"]
-        self.optimiser.steps, mean, square = state["optimiser"]
-        self.optimiser.mean[:], self.optimiser.square[:] = mean, square
+        self.optimiser.restore(state["optimiser"])

@@ -21,15 +21,7 @@ from ves_gym.envs.vector import VesVectorEnv
 
 
 class NativeLearner:
-    """`PPO`, after `Imitation` where the configuration names a controller.
-
-    Args:
-        config: of the run.
-        seed: of weights, exploration and, plus `episodes`, the episodes.
-        env: its environment, taken over.
-        episodes: seed of the training episodes, less the run's.
-        on_endings: told of every episode that ends while rewards are learned from.
-    """
+    """`PPO`, after `Imitation` where the configuration names a controller; `train.Learner`."""
 
     def __init__(
         self,
@@ -42,7 +34,7 @@ class NativeLearner:
         settings: Settings = from_plain(Settings, config.hyperparameters, "PPO")
         self.config, self.settings, self.steps = config, settings, 0
         env.reset(seed=episodes + seed)
-        self.decisions = Decisions(env, **config.decisions())
+        self.decisions = Decisions(env, hold=config.hold, reward_scale=config.reward_scale)
         rng = np.random.default_rng(seed)
         size = flat(self.decisions.observe()).shape[1]
         features = arm_features(env.task, env.goal) if config.features else None
@@ -58,44 +50,35 @@ class NativeLearner:
             self.imitation = Imitation(
                 self.decisions, self.agent, self.stack, expert, chosen, rng
             )
-            whole = chosen.rounds * self.imitation.decisions
-            if config.algorithm == "DAgger" and whole != config.total_timesteps:
+            steps = chosen.rounds * self.imitation.decisions
+            if config.algorithm == "DAgger" and steps != config.total_timesteps:
                 raise ParameterError(
-                    f"TrainConfig.total_timesteps of DAgger are those of its rounds, {whole},"
+                    f"TrainConfig.total_timesteps of DAgger are those of its rounds, {steps},"
                     f" got {config.total_timesteps}"
                 )
 
     def learn(self, total: int, between: Callable[[], None]) -> None:
-        """Train up to `total` decisions; `between` is called between rollouts."""
+        """See `train.Learner`."""
         while self.steps < total:
             between()
-            if self._imitating:
-                self._imitate()
+            if self.imitation is not None and not self.imitation.over:
+                self.steps += self.imitation.advance()
+                if self.imitation.over:
+                    self.decisions.env.reset()
+                    self.ppo.restart()
             else:
-                self._reinforce(total)
+                rollout = self.ppo.collect()
+                self.steps += rollout.over.size
+                remaining = 1 - self.steps / total
+                rate = self.config.learning_rate(self.settings.learning_rate, remaining)
+                self.ppo.update(rollout, rate)
 
     @property
-    def _imitating(self) -> bool:
-        return self.imitation is not None and not self.imitation.over
-
-    def _imitate(self) -> None:
-        assert self.imitation is not None
-        self.steps += self.imitation.advance()
-        if self.imitation.over:
-            self.decisions.env.reset()
-            self.ppo.restart()
-
-    def _reinforce(self, total: int) -> None:
-        rollout = self.ppo.collect()
-        self.steps += rollout.over.size
-        left, end = max(0.0, 1 - self.steps / total), self.config.final_rate
-        rate = self.settings.learning_rate * (end + (1 - end) * left)
-        self.ppo.update(rollout, rate)
-
     def logged(self) -> dict[str, float]:
         """Figures of the last update."""
-        started = self.imitation is not None and not self.ppo.updates
-        return self.imitation.logged if started else self.ppo.logged  # type: ignore[union-attr]
+        if self.imitation is not None and not self.ppo.updates:
+            return self.imitation.logged
+        return self.ppo.logged
 
     def policy(self, about: Mapping[str, Any]) -> Policy:
         """Return the policy as it is now, scaling included in its first layer."""
@@ -118,11 +101,11 @@ class NativeLearner:
         return Policy(network, tuple(layers), dict(about), config.label)
 
     def state(self) -> dict[str, Any]:
-        """Everything that training depends on from here, but the environment."""
+        """See `train.Learner`."""
         return {
             "steps": self.steps,
             "ppo": self.ppo.state(),
-            "imitation": self.imitation.state() if self._imitating else None,  # type: ignore[union-attr]
+            "imitation": None if self.imitation is None else self.imitation.state(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -130,7 +113,4 @@ class NativeLearner:
         self.steps = state["steps"]
         self.ppo.restore(state["ppo"])
         if self.imitation is not None:
-            if state["imitation"] is None:
-                self.imitation.round = self.imitation.config.rounds
-            else:
-                self.imitation.restore(state["imitation"])
+            self.imitation.restore(state["imitation"])

@@ -13,9 +13,6 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import ParameterError
-from ves_gym.baselines.policy import ACTIVATIONS
-
 Floats = npt.NDArray[np.float32]
 Layers = list[tuple[Floats, Floats]]  # weights (inputs, outputs) and offsets (outputs,)
 
@@ -30,19 +27,15 @@ class Perceptron:
     """
 
     def __init__(self, layers: Layers, slopes: Layers, activation: str) -> None:
-        if activation not in ACTIVATIONS:
-            raise ParameterError(
-                f"activation must be {' or '.join(ACTIVATIONS)}, got {activation!r}"
-            )
         self.layers, self.slopes, self.activation = layers, slopes, activation
-        self._rooms: dict[int, tuple[list[Floats], list[Floats], Floats]] = {}
+        self._buffers: dict[int, tuple[list[Floats], list[Floats], Floats]] = {}
         self._inputs: list[Floats] = []  # of every layer at the last call
 
     def __call__(self, x: Floats) -> Floats:
         """Outputs (b, outputs) of inputs (b, inputs); overwritten by the next call."""
-        rooms = self._room(len(x))[0]
+        outputs = self._buffers_of(len(x))[0]
         self._inputs = [x]
-        for k, ((W, b), out) in enumerate(zip(self.layers, rooms, strict=True)):
+        for k, ((W, b), out) in enumerate(zip(self.layers, outputs, strict=True)):
             np.matmul(self._inputs[k], W, out=out)
             out += b
             if k < len(self.layers) - 1:
@@ -55,13 +48,13 @@ class Perceptron:
 
     def backward(self, slope: Floats) -> None:
         """Set the derivatives of a number, given its by the outputs (b, outputs) last made."""
-        _, rooms, ones = self._room(len(slope))
+        _, slopes, ones = self._buffers_of(len(slope))
         for k in reversed(range(len(self.layers))):
             x, (W, _), (to_W, to_b) = self._inputs[k], self.layers[k], self.slopes[k]
             np.matmul(x.T, slope, out=to_W)
             np.matmul(ones, slope, out=to_b)
             if k:
-                slope = np.matmul(slope, W.T, out=rooms[k - 1])
+                slope = np.matmul(slope, W.T, out=slopes[k - 1])
                 if self.activation == "tanh":
                     np.multiply(x, x, out=x)  # used up: 1 - tanh^2 is all that is needed
                     np.subtract(1, x, out=x)
@@ -69,12 +62,15 @@ class Perceptron:
                 else:
                     slope *= x > 0
 
-    def _room(self, rows: int) -> tuple[list[Floats], list[Floats], Floats]:
-        if rows not in self._rooms:
+    def _buffers_of(self, rows: int) -> tuple[list[Floats], list[Floats], Floats]:
+        if rows not in self._buffers:
             widths = [W.shape[1] for W, _ in self.layers]
-            room = [[np.empty((rows, k), np.float32) for k in widths] for _ in range(2)]
-            self._rooms[rows] = (room[0], room[1], np.ones(rows, np.float32))
-        return self._rooms[rows]
+            # an update calls this thousands of times with the same few numbers of rows
+            outputs, slopes = (
+                [np.empty((rows, k), np.float32) for k in widths] for _ in range(2)
+            )
+            self._buffers[rows] = outputs, slopes, np.ones(rows, np.float32)
+        return self._buffers[rows]
 
 
 class ActorCritic:
@@ -110,6 +106,8 @@ class ActorCritic:
                 at += (n + 1) * m
             nets.append(Perceptron(*layers, activation))
         self.actor, self.critic = nets
+        # the noise's numbers come first, the actor's after them
+        self.actor_size = sizes[-1] + sum(W.size + b.size for W, b in self.actor.layers)
         for net, last in ((self.actor, 0.01), (self.critic, 1.0)):
             gains = [math.sqrt(2)] * (len(net.layers) - 1) + [last]
             for (W, _), gain in zip(net.layers, gains, strict=True):
@@ -140,6 +138,14 @@ class Adam:
     def __init__(self, size: int, epsilon: float = 1e-5) -> None:
         self.epsilon, self.steps = epsilon, 0
         self.mean, self.square = np.zeros(size, np.float32), np.zeros(size, np.float32)
+
+    def state(self) -> tuple[int, Floats, Floats]:
+        """Everything that the next step depends on."""
+        return self.steps, self.mean, self.square
+
+    def restore(self, state: tuple[int, Floats, Floats]) -> None:
+        """Go on from a state."""
+        self.steps, self.mean[:], self.square[:] = state
 
     def step(self, numbers: Floats, slopes: Floats, rate: float) -> None:
         """Move `numbers` (k,) against their derivatives, in place."""

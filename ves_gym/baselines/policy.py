@@ -2,8 +2,8 @@
 
 A policy is two files: `NAME.json` says what it is (a closed list of architectures) and
 `NAME.safetensors` holds the weights; the first names the second's SHA-256. Nothing in them
-is ever executed. A Stable-Baselines3 zip is a pickle: `read_sb3_zip` opens one only where the
-caller says that its origin is trusted.
+is ever executed. A Stable-Baselines3 zip is a pickle: `sb3.read_sb3_zip` opens one only where
+the caller says that its origin is trusted.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import itertools
 import json
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -274,7 +274,7 @@ def _json(path: str | os.PathLike[str]) -> Path:
     if path.suffix != ".json":
         raise ParameterError(
             f"{path}: a policy is a .json file with a .safetensors file beside it, got"
-            f" {path.suffix!r}; pickles are not read (but see read_sb3_zip)"
+            f" {path.suffix!r}; pickles are not read (but see sb3.read_sb3_zip)"
         )
     return path
 
@@ -284,86 +284,6 @@ def _safetensors() -> Any:
     import safetensors.numpy
 
     return safetensors.numpy
-
-
-# ------------------------------------------------------------ from Stable-Baselines3
-
-
-def from_sb3(
-    model: Any, about: Mapping[str, Any] | None = None, name: str = "policy", hold: int = 1
-) -> Policy:
-    """The actor of a PPO or SAC model whose policy is a plain perceptron.
-
-    Args:
-        hold: control periods that the model was trained to hold its actions for.
-    """
-    from gymnasium import spaces
-
-    policy = model.policy
-    if hasattr(policy, "mlp_extractor"):  # PPO
-        trunk, head, output = policy.mlp_extractor.policy_net, policy.action_net, "clip"
-    elif hasattr(policy, "actor") and hasattr(policy.actor, "latent_pi"):  # SAC
-        trunk, head, output = policy.actor.latent_pi, policy.actor.mu, "tanh"
-    else:
-        raise ParameterError(f"expected a PPO or SAC model, got {type(model).__name__}")
-    linear, kinds = _layers([*trunk, head])
-    space = policy.observation_space
-    inputs = tuple(space.spaces) if isinstance(space, spaces.Dict) else ()
-    boxes: Sequence[Any] = [space[k] for k in inputs] if inputs else [space]
-    limit = float(max(np.abs(box.high).max() for box in boxes))
-    network = Network(
-        sizes=(linear[0][0].shape[0], *(W.shape[1] for W, _ in linear)),
-        activation=kinds.pop() if kinds else "tanh",
-        output=output,
-        observation_limit=limit,
-        inputs=inputs,
-        hold=hold,
-    )
-    return Policy(network, tuple(linear), dict(about or {}), name)
-
-
-def _layers(modules: Sequence[Any]) -> tuple[list[tuple[Array, Array]], set[str]]:
-    """Weights of the linear modules, and the one kind of activation between them."""
-    linear, kinds = [], set()
-    for module in modules:
-        kind = type(module).__name__
-        if kind == "Linear":
-            W, b = (
-                p.detach().cpu().numpy().astype(float) for p in (module.weight, module.bias)
-            )
-            linear.append((np.ascontiguousarray(W.T), b))
-        elif kind.lower() in ACTIVATIONS:
-            kinds.add(kind.lower())
-        else:
-            raise ParameterError(
-                f"a policy is made of Linear, Tanh and ReLU modules, got {kind}"
-            )
-    if len(kinds) > 1:
-        raise ParameterError(f"a policy has one kind of activation, got {', '.join(kinds)}")
-    return linear, kinds
-
-
-def read_sb3_zip(path: str | os.PathLike[str], algorithm: str, *, trusted: bool) -> Policy:
-    """The actor in a zip saved by Stable-Baselines3.
-
-    Such a file holds pickles: reading it runs whatever code its author put there.
-    `trusted=True` says that you made it, or would run a program from where it comes.
-
-    Args:
-        algorithm: PPO or SAC.
-    """
-    if trusted is not True:
-        raise ParameterError(
-            f"{path}: reading it would run code from the file; pass trusted=True only if you"
-            " would run a program from the same source"
-        )
-    require("a zip of Stable-Baselines3", "stable_baselines3", "torch")
-    import stable_baselines3
-
-    if algorithm not in ("PPO", "SAC"):
-        raise ParameterError(f"algorithm must be PPO or SAC, got {algorithm!r}")
-    model = getattr(stable_baselines3, algorithm).load(path, device="cpu")
-    return from_sb3(model, name=Path(path).stem)
 
 
 def versions(*packages: str) -> dict[str, str]:

@@ -65,7 +65,7 @@ class Settings:
 class Experience:
     """Decisions collected for an update: leading axes (n_steps, n)."""
 
-    seen: Floats  # observations as the networks take them
+    inputs: Floats  # observations as the networks take them
     action: Floats  # as drawn, not clipped
     chance: Floats  # logarithm of its density
     value: Floats
@@ -107,15 +107,16 @@ class ObservationStack:
 
     def first(self, observation: Floats) -> Floats:
         """Rows (k, frames * size) at the beginning of episodes."""
-        return np.tile(self._whole(observation), self.frames)
+        return np.tile(self._with_features(observation), self.frames)
 
     def after(self, rows: Floats, observation: Floats) -> Floats:
         """Rows after the next observation (k, size)."""
+        newest = self._with_features(observation)
         if self.frames == 1:
-            return self._whole(observation)
-        return np.concatenate([rows[:, self.size :], self._whole(observation)], axis=1)
+            return newest
+        return np.concatenate([rows[:, self.size :], newest], axis=1)
 
-    def _whole(self, observation: Floats) -> Floats:
+    def _with_features(self, observation: Floats) -> Floats:
         """Observations with their features."""
         if self.features is None:
             return observation
@@ -194,21 +195,21 @@ class PPO:
     def collect(self) -> Experience:
         """Act for `n_steps` decisions in every environment."""
         k, n, agent = self.settings, self.env.env.num_envs, self.agent
-        inputs, width = self.rows.shape[1], len(agent.log_std)
-        seen = np.empty((k.n_steps, n, inputs), np.float32)
+        width = len(agent.log_std)
+        inputs = np.empty((k.n_steps, n, self.rows.shape[1]), np.float32)
         action = np.empty((k.n_steps, n, width), np.float32)
         chance, value, reward = (np.empty((k.n_steps, n), np.float32) for _ in range(3))
         over = np.empty((k.n_steps, n), bool)
         noise = self.rng.standard_normal(action.shape, np.float32)
         spread = np.exp(agent.log_std)
         for t in range(k.n_steps):
-            seen[t] = self.stack.scaled(self.rows)
-            action[t] = agent.actor(seen[t]) + spread * noise[t]
-            value[t] = agent.critic(seen[t])[:, 0]
+            inputs[t] = self.stack.scaled(self.rows)
+            action[t] = agent.actor(inputs[t]) + spread * noise[t]
+            value[t] = agent.critic(inputs[t])[:, 0]
             reward[t], over[t] = self._step(np.clip(action[t], -1.0, 1.0))
         chance = -0.5 * np.square(noise).sum(axis=2) - self._volume()
         following = agent.critic(self.stack.scaled(self.rows))[:, 0].copy()
-        return Experience(seen, action, chance, value, reward, over, following)
+        return Experience(inputs, action, chance, value, reward, over, following)
 
     def _volume(self) -> np.float32:
         """Minus the logarithm of the density of the mean action."""
@@ -248,31 +249,31 @@ class PPO:
         aim = (gain + rollout.value).ravel()
         count = len(aim)
         parts = (
-            rollout.seen.reshape(count, -1),
+            rollout.inputs.reshape(count, -1),
             rollout.action.reshape(count, -1),
             rollout.chance.ravel(),
             gain.ravel(),
             aim,
         )
-        told: list[tuple[float, float, float]] = []
+        losses: list[tuple[float, ...]] = []
         if orders is None:
             orders = (self.rng.permutation(count) for _ in range(k.n_epochs))
         for order in orders:
             divergences = []
             for start in range(0, count, k.batch_size):
                 at = order[start : start + k.batch_size]
-                divergence, *losses = self._learn([part[at] for part in parts], rate)
+                divergence, *figures = self._learn([part[at] for part in parts], rate)
                 divergences.append(divergence)
                 if k.target_kl is not None and divergence > 1.5 * k.target_kl:
                     break
-                told.append((losses[0], losses[1], losses[2]))
+                losses.append(tuple(figures))
             else:
                 continue
             break
         self.updates += 1
         names = ("clip_fraction", "policy_gradient_loss", "value_loss")
         self.logged = dict(
-            zip(names, np.mean(told or [(0, 0, 0)], axis=0).tolist(), strict=True)
+            zip(names, np.mean(losses or [(0, 0, 0)], axis=0).tolist(), strict=True)
         )
         self.logged["approx_kl"] = float(np.mean(divergences))  # of the last epoch
         self.logged["std"] = float(np.exp(self.agent.log_std).mean())
@@ -280,16 +281,16 @@ class PPO:
         spread = aim.var()
         self.logged["explained_variance"] = float(1 - gain.var() / spread) if spread else 0.0
         if k.normalise:
-            self.agent.rescale(*self.stack.learn(rollout.seen))
+            self.agent.rescale(*self.stack.learn(rollout.inputs))
 
     def _learn(self, batch: list[Floats], rate: float) -> tuple[float, float, float, float]:
         """One step of the optimiser; KL divergence, share clipped, losses of both."""
-        seen, action, chance, gain, aim = batch
+        inputs, action, chance, gain, aim = batch
         k, agent, count = self.settings, self.agent, np.float32(len(aim))
         if k.normalize_advantage and len(gain) > 1:
             gain = (gain - gain.mean()) / (gain.std(ddof=1) + np.float32(1e-8))
         inverse = np.exp(-agent.log_std)
-        z = (action - agent.actor(seen)) * inverse
+        z = (action - agent.actor(inputs)) * inverse
         square = z * z
         log_ratio = -0.5 * square.sum(axis=1) - self._volume() - chance
         ratio = np.exp(log_ratio)
@@ -302,13 +303,10 @@ class PPO:
         slope = np.where(beyond, 0, ratio * gain) * (-1 / count)
         agent.actor.backward(slope[:, None] * (z * inverse))
         agent.log_std_slope[:] = slope @ (square - 1) - np.float32(k.ent_coef)
-        miss = agent.critic(seen)[:, 0] - aim
+        miss = agent.critic(inputs)[:, 0] - aim
         agent.critic.backward((np.float32(2 * k.vf_coef) / count * miss)[:, None])
         if self.updates < k.critic_first:
-            agent.log_std_slope[:] = 0
-            for part in agent.actor.slopes:
-                for array in part:
-                    array[:] = 0
+            agent.slopes[: agent.actor_size] = 0
         clipped(agent.slopes, k.max_grad_norm)
         self.optimiser.step(agent.numbers, agent.slopes, rate)
         loss = float(-np.where(beyond, limit * gain, ratio * gain).mean())
@@ -321,7 +319,7 @@ class PPO:
         """Everything that the next iteration depends on, but the environment's own."""
         return {
             "numbers": self.agent.numbers.copy(),
-            "optimiser": (self.optimiser.steps, self.optimiser.mean, self.optimiser.square),
+            "optimiser": self.optimiser.state(),
             "stack": (self.stack.mean, self.stack.variance, self.stack.count),
             "rows": self.rows,
             "updates": self.updates,
@@ -332,8 +330,7 @@ class PPO:
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a state."""
         self.agent.numbers[:] = state["numbers"]
-        self.optimiser.steps, mean, square = state["optimiser"]
-        self.optimiser.mean[:], self.optimiser.square[:] = mean, square
+        self.optimiser.restore(state["optimiser"])
         self.stack.mean, self.stack.variance, self.stack.count = state["stack"]
         self.rows, self.updates, self.logged = state["rows"], state["updates"], state["logged"]
         self.rng.bit_generator.state = state["random"]

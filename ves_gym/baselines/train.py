@@ -1,6 +1,6 @@
 """`train`: one training run, and how it survives being killed.
 
-The learner is Stable-Baselines3's (`sb3_learner`) or the native one (`native_learner`).
+The learner is Stable-Baselines3's (`sb3`) or the native one (`native_learner`).
 
 A run's folder holds `curve.jsonl` (one line per evaluation), the best and the last policy in
 the safe format, and `checkpoint.safetensors`: everything the run needs to go on, taken where
@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import os
 import queue
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -30,61 +31,69 @@ from ves_gym._util.params import ParameterError, content_hash, write_text
 from ves_gym._util.process_pool import Workers
 from ves_gym._util.statistics import STATISTICS, bootstrap, rate
 from ves_gym.baselines.checkpoint import load_state, save_state
-from ves_gym.baselines.config import TrainConfig
+from ves_gym.baselines.config import PACKAGES, TrainConfig
 from ves_gym.baselines.controllers import Zero
 from ves_gym.baselines.decisions import Decisions, Endings
-from ves_gym.baselines.evaluate import Evaluation, evaluate, make_vector, ratio
+from ves_gym.baselines.evaluate import Evaluation, evaluate, make_vector, ratio_or_none
 from ves_gym.baselines.policy import Policy, save_policy, versions
-from ves_gym.baselines.tracking import NOWHERE, Tracker, Tracking
+from ves_gym.baselines.tracking import Row, event_writer, require_tensorboard
 from ves_gym.envs.vector import VesVectorEnv
 
 CHECKPOINT, CURVE = "checkpoint.safetensors", "curve.jsonl"
-SCHEMA = "ves-checkpoint/2"
-PACKAGES: dict[str, tuple[str, ...]] = {  # what training needs, by learner
-    "sb3": ("torch", "stable_baselines3", "safetensors"),
-    "native": ("safetensors",),
-}
+SCHEMA = "ves-checkpoint/3"
 TRAINING = 1_000_000  # seed of the training episodes, plus the run's own
 VALIDATION = 2_000_000  # first seed of the episodes that a run is judged by as it learns
 
 Progress = Callable[[float, str], None]
 
 
-def train(
+class Learner(Protocol):
+    """Learner as `train` runs it, made of a configuration, a seed and an environment."""
+
+    decisions: Decisions  # the environments that decisions are made in
+
+    @property
+    def steps(self) -> int:
+        """Decisions so far."""
+
+    @property
+    def logged(self) -> dict[str, float]:
+        """Figures of the last update."""
+
+    def learn(self, total: int, between: Callable[[], None]) -> None:
+        """Train up to `total` decisions; `between` is called between rollouts."""
+
+    def policy(self, about: Mapping[str, Any]) -> Policy:
+        """Return the policy as it is now."""
+
+    def state(self) -> dict[str, Any]:
+        """Everything that training depends on from here, but the environment."""
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a state."""
+
+
+def make_learner(
     config: TrainConfig,
     seed: int,
-    folder: Path,
-    *,
-    resume: bool = False,
-    progress: Progress | None = None,
-    tracking: Tracking = NOWHERE,
-) -> list[dict[str, Any]]:
-    """Train one policy; the rows of its learning curve.
+    env: VesVectorEnv,
+    on_endings: Callable[[Endings], None] = lambda endings: None,
+) -> Learner:
+    """Return the learner of a configuration, at its beginning.
 
     Args:
-        seed: of weights, exploration and training episodes.
-        folder: where the run's files go.
-        resume: go on from the checkpoint in `folder`, if there is one.
-        progress: called with the fraction done and a few words.
-        tracking: programs that show the curve as it grows.
-
-    Raises:
-        ParameterError: a run is already there and `resume` is not said, or it is another
-            configuration's; hyper-parameters that the algorithm does not know.
-        MissingPackageError: a package of `PACKAGES` is not installed.
+        config: of the run.
+        seed: of weights, exploration and, plus `TRAINING`, the episodes.
+        env: its environment, taken over.
+        on_endings: called with every episode that ends while rewards are learned from.
     """
-    require("training", *PACKAGES[config.learner])
-    tracking.require()
-    folder = Path(folder)
-    _require_free(folder, resume)
-    folder.mkdir(parents=True, exist_ok=True)
-    for stale in folder.glob(".*"):  # left by a write that was killed
-        stale.unlink()
-    with one_thread(config.learner):
-        silent: Progress = lambda done, note: None  # noqa: E731
-        run = _Run(config, seed, folder, progress or silent)
-        with tracking.open(config, seed, folder, run.rows) as trackers:
-            return run.learn(trackers)
+    if config.learner == "native":
+        from ves_gym.baselines.native_learner import NativeLearner
+
+        return NativeLearner(config, seed, env, TRAINING, on_endings)
+    from ves_gym.baselines.sb3 import Sb3Learner
+
+    return Sb3Learner(config, seed, env, TRAINING, on_endings)
 
 
 @contextmanager
@@ -109,75 +118,69 @@ def one_thread(learner: str) -> Iterator[None]:
         torch.use_deterministic_algorithms(deterministic)
 
 
-def _require_free(folder: Path, resume: bool) -> None:
-    if (folder / CHECKPOINT).exists() and not resume:
-        raise ParameterError(f"{folder} holds a run already: resume it, or choose another")
-
-
-class Learner(Protocol):
-    """Learner as `train` runs it, made of a configuration, a seed and an environment."""
-
-    @property
-    def steps(self) -> int:
-        """Decisions so far."""
-
-    @property
-    def decisions(self) -> Decisions:
-        """The environments that decisions are made in."""
-
-    def learn(self, total: int, between: Callable[[], None]) -> None:
-        """Train up to `total` decisions; `between` is called between rollouts."""
-
-    def logged(self) -> dict[str, float]:
-        """Figures of the last update."""
-
-    def policy(self, about: Mapping[str, Any]) -> Policy:
-        """Return the policy as it is now."""
-
-    def state(self) -> dict[str, Any]:
-        """Everything that training depends on from here, but the environment."""
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a state."""
-
-
-def make_learner(
+def train(
     config: TrainConfig,
     seed: int,
-    env: VesVectorEnv,
-    on_endings: Callable[[Endings], None] = lambda endings: None,
-) -> Learner:
-    """Return the learner of a configuration, at its beginning.
+    folder: Path,
+    *,
+    resume: bool = False,
+    progress: Progress = lambda done, note: None,
+    tensorboard: str | os.PathLike[str] | None = None,
+) -> list[dict[str, Any]]:
+    """Train one policy; the rows of its learning curve.
 
     Args:
         config: of the run.
         seed: of weights, exploration and training episodes.
-        env: its environment, taken over.
-        on_endings: told of every episode that ends.
+        folder: where the run's files go.
+        resume: go on from the checkpoint in `folder`, if there is one.
+        progress: called with the fraction done and a few words.
+        tensorboard: a folder that gets the curve as it grows, in NAME/seed-N.
+
+    Raises:
+        ParameterError: a run is already there and `resume` is not said, or it is another
+            configuration's; hyper-parameters that the algorithm does not know.
+        MissingPackageError: a package of `PACKAGES` is not installed.
     """
-    if config.learner == "native":
-        from ves_gym.baselines.native_learner import NativeLearner
+    folder = Path(folder)
+    _require_ready(config, [folder], resume, tensorboard)
+    folder.mkdir(parents=True, exist_ok=True)
+    for stale in folder.glob(".*"):  # left by a write that was killed
+        stale.unlink()
+    with one_thread(config.learner):
+        run = _Run(config, seed, folder, progress)
+        events: Any = nullcontext(lambda row: None)
+        if tensorboard is not None:
+            events = event_writer(Path(tensorboard, config.name, f"seed-{seed}"), run.rows)
+        with events as run.on_row:
+            return run.learn()
 
-        return NativeLearner(config, seed, env, TRAINING, on_endings)
-    from ves_gym.baselines.sb3_learner import Sb3Learner
 
-    return Sb3Learner(config, seed, env, TRAINING, on_endings)
+def _require_ready(
+    config: TrainConfig,
+    folders: Sequence[Path],
+    resume: bool,
+    tensorboard: str | os.PathLike[str] | None,
+) -> None:
+    """Refuse what would fail only after hours of training."""
+    require("training", *PACKAGES[config.learner])
+    if tensorboard is not None:
+        require_tensorboard(tensorboard)
+    for folder in folders:
+        if (folder / CHECKPOINT).exists() and not resume:
+            raise ParameterError(f"{folder} holds a run already: resume it, or choose another")
 
 
 class _Run:
-    """A model, its environment, and what is remembered of the run so far."""
+    """A learner, its environment, and what is remembered of the run so far."""
 
     def __init__(
         self, config: TrainConfig, seed: int, folder: Path, progress: Progress
     ) -> None:
         self.config, self.seed, self.folder, self.progress = config, seed, folder, progress
-        self.trackers: Sequence[Tracker] = ()
-        self.settings = {
-            **({"goal": True} if config.her is not None else {}),
-            **config.settings,
-        }
+        self.on_row: Callable[[Row], None] = lambda row: None
         env = make_vector(
-            config.env, config.n_envs, AutoresetMode.SAME_STEP, threads=1, **self.settings
+            config.env, config.n_envs, AutoresetMode.SAME_STEP, threads=1, **config.env_settings
         )
         self.learner = make_learner(config, seed, env, self._episodes)
         self.zero = self._evaluate(Zero())  # what every evaluation is compared with
@@ -197,20 +200,19 @@ class _Run:
         packages = (name.replace("_", "-") for name in PACKAGES[config.learner])
         self.versions = versions(*packages)
         if (folder / CHECKPOINT).exists():
-            self._restore(self._read(folder / CHECKPOINT))
+            self._restore(folder / CHECKPOINT)
         self.begin = time.perf_counter()
 
     # ------------------------------------------------------------------ training
 
-    def learn(self, trackers: Sequence[Tracker]) -> list[dict[str, Any]]:
-        """Train to the end, every new row of the curve shown by trackers."""
-        self.trackers = trackers
+    def learn(self) -> list[dict[str, Any]]:
+        """Train to the end."""
         self.learner.learn(self.config.total_timesteps, self.between_rollouts)
         self.between_rollouts(last=True)
         return self.rows
 
     def between_rollouts(self, last: bool = False) -> None:
-        """Evaluate and save where it is time to; nothing is half collected now."""
+        """Evaluate and save where it is time to; nothing is half collected here."""
         steps, total = self.learner.steps, self.config.total_timesteps
         every = self.config.eval_every or max(1, total // 20)
         done = self.rows[-1]["steps"] if self.rows else -1
@@ -238,13 +240,13 @@ class _Run:
             episodes=self.config.eval_episodes,
             seed=VALIDATION,
             threads=1,
-            **self.settings,
+            **self.config.env_settings,
         )
 
     def _policy(self, steps: int) -> Policy:
         about = {
             "env": self.config.env,
-            "settings": self.settings,
+            "settings": self.config.env_settings,
             "algorithm": self.config.label,
             "seed": self.seed,
             "steps": steps,
@@ -268,25 +270,19 @@ class _Run:
             row[name] = rate(np.concatenate(evaluation.values(name)) > 0).value
         for name in ("E_mean", "E_peak", "E_int"):
             row[name] = _finite(np.median(np.concatenate(evaluation.values(name))))
-            row[f"{name}_ratio"] = self._ratio(evaluation, name)
+            over = ratio_or_none(evaluation, self.zero, name)
+            row[f"{name}_ratio"] = None if over is None else _finite(over.value)
         row["train_episodes"] = len(self.returns)
         row["train_return"] = float(np.mean(self.returns)) if self.returns else None
         row["train_success"] = self.solved / len(self.returns) if self.returns else None
-        row["train"] = {k: _finite(v) for k, v in self.learner.logged().items()}
+        row["train"] = {k: _finite(v) for k, v in self.learner.logged.items()}
         row["seconds"], row["seconds_stepping"] = round(seconds, 3), round(stepping, 3)
         self.returns, self.solved = [], 0
         if self.best is None or mean.value > max(r["return"] for r in self.rows):
             self.best = policy
         self.rows.append(row)
         self._write(policy)
-        for tracker in self.trackers:
-            tracker(row)
-
-    def _ratio(self, evaluation: Evaluation, measure: str) -> float | None:
-        try:
-            return _finite(ratio(evaluation, self.zero, measure).value)
-        except ParameterError:  # a base that nothing moves
-            return None
+        self.on_row(row)
 
     def _write(self, last: Policy) -> None:
         assert self.best is not None
@@ -321,7 +317,7 @@ class _Run:
         }
         save_state(self.folder / CHECKPOINT, state, self.references)
 
-    def _read(self, path: Path) -> dict[str, Any]:
+    def _restore(self, path: Path) -> None:
         state: dict[str, Any] = load_state(path, self.references)
         for name, value in self.identity.items():
             if state.get(name) != value:
@@ -335,9 +331,6 @@ class _Run:
                 " on, but not as it would have",
                 stacklevel=4,
             )
-        return state
-
-    def _restore(self, state: dict[str, Any]) -> None:
         self.rows, self.best = state["rows"], state["best"]
         self.returns, self.solved = state["returns"], state["solved"]
         self.earlier, self.stepping = state["seconds"], state["stepping"]
@@ -357,51 +350,46 @@ def _finite(value: Any) -> float | None:
 
 def train_seeds(
     config: TrainConfig,
-    seeds: Sequence[int],
     folder: Path,
     *,
     workers: int = 1,
     resume: bool = False,
-    progress: Callable[[int, float, str], None] | None = None,
-    tracking: Tracking = NOWHERE,
+    progress: Callable[[int, float, str], None] = lambda seed, done, note: None,
+    tensorboard: str | os.PathLike[str] | None = None,
 ) -> dict[int, list[dict[str, Any]]]:
-    """Train a policy per seed in folder/seed-N; the curves by seed.
+    """Train a policy per seed of a configuration in folder/seed-N; the curves by seed.
 
     Args:
+        config: of the runs.
+        folder: of all of them.
         workers: processes; each trains one seed at a time.
+        resume: go on from the checkpoints.
         progress: called with the seed, the fraction done and a few words.
-        tracking: programs that show the curves as they grow.
+        tensorboard: see `train`.
+
+    Raises:
+        ChildProcessError: the process of a run died.
+        ParameterError, MissingPackageError: see `train`.
     """
-    require("training", *PACKAGES[config.learner])
-    tracking.require()
-    report = progress or (lambda seed, done, note: None)
-    folder = Path(folder)
-    for seed in seeds:  # before the first is trained for an hour
-        _require_free(folder / f"seed-{seed}", resume)
-    if min(workers, len(seeds)) == 1:
+    places = {seed: Path(folder) / f"seed-{seed}" for seed in config.seeds}
+    _require_ready(config, list(places.values()), resume, tensorboard)
+    if min(workers, len(places)) == 1:
         return {
-            seed: train(
-                config,
-                seed,
-                folder / f"seed-{seed}",
-                resume=resume,
-                progress=lambda done, note, seed=seed: report(seed, done, note),  # type: ignore[misc]
-                tracking=tracking,
-            )
-            for seed in seeds
+            seed: _train_seed(config, seed, place, tensorboard, lambda words: progress(*words))
+            for seed, place in places.items()
         }
     with (
         multiprocessing.get_context("spawn").Manager() as manager,
-        Workers(min(workers, len(seeds))) as pool,
+        Workers(min(workers, len(places))) as pool,
     ):
         notes = manager.Queue()
         jobs = {
-            seed: pool.submit(_job, config, seed, folder / f"seed-{seed}", tracking, notes)
-            for seed in seeds
+            seed: pool.submit(_train_seed, config, seed, place, tensorboard, notes.put)
+            for seed, place in places.items()
         }
         while not (notes.empty() and all(job.done() for job in jobs.values())):
             with suppress(queue.Empty):
-                report(*notes.get(timeout=0.5))
+                progress(*notes.get(timeout=0.5))
         try:
             return {seed: job.result() for seed, job in jobs.items()}
         except ProcessExpired as error:
@@ -411,15 +399,18 @@ def train_seeds(
             ) from None
 
 
-def _job(
-    config: TrainConfig, seed: int, folder: Path, tracking: Tracking, notes: queue.Queue[Any]
+def _train_seed(
+    config: TrainConfig,
+    seed: int,
+    folder: Path,
+    tensorboard: str | os.PathLike[str] | None,
+    progress: Callable[[tuple[int, float, str]], None],
 ) -> list[dict[str, Any]]:
-    """A seed's run in a worker."""
     return train(
         config,
         seed,
         folder,
         resume=True,  # that the folder may be used was asked before
-        progress=lambda done, words: notes.put((seed, done, words)),
-        tracking=tracking,
+        progress=lambda done, note: progress((seed, done, note)),
+        tensorboard=tensorboard,
     )

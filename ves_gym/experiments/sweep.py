@@ -27,6 +27,7 @@ from ves_gym._util.params import (
     write_text,
 )
 from ves_gym._util.process_pool import Workers
+from ves_gym.baselines.config import PACKAGES
 from ves_gym.experiments.spec import Spec, read_spec, units_of
 from ves_gym.experiments.units import Unit, read_result, run_unit, store
 
@@ -133,10 +134,8 @@ def do_units(
     todo = [u for u in units if u.id not in skipped]
     trained = [u.identity["config"] for u in todo if u.identity["kind"] == "train"]
     if trained:
-        from ves_gym.baselines.train import PACKAGES
-
         for plain in trained:
-            require("training", *PACKAGES[plain.get("learner", "sb3")])
+            require("training", *PACKAGES[plain["learner"]])
     on_progress = progress or (lambda stage, done: None)
     if not todo:
         on_progress(stage, 1.0)

@@ -95,8 +95,7 @@ def evaluate_unit(
 def train_unit(config: TrainConfig, seed: int) -> Unit:
     """A training run with one seed."""
     config = replace(config, seeds=(seed,))
-    goal = {"goal": True} if config.her is not None else {}
-    system = _task(config.env, {**goal, **config.settings})
+    system = _task(config.env, config.env_settings)
     identity = _identity("train", config.env, config.label, seed, system)
     return Unit(identity | {"config": config.to_dict()})
 

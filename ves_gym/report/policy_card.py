@@ -108,7 +108,7 @@ def _training(policy: Policy, label: str) -> str:
         if config.label != label:
             continue
         plain = config.to_dict()
-        skip = ("env", "algorithm", "settings", "seeds", "her", "hyperparameters")
+        skip = ("env", "algorithm", "settings", "seeds", "hyperparameters")
         rows.append(("seeds trained", ", ".join(map(str, config.seeds))))
         rows += [(k, _text(v)) for k, v in plain.items() if k not in skip and v]
         rows += [(k, _text(v)) for k, v in plain["hyperparameters"].items()]
