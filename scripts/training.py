@@ -21,9 +21,10 @@ from typing import Any
 import gymnasium as gym
 
 from ves_gym._util.params import ParameterError, write_bytes, write_text
+from ves_gym.baselines.comparison import ControllerComparison
 from ves_gym.baselines.config import CONFIGS, TrainConfig, read_config
 from ves_gym.baselines.controllers import Controller
-from ves_gym.baselines.evaluate import evaluate, report
+from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.policy import RELEASED, Policy, load_policy, released
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
 from ves_gym.envs.registration import IDS
@@ -125,7 +126,7 @@ def _compared(
         given = settings if name in CONTROLLERS else {}
         played = evaluate(controller, id, episodes=episodes, threads=1, **given)
         found.append(dataclasses.replace(played, name=name))
-    result = report(found)
+    result = ControllerComparison(tuple(found)).to_dict()
     for one in result["controllers"]:
         one.pop("rows")
         one.pop("about")

@@ -6,8 +6,12 @@ import pytest
 
 from ves_gym._util.params import ParameterError
 from ves_gym.baselines.controllers import gains_action
+from ves_gym.baselines.damping import Receding
 from ves_gym.baselines.evaluate import evaluate, ratio
+from ves_gym.baselines.ilqr import Ilqr
+from ves_gym.baselines.mppi import Mppi
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
+from ves_gym.baselines.regulator import Regulator
 from ves_gym.envs.control import Gains
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
@@ -55,9 +59,9 @@ def test_direct_is_followed_and_pays():
     plan = direct._plan
     assert np.abs(met[:, :, 0] - plan[:, :, 0]).max() < 1e-3
     assert info["success"].all()
-    found = evaluate(get_controller("direct"), REST, episodes=4, threads=1)
+    planned = evaluate(get_controller("direct"), REST, episodes=4, threads=1)
     zero = evaluate(get_controller("zero"), REST, episodes=4, threads=1)
-    assert ratio(found, zero).value < 0.6
+    assert ratio(planned, zero).value < 0.6
 
 
 def test_torque_follows_within_a_few_hundredths_of_a_radian():
@@ -121,49 +125,71 @@ def test_homing_reaches_every_target_and_spares_the_base(machine):
     assert ratio(homing, resolved).value < 0.75
 
 
-def test_closing_reaches_every_target_and_spares_the_base():
-    """Claim: so does the law that the released policies of PumaReach have learned.
+@pytest.mark.parametrize(
+    ("name", "reference", "id", "episodes", "ratio_"),
+    [
+        ("closing", "resolved", "ves/PumaReach-v0", 20, 0.9),
+        ("closing-pose", "resolved-pose", "ves/PoseReach-v0", 6, 0.95),
+    ],
+)
+def test_closing_solves_every_episode_and_spares_the_base(
+    name, reference, id, episodes, ratio_
+):
+    """Claim: so does the law that the released policies have learned.
 
-    Tolerance: 0.7 of `resolved`'s energy, median of 40 episodes.
+    Tolerance: 0.7 and 0.84 (0.81 to 0.86) of the reference's energy, medians of 40 episodes.
     """
-    id, episodes = "ves/PumaReach-v0", 20
-    closing, resolved = (
-        evaluate(get_controller(name), id, episodes=episodes, threads=1)
-        for name in ("closing", "resolved")
+    closing, other = (
+        evaluate(get_controller(k), id, episodes=episodes, threads=1) for k in (name, reference)
     )
     assert all(row["success"] for row in closing.rows)
-    assert ratio(closing, resolved).value < 0.9
-
-
-def test_closing_pose_reaches_every_pose_at_less_energy_than_resolved_pose():
-    """Claim, of 40 episodes: 0.84 of its energy in the median (0.81 to 0.86); here of 6."""
-    id, episodes = "ves/PoseReach-v0", 6
-    closing, resolved = (
-        evaluate(get_controller(name), id, episodes=episodes, threads=1)
-        for name in ("closing-pose", "resolved-pose")
-    )
-    assert all(row["success"] for row in closing.rows)
-    assert ratio(closing, resolved).value < 0.95
+    assert ratio(closing, other).value < ratio_
 
 
 @pytest.mark.parametrize(
-    ("name", "id", "settings", "message"),
+    ("name", "id", "control", "message"),
     [
-        ("direct", "ves/PumaReach-v0", {}, "plans from rest to rest"),
-        ("hold", REST, {}, "cannot act through control guided"),
-        ("pped", REST, {"control": "acceleration"}, "has gains of its own"),
-        ("lqr", REST, {}, "acts on task lqr, got rest_to_rest"),
-        ("resolved", REST, {}, "tasks reach, track, free_flyer and payload"),
-        ("homing", REST, {}, "acts on tasks reach and reach_goal"),
-        ("homing", "ves/PumaReach-v0", {"control": "pd_target"}, "got task reach through"),
-        ("closing-pose", "ves/PumaReach-v0", {}, "acts on task pose_reach through"),
-        ("closing", REST, {}, "got task rest_to_rest through"),
-        ("closing", "ves/PumaTrack-v0", {"control": "acceleration"}, "track through tool_vel"),
+        ("direct", "PumaReach", None, "plans from rest to rest"),
+        ("hold", "PumaRestToRest", None, "cannot act through control guided"),
+        ("pped", "PumaRestToRest", "acceleration", "has gains of its own"),
+        ("lqr", "PumaRestToRest", None, "acts on task lqr, got task rest_to_rest through"),
+        ("lqi", "PumaRestToRest", None, "gives torques in tasks damp and lqr"),
+        ("tuned", "PumaRestToRest", None, "sets gains through control pd_gains"),
+        ("receding", "PumaRestToRest", None, "leads the reference of task damp"),
+        ("adaptive", "PumaTrack", None, "leads the reference of task rest_to_rest"),
+        ("mppi", "PumaDamp", None, "leads the reference of task rest_to_rest"),
+        ("ilqr", "PumaRestToRest", "acceleration", "through control guided, got task"),
+        ("resolved", "PumaRestToRest", None, "tasks reach, track, free_flyer and payload"),
+        ("resolved-pose", "PumaReach", None, "leads the reference of task pose_reach"),
+        ("homing", "PumaRestToRest", None, "acts on tasks reach and reach_goal"),
+        ("homing", "PumaReach", "pd_target", "got task reach through control pd_target"),
+        ("closing-pose", "PumaReach", None, "acts on task pose_reach through"),
+        ("closing", "PumaRestToRest", None, "got task rest_to_rest through"),
+        ("closing", "PumaTrack", "acceleration", "track through tool_vel"),
+        ("servicer", "PumaReach", None, "acts on task servicer_capture"),
     ],
 )
-def test_a_controller_refuses_what_it_cannot_do(name, id, settings, message):
+def test_a_controller_refuses_what_it_cannot_do(name, id, control, message):
+    settings = {} if control is None else {"control": control}
+    env = gym.make_vec(f"ves/{id}-v0", num_envs=1, threads=1, **settings)
+    env.reset(seed=0)
+    with pytest.raises(ParameterError, match=f"controller {name} .*{message}"):
+        get_controller(name).reset(env, np.arange(1))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Receding(delay=0.3), "0 < delay <= period <= horizon"),
+        (lambda: Regulator(effort=0.0), "effort must be > 0"),
+        (lambda: Ilqr(first=0), "first >= 1"),
+        (lambda: Mppi(lanes=1), "lanes >= 2"),
+        (lambda: Mppi(noise=0.0), "noise and temperature > 0"),
+    ],
+)
+def test_settings_that_do_not_go_together_are_refused(make, message):
     with pytest.raises(ParameterError, match=message):
-        evaluate(get_controller(name), id, episodes=1, threads=1, **settings)
+        make()
 
 
 def test_unknown_names_are_refused():

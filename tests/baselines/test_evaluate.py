@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.baselines.evaluate import Evaluation, beats, evaluate, pool, ratio, report
+from ves_gym.baselines.comparison import ControllerComparison
+from ves_gym.baselines.evaluate import Evaluation, beats, evaluate, pool, ratio
 from ves_gym.baselines.registry import get_controller
 
 REST = "ves/PumaRestToRest-v0"
@@ -102,9 +103,13 @@ def test_policies_of_several_seeds_are_groups():
     assert ratio(both, made([1.0, 1.0])).value == 2.5
 
 
-def test_report_is_strict_json_even_after_a_divergence():
+def test_a_comparison_is_strict_json_even_after_a_divergence(tmp_path):
     lost = made([1.0, 2.0, 3.0], "lost", E_mean=float("inf"), failed=True)
-    result = report([made([1.0, 2.0, 3.0], "good"), lost])
+    pair = ControllerComparison((made([1.0, 2.0, 3.0], "good"), lost))
+    pair.save(tmp_path / "pair.json")
+    again = ControllerComparison.load(tmp_path / "pair.json")
+    assert again.evaluations == pair.evaluations
+    result = pair.to_dict()
     assert result["schema"] == "ves-evaluate/1"
     text = json.dumps(result, allow_nan=False)
     lost = json.loads(text)["controllers"][1]

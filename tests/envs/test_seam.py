@@ -8,9 +8,8 @@ from gymnasium.utils.env_checker import check_env
 
 from tests.envs.runs import EMULATED, Blind, controlled
 from ves_gym._util.params import ParameterError
-from ves_gym.baselines.braced import Braced, base_torque
 from ves_gym.baselines.controllers import Random, Zero
-from ves_gym.baselines.resolved import Resolved
+from ves_gym.baselines.resolved import Resolved, base_torque
 from ves_gym.engine.mjcf import TO_Y, pinocchio_model
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
@@ -99,7 +98,7 @@ def test_soft_servos_are_braced():
     """The UR5e on its 2 Hz servos: resolved motion alone is pushed aside by the boom."""
     braced, bare = (
         controlled(controller, 20, "seam", arm="ur5e")[3]["success"].mean()
-        for controller in (Braced(), Resolved())
+        for controller in (Resolved("braced", braced=True), Resolved())
     )
     assert braced >= 0.95 > 0.6 > bare
 

@@ -20,10 +20,18 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym._util.params import Array, Index
 from ves_gym._util.threads import on_one_thread
-from ves_gym.baselines.braced import base_torque, servo_shift
-from ves_gym.baselines.controllers import reference_action
+from ves_gym.baselines.controllers import (
+    Follow,
+    joint_query,
+    reference_action,
+    require_fit,
+    row_of_step,
+    sampled,
+    sized,
+)
+from ves_gym.baselines.resolved import base_torque, servo_shift
 from ves_gym.damping.observer import BaseObserver
 from ves_gym.effects.payload import PayloadMass
 from ves_gym.envs.rest_to_rest import RestToRest
@@ -33,7 +41,7 @@ from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.direct import Direct
 from ves_gym.planners.prediction import BaseState
-from ves_gym.planners.query import Query, solve
+from ves_gym.planners.query import solve
 
 _SETTLE = 0.1  # s between the end of a plan with a payload and the deadline
 _REPLAN = (0.35, 0.7, 1.05)  # s after the start, at which the motion is planned anew
@@ -46,21 +54,15 @@ _HEAVY = 1.0  # kg more on the tool, for the slope phi
 _FASTER = 1.05  # times a speed limit that a new plan may ask: it begins where the old one is
 
 
-class Adaptive:
+class Adaptive(Follow):
     """Plans, finds the payload and the friction on the way, compensates and plans anew.
 
     Reads joint angles and rates and the base as measured; the machine's drawn errors stay
     hidden from it.
     """
 
-    name = "adaptive"
-    privileged = True
-
     def __init__(self, seed: int = 0) -> None:
-        self.seed = seed
-        self._plan: Array = np.empty(
-            (0, 0, 3, 0)
-        )  # (n, steps + 1, 3, joints), without the shift
+        super().__init__("adaptive", "direct", seed)  # (n, steps + 1, 3, joints), unshifted
         self._shift: Array = np.empty(0)  # (2, n, joints) what is added to it, and its rate
         self._before: list[Array] = []  # q, v, torque, y, yd a period ago
         self._periods: Array = np.empty(0)  # (n,) since the first, -1 at a start
@@ -80,28 +82,24 @@ class Adaptive:
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
-        task, s = env.task, env.batch.scene
-        arm, n, control = task.system.arm, env.num_envs, task.control
-        if not isinstance(task, RestToRest) or control.level != "reference":
-            raise ParameterError(
-                f"controller {self.name} leads the reference of task rest_to_rest, got task"
-                f" {task.kind} through control {control.kind}"
-            )
-        if self._plan.shape[:2] != (n, task.steps + 1):
-            self._plan = np.zeros((n, task.steps + 1, 3, arm.n))
-            self._shift = np.zeros((2, n, arm.n))
-            self._information = np.zeros((n, 1 + arm.n, 1 + arm.n))
-            self._evidence, self._planned_for = np.zeros((n, 1 + arm.n)), np.zeros(n)
-            self._periods = np.full(n, -1.0)
-            self._before = [np.zeros((n, k)) for k in (arm.n, arm.n, arm.n, 6, 6)]
-        weights: Array = np.r_[_PRIOR[0], np.full(arm.n, _PRIOR[1])] ** -2.0
+        fits = isinstance(env.task, RestToRest) and env.task.control.level == "reference"
+        require_fit(self.name, fits, "leads the reference of task rest_to_rest", env)
+        super().reset(env, ids)
+        n, joints = env.num_envs, env.task.system.arm.n
+        self._shift = sized(self._shift, 2, n, joints)
+        self._information = sized(self._information, n, 1 + joints, 1 + joints)
+        self._evidence = sized(self._evidence, n, 1 + joints)
+        self._planned_for, self._periods = (
+            sized(k, n) for k in (self._planned_for, self._periods)
+        )
+        weights: Array = np.r_[_PRIOR[0], np.full(joints, _PRIOR[1])] ** -2.0
         self._information[ids], self._evidence[ids] = np.diag(weights), 0.0
         self._shift[:, ids], self._planned_for[ids], self._periods[ids] = 0.0, 0.0, -1
-        for i in ids.tolist():
-            query = self._query(env, arm, i, task.duration, s.q[i])
-            self._take(env, i, 0, solve(Direct(), query, self.seed).motion or query.straight)
-        for kept, value in zip(self._before, self._measured(env), strict=True):
-            kept[ids] = value[ids]
+        measured = self._measured(env)
+        if not self._before or self._before[0].shape != measured[0].shape:
+            self._before = measured
+        for before, value in zip(self._before, measured, strict=True):
+            before[ids] = value[ids]
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """See `Controller`."""
@@ -114,8 +112,7 @@ class Adaptive:
                 due = any(round(t / dt) == k for t in _REPLAN)
                 if due and payload[i] != self._planned_for[i]:
                     self._replan(env, i, k, float(payload[i]))
-        at = np.minimum(steps + 1, env.task.steps)
-        target = self._plan[np.arange(env.num_envs), at]
+        target = row_of_step(env, self._plan, ahead=1)
         return reference_action(env, env.task.control, target + self._lacking(env, target))
 
     # ------------------------------------------------------------------ estimation
@@ -130,26 +127,26 @@ class Adaptive:
     def _learn(self, env: VesVectorEnv) -> None:
         """Take the last period into account."""
         arm, dt, last = env.task.system.arm, env.batch.dt, self._before
-        now = self._before = self._measured(env)
-        q, v, tau, y = ((a + b) / 2 for a, b in zip(last[:4], now[:4], strict=True))
-        a = (now[1] - last[1]) / dt
-        yd = (now[3] - last[3]) / dt  # the pose is measured better than its rate
+        new = self._before = self._measured(env)
+        q, v, tau, y = ((a + b) / 2 for a, b in zip(last[:4], new[:4], strict=True))
+        a = (new[1] - last[1]) / dt
+        yd = (new[3] - last[3]) / dt  # the pose is measured better than its rate
         ydd = np.where(self._periods[:, None] > 0, (yd - last[4]) / dt, 0.0)
-        now[4][:] = yd
+        new[4][:] = yd
         needed = [
             inverse_dynamics(k, q, v, a)[0] + base_torque(k, q, v, y, yd, ydd)
             for k in (arm, loaded(arm, _HEAVY))
         ]
         begun = env.batch.episodes.steps > 0
         self._periods = self._periods + 1
-        left = np.where(begun[:, None], tau - needed[0], 0.0)
+        unexplained = np.where(begun[:, None], tau - needed[0], 0.0)
         slope = np.zeros((len(q), arm.n, 1 + arm.n))
         slope[:, :, 0] = (needed[1] - needed[0]) / _HEAVY
         slope[:, :, 1:] = np.tanh(v / _SIGN)[:, :, None] * np.eye(arm.n)
         slope *= begun[:, None, None] / _NOISE
         across = np.swapaxes(slope, 1, 2)
         self._information += across @ slope
-        self._evidence += (across @ (left / _NOISE)[..., None])[..., 0]
+        self._evidence += (across @ (unexplained / _NOISE)[..., None])[..., 0]
 
     def _lacking(self, env: VesVectorEnv, target: Array) -> Array:
         """Shift (n, 3, joints) of the reference that gives what the feed-forward lacks.
@@ -168,42 +165,25 @@ class Adaptive:
 
     # -------------------------------------------------------------------- planning
 
-    def _query(
-        self, env: VesVectorEnv, arm: Arm, i: int, duration: float, start: Array, **moving: Any
-    ) -> Query:
-        system, n = env.task.system.ideal(), env.task.system.arm.n
-        low, high = arm.column("q_min"), arm.column("q_max")
-        return Query(
-            system=system.replace(arm=arm),
-            start=tuple(np.clip(start, low, high).tolist()),
-            goal=tuple(env.batch.scene.goal[i, :n].tolist()),
-            duration=duration,
-            v_max=tuple(arm.column("v_max").tolist()),
-            servo=env.task.control.servo_for(arm),
-            **moving,
-        )
-
-    def _take(self, env: VesVectorEnv, i: int, begin: int, motion: Motion) -> None:
-        times = np.arange(self._plan.shape[1] - begin) * env.batch.dt
-        samples = motion.at(times)
-        self._plan[i, begin:] = np.stack([samples.q, samples.v, samples.a], axis=1)
-
     def _replan(self, env: VesVectorEnv, i: int, k: int, payload: float) -> None:
         """Plan the motion from `_DELAY` on for the arm with its payload."""
-        dt = env.batch.dt
-        arm = loaded(env.task.system.arm, payload)
+        dt, system = env.batch.dt, env.task.system.ideal()
+        arm = loaded(system.arm, payload)
         begin = k + round(_DELAY / dt)
         q, v, a = self._plan[i, begin]
-        moving = {
-            "base": self._base_at(env, arm, i, begin),
-            "start_rate": tuple(v.tolist()),
-            "start_acceleration": tuple(a.tolist()),
-        }
-        left = env.task.duration - (_SETTLE if payload else 0.0) - begin * dt
-        query = self._query(env, arm, i, left, q, **moving)
+        query = joint_query(
+            env,
+            q,
+            env.batch.scene.goal[i, : arm.n],
+            env.task.duration - (_SETTLE if payload else 0.0) - begin * dt,
+            system=system.replace(arm=arm),
+            rate=v,
+            acceleration=a,
+            base=self._base_at(env, arm, i, begin),
+        )
         plan = solve(Direct(), query, self.seed)
         if plan.motion is not None and _slow_enough(plan.motion, arm):
-            self._take(env, i, begin, plan.motion)
+            self._plan[i, begin:] = sampled(plan.motion, self._plan.shape[1] - begin, dt)
             self._planned_for[i] = payload
 
     def _base_at(self, env: VesVectorEnv, arm: Arm, i: int, begin: int) -> BaseState:

@@ -21,18 +21,18 @@ from ves_gym._util.views import Viewable
 from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.evaluate import (
     ENERGIES,
-    SCHEMA,
     Evaluation,
     beats,
     evaluate,
+    plain,
     pool,
     ratio,
     ratio_or_none,
-    report,
 )
-from ves_gym.baselines.policy import load_policy, released
+from ves_gym.baselines.policy import load_policy, released, versions
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
 
+SCHEMA = "ves-evaluate/1"
 Lineup = list[tuple[str, Sequence[Controller]]]  # label, a controller or a policy per seed
 
 
@@ -121,8 +121,27 @@ class ControllerComparison(Viewable):
         return f"<ControllerComparison: {first.id}, {episodes} episodes; return {scores}>"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data, schema ves-evaluate/1, as `ves-gym evaluate --json` writes it."""
-        return report(self.evaluations)
+        """Return plain data, schema ves-evaluate/1, as `ves-gym evaluate --json` writes it.
+
+        `beats` lists the pairs whose intervals of the interquartile mean return are apart;
+        `ratios` are medians of energies over the first controller's, episode by episode.
+        """
+        first = self.evaluations[0]
+        pairs = [(a, b) for a in self for b in self]
+        out: dict[str, Any] = plain(
+            {
+                "schema": SCHEMA,
+                "id": first.id,
+                "versions": versions(),
+                "controllers": [e.to_dict() for e in self],
+                "ratios": {
+                    e.name: {name: ratio_or_none(e, first, name) for name in ENERGIES}
+                    for e in self
+                },
+                "beats": [[a.name, b.name] for a, b in pairs if beats(a, b)],
+            }
+        )
+        return out
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as JSON, completely or not at all."""
@@ -135,17 +154,15 @@ class ControllerComparison(Viewable):
         Raises:
             ParameterError: another schema.
         """
-        plain = read_result(path, SCHEMA)
+        result = read_result(path, SCHEMA)
         out = []
-        for entry in plain["controllers"]:
-            rows = [
+        for entry in result["controllers"]:
+            entry["rows"] = [
                 {k: float("inf") if v is None else v for k, v in row.items()}
                 for row in entry["rows"]
             ]
-            about, seconds = entry["about"], entry["seconds"]
-            out.append(
-                Evaluation(entry["name"], plain["id"], entry["settings"], rows, about, seconds)
-            )
+            del entry["summary"]
+            out.append(Evaluation(id=result["id"], **entry))
         return ControllerComparison(tuple(out))
 
 
@@ -216,7 +233,7 @@ def line_up(id: str, chosen: Sequence[str | Path | Controller], seed: int = 0) -
         else:
             if isinstance(entry, str):
                 _require_known(entry, id)
-            files = policy_files(str(entry), id)
+            files = policy_files(entry, id)
             policies = [load_policy(file) for file in files]
             label = str(policies[0].about.get("algorithm", policies[0].name))
             label += f" x {len(files)}" if len(files) > 1 else ""
@@ -236,7 +253,7 @@ def _require_known(text: str, id: str) -> None:
         )
 
 
-def policy_files(text: str, id: str) -> list[Path]:
+def policy_files(text: str | Path, id: str) -> list[Path]:
     """Return the .json files that a text stands for.
 
     Args:
@@ -255,10 +272,10 @@ def policy_files(text: str, id: str) -> list[Path]:
         return files
     if not path.suffix and not path.exists():
         policies = released(id)
-        if text not in policies:
+        if str(text) not in policies:
             raise ParameterError(
-                f"policy {text!r} is no file or folder, and none released for {id}: known are"
-                f" {', '.join(policies) or 'none'}{did_you_mean(text, policies)}"
+                f"policy {str(text)!r} is no file or folder, and none released for {id}: known"
+                f" are {', '.join(policies) or 'none'}{did_you_mean(str(text), policies)}"
             )
-        return [policies[text]]
+        return [policies[str(text)]]
     return [path]

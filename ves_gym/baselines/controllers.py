@@ -8,7 +8,7 @@ others decide by the observation alone, as a policy does.
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -19,6 +19,11 @@ from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo, own_gains
+
+if TYPE_CHECKING:
+    from ves_gym.planners.prediction import BaseState
+    from ves_gym.planners.query import Query
+    from ves_gym.system.system import System
 
 FOLLOW = 24.0  # 1/s: how fast a follower takes back its distance from the plan, by default
 _TORQUE_FOLLOW = 12.0  # 1/s: slower, for its torque is held over a control period
@@ -44,6 +49,27 @@ class Controller(Protocol):
         """Actions (n, a) for the present observation."""
 
 
+def require_fit(name: str, fits: bool, work: str, env: VesVectorEnv) -> None:
+    """Refuse an environment that a controller cannot act on.
+
+    Args:
+        name: of the controller.
+        fits: whether it can.
+        work: what it does, after its name.
+        env: the environment.
+    """
+    if not fits:
+        raise ParameterError(
+            f"controller {name} {work}, got task {env.task.kind} through control"
+            f" {env.task.control.kind}"
+        )
+
+
+def sized(array: Array, *shape: int) -> Array:
+    """Return what a controller remembers if it has a shape, else zeros of it."""
+    return array if array.shape == shape else np.zeros(shape)
+
+
 class Zero:
     """Does nothing: the straight line of control guided, no torque of control torque."""
 
@@ -56,6 +82,12 @@ class Zero:
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """See `Controller`."""
         return np.zeros((env.num_envs, env.batch.width))
+
+
+def episode_rng(env: VesVectorEnv, i: int, seed: int) -> np.random.Generator:
+    """Return a generator of the present episode of environment i, whatever runs beside it."""
+    e = env.batch.episodes
+    return np.random.default_rng((seed, int(e.root[i]), int(e.index[i]), int(e.number[i])))
 
 
 class Random:
@@ -71,16 +103,13 @@ class Random:
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
         shape = (env.task.steps, env.batch.width)
-        if self._actions.shape != (env.num_envs, *shape):
-            self._actions = np.zeros((env.num_envs, *shape))
-        e = env.batch.episodes
+        self._actions = sized(self._actions, env.num_envs, *shape)
         for i in ids.tolist():
-            key = (self.seed, int(e.root[i]), int(e.index[i]), int(e.number[i]))
-            self._actions[i] = np.random.default_rng(key).uniform(-1.0, 1.0, shape)
+            self._actions[i] = episode_rng(env, i, self.seed).uniform(-1.0, 1.0, shape)
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """See `Controller`."""
-        return _row_of_step(env, self._actions)
+        return row_of_step(env, self._actions)
 
 
 class Hold:
@@ -106,8 +135,7 @@ class Hold:
                 + (" leads to its goal" if kind == "guided" else " has gains of its own")
             )
         q = env.batch.scene.q
-        if self._place.shape != q.shape:
-            self._place = np.zeros_like(q)
+        self._place = sized(self._place, *q.shape)
         self._place[ids] = q[ids]
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
@@ -146,47 +174,80 @@ class Follow:
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
         task, s = env.task, env.batch.scene
-        if not isinstance(task, RestToRest) or task.control.level == "gains":
-            raise ParameterError(
-                f"controller {self.name} plans from rest to rest in joint space; it cannot"
-                f" act on task {task.kind} through control {task.control.kind}"
-            )
+        fits = isinstance(task, RestToRest) and task.control.level != "gains"
+        require_fit(self.name, fits, "plans from rest to rest in joint space", env)
         joints = s.q.shape[1]
-        times = np.arange(task.steps + 1) * task.system.control_dt
-        if self._plan.shape[:2] != (env.num_envs, len(times)):
-            self._plan = np.zeros((env.num_envs, len(times), 3, joints))
+        self._plan = sized(self._plan, env.num_envs, task.steps + 1, 3, joints)
         for i in ids.tolist():
-            samples = self._motion(env, s.q[i], s.goal[i, :joints]).at(times)
-            self._plan[i] = np.stack([samples.q, samples.v, samples.a], axis=1)
+            query = joint_query(env, s.q[i], s.goal[i, :joints], task.duration)
+            self._plan[i] = sampled(self._motion(query), task.steps + 1, env.batch.dt)
 
-    def _motion(self, env: VesVectorEnv, start: Array, goal: Array) -> Motion:
-        from ves_gym.planners.query import Query, solve
+    def _motion(self, query: Query) -> Motion:
+        from ves_gym.planners.query import solve
         from ves_gym.planners.registry import get_planner
 
-        task, arm = env.task, env.task.system.arm
-        query = Query(
-            system=task.system.ideal(),
-            start=tuple(start.tolist()),
-            goal=tuple(goal.tolist()),
-            duration=task.duration,
-            v_max=tuple(arm.column("v_max").tolist()),
-            servo=OWN_GAINS if task.control.level == "torque" else task.control.servo,
-        )
         motion = solve(get_planner(self.planner), query, self.seed).motion
         return query.straight if motion is None else motion  # better than not to move
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """See `Controller`."""
         control, s, arm = env.task.control, env.batch.scene, env.task.system.arm
-        target = _row_of_step(env, self._plan, ahead=1)
+        target = row_of_step(env, self._plan, ahead=1)
         if isinstance(control, Torque):
-            q, v, a = np.moveaxis(_row_of_step(env, self._plan), 1, 0)
+            q, v, a = np.moveaxis(row_of_step(env, self._plan), 1, 0)
             a = a + _TORQUE_FOLLOW * (2 * (v - s.v) + _TORQUE_FOLLOW * (q - s.q))
             tau = inverse_dynamics(arm, s.q, s.v, a)[0]
             if control.damping is not None:  # what the control takes off again
                 tau = tau + np.resize(control.damping, arm.n) * s.v
             return torque_action(env, control, tau)
         return reference_action(env, control, target)
+
+
+def joint_query(
+    env: VesVectorEnv,
+    start: Array,
+    goal: Array,
+    duration: float,
+    *,
+    system: System | None = None,
+    rate: Array | None = None,
+    acceleration: Array | None = None,
+    base: BaseState | None = None,
+) -> Query:
+    """Ask a planner for a motion of the arm, within its limits and with the control's servos.
+
+    Args:
+        env: whose arm, system and control.
+        start, goal: (joints,) [rad].
+        duration: [s].
+        system: default the task's without errors.
+        rate, acceleration: (joints,) at the start; default at rest.
+        base: its motion at the start; default at rest.
+    """
+    from ves_gym.planners.query import Query
+
+    task = env.task
+    system = task.system.ideal() if system is None else system
+    arm = system.arm
+    at_start = {"start_rate": rate, "start_acceleration": acceleration}
+    moving: Any = {k: tuple(v.tolist()) for k, v in at_start.items() if v is not None}
+    servo = OWN_GAINS if task.control.level == "torque" else task.control.servo_for(arm)
+    return Query(
+        system=system,
+        start=tuple(np.clip(start, arm.column("q_min"), arm.column("q_max")).tolist()),
+        goal=tuple(goal.tolist()),
+        duration=duration,
+        v_max=tuple(arm.column("v_max").tolist()),
+        servo=servo,
+        base=base,
+        **moving,
+    )
+
+
+def sampled(motion: Motion, count: int, dt: float) -> Array:
+    """Return a motion's angles, rates and accelerations (count, 3, joints), a period apart."""
+    samples = motion.at(np.arange(count) * dt)
+    return np.stack([samples.q, samples.v, samples.a], axis=1)
 
 
 def reference_action(
@@ -240,8 +301,7 @@ class Optimal:
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
-        if not hasattr(env.task, "optimum"):
-            raise ParameterError(f"controller lqr acts on task lqr, got {env.task.kind}")
+        require_fit(self.name, hasattr(env.task, "optimum"), "acts on task lqr", env)
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """See `Controller`."""
@@ -266,7 +326,7 @@ def torque_action(env: VesVectorEnv, control: Torque, tau: Array) -> Array:
     return np.clip(tau / full, -1.0, 1.0)
 
 
-def _row_of_step(env: VesVectorEnv, table: Array, ahead: int = 0) -> Array:
-    """Rows of a table (n, steps, ...) for each episode's present step."""
+def row_of_step(env: VesVectorEnv, table: Array, ahead: int = 0) -> Array:
+    """Return rows of a table (n, steps, ...) for each episode's present step, or the last."""
     at = np.minimum(env.batch.episodes.steps + ahead, table.shape[1] - 1)
     return table[np.arange(env.num_envs), at]

@@ -9,18 +9,23 @@ from gymnasium.envs.registration import EnvSpec
 
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym._util.threads import on_one_thread
-from ves_gym.baselines.controllers import gains_action, reference_action
+from ves_gym.baselines.controllers import (
+    gains_action,
+    joint_query,
+    reference_action,
+    require_fit,
+    row_of_step,
+    sampled,
+    sized,
+)
 from ves_gym.damping.observer import BaseObserver
 from ves_gym.damping.plant import plant_at
 from ves_gym.damping.tuning import WIDE, tune
 from ves_gym.envs.control import Gains
 from ves_gym.envs.vector import VesVectorEnv
-from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.spatial import matvec
 from ves_gym.planners.direct import MotionProblem
-from ves_gym.planners.query import Query
 from ves_gym.planners.sequential import minimise
 
 _NODES = 60  # of the momentum over a horizon
@@ -49,14 +54,10 @@ class TunedGains:
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
-        s, control = env.batch.scene, env.task.control
-        if not isinstance(control, Gains):
-            raise ParameterError(
-                f"controller tuned sets gains: it needs control pd_gains, got {control.kind}"
-            )
-        system = env.task.system.ideal()
-        if self._gains.shape != (env.num_envs, 2, s.q.shape[1]):
-            self._gains = np.ones((env.num_envs, 2, s.q.shape[1]))
+        s, system = env.batch.scene, env.task.system.ideal()
+        fits = isinstance(env.task.control, Gains)
+        require_fit(self.name, fits, "sets gains through control pd_gains", env)
+        self._gains = sized(self._gains, env.num_envs, 2, s.q.shape[1])
         for i in ids.tolist():
             gains = tune(
                 plant_at(system, s.q[i]), y=s.y[i], starts=_STARTS, seed=self.seed
@@ -115,17 +116,12 @@ class Receding:
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
         task, s = env.task, env.batch.scene
-        if task.kind != "damp" or task.control.level != "reference":
-            raise ParameterError(
-                "controller receding leads the reference of task damp, got task"
-                f" {task.kind} through control {task.control.kind}"
-            )
-        joints = s.q.shape[1]
-        if self._plan.shape[:2] != (env.num_envs, task.steps + 2):
-            self._plan = np.zeros((env.num_envs, task.steps + 2, 3, joints))
-            self._momentum = np.zeros((env.num_envs, task.steps + 2, 6))
-            self._home = np.zeros((env.num_envs, joints))
-            self._observers = {}
+        fits = task.kind == "damp" and task.control.level == "reference"
+        require_fit(self.name, fits, "leads the reference of task damp", env)
+        n, joints = s.q.shape
+        self._plan = sized(self._plan, n, task.steps + 2, 3, joints)
+        self._momentum = sized(self._momentum, n, task.steps + 2, 6)
+        self._home = sized(self._home, n, joints)
         system = task.system.ideal()
         for i in ids.tolist():
             self._home[i] = s.q[i]
@@ -146,7 +142,7 @@ class Receding:
                     self._observers[i].step(u[0], u[1], s.y_seen[i : i + 1])
                 if k % every == 0 and k + late <= env.task.steps:
                     self._replan(env, i, k, k + late)
-        target = self._plan[np.arange(env.num_envs), np.minimum(steps + 1, env.task.steps + 1)]
+        target = row_of_step(env, self._plan, ahead=1)
         return reference_action(env, env.task.control, target)
 
     def _replan(self, env: VesVectorEnv, i: int, measured: int, begin: int) -> None:
@@ -158,17 +154,8 @@ class Receding:
             state = observer.ahead(state, u[0], u[1])
         base = observer.base_state(0, state[0], self._momentum[i, begin])
         q, v, a = self._plan[i, begin]
-        arm = task.system.arm
-        query = Query(
-            system=observer.system,
-            start=tuple(np.clip(q, arm.column("q_min"), arm.column("q_max")).tolist()),
-            goal=tuple(self._home[i].tolist()),
-            duration=self.horizon,
-            v_max=tuple(arm.column("v_max").tolist()),
-            servo=task.control.servo_for(arm),
-            base=base,
-            start_rate=tuple(v.tolist()),
-            start_acceleration=tuple(a.tolist()),
+        query = joint_query(
+            env, q, self._home[i], self.horizon, rate=v, acceleration=a, base=base
         )
         problem = MotionProblem(query, self.free, nodes=_NODES)
         length = round(self.horizon / dt)
@@ -176,9 +163,7 @@ class Receding:
         x = problem.near(np.vstack([ahead[:-1], self._home[i]]))
         problem.follow(problem.motion(x))
         motion = problem.motion(minimise(problem, x, self.iterations).x)
-        self._take(arm, i, motion, begin, dt)
-
-    def _take(self, arm: Arm, i: int, motion: Motion, begin: int, dt: float) -> None:
-        samples = motion.at(dt * np.arange(self._plan.shape[1] - begin))
-        self._plan[i, begin:] = np.stack([samples.q, samples.v, samples.a], axis=1)
-        self._momentum[i, begin:] = matvec(inertia(arm, samples.q)[:, :6, 6:], samples.v)
+        plan = sampled(motion, self._plan.shape[1] - begin, dt)
+        self._plan[i, begin:] = plan
+        pushing = inertia(task.system.arm, plan[:, 0])[:, :6, 6:]
+        self._momentum[i, begin:] = matvec(pushing, plan[:, 1])

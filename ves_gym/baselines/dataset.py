@@ -14,7 +14,6 @@ compared within `TOLERANCE`. A number that changed by d moves each of the sums b
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
@@ -42,7 +41,7 @@ from ves_gym._util.params import (
 )
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.comparison import line_up
-from ves_gym.baselines.controllers import Controller
+from ves_gym.baselines.controllers import Controller, row_of_step, sized
 from ves_gym.baselines.evaluate import make_vector, run_episodes, spec_of
 from ves_gym.baselines.policy import Policy, task_name
 from ves_gym.envs.build import build_task
@@ -105,11 +104,6 @@ class Dataset:
     identity: str  # SHA-256 of all that decides the content: recipe, task, weights of policies
     episodes: tuple[Episode, ...]
 
-    @property
-    def steps(self) -> int:
-        """Number of steps of all episodes."""
-        return sum(len(e.rewards) for e in self.episodes)
-
     @cached_property
     def fingerprint(self) -> dict[str, Any]:
         """Fingerprint of the content, as committed (`fingerprint_of`)."""
@@ -117,15 +111,15 @@ class Dataset:
 
 
 def fingerprint_of(identity: str, episodes: Sequence[Episode]) -> dict[str, Any]:
-    """Content as plain data, but for `bits` the same on every processor within `TOLERANCE`.
+    """Content as plain data, the same on every processor within `TOLERANCE`.
 
     Args:
         identity: of the data set.
         episodes: all of them.
 
     Returns:
-        `identity`, numbers of episodes, steps and solved episodes, `sums` of each array
-        (`random_sums`), and `bits`: SHA-256 of every bit, the same on equal processors.
+        `identity`, numbers of episodes, steps and solved episodes, and `sums` of each array
+        (`random_sums`).
     """
     arrays = {
         "observations": [flat_observations(e.observations) for e in episodes],
@@ -134,17 +128,15 @@ def fingerprint_of(identity: str, episodes: Sequence[Episode]) -> dict[str, Any]
             for name in ("actions", "rewards", "terminations", "truncations")
         },
     }
-    columns = {name: np.concatenate(parts).astype("<f8") for name, parts in arrays.items()}
-    digest = hashlib.sha256()
-    for name, x in columns.items():
-        digest.update(f"{name} {x.shape}".encode() + x.tobytes())
     return {
         "identity": identity,
         "episodes": len(episodes),
-        "steps": len(columns["rewards"]),
+        "steps": sum(len(e.rewards) for e in episodes),
         "solved": sum(e.success for e in episodes),
-        "sums": {name: random_sums(x) for name, x in columns.items()},
-        "bits": digest.hexdigest(),
+        "sums": {
+            name: random_sums(np.concatenate(parts).astype(np.float64))
+            for name, parts in arrays.items()
+        },
     }
 
 
@@ -168,11 +160,7 @@ def random_sums(x: Array) -> list[float]:
 
 
 def differences(got: Mapping[str, Any], expected: Mapping[str, Any]) -> list[str]:
-    """Return what tells two fingerprints apart, in words; nothing where they agree.
-
-    Args:
-        got, expected: as `fingerprint_of` gives them; their `bits` do not count.
-    """
+    """Return what tells two of `fingerprint_of` apart, in words; nothing where they agree."""
     out = [
         f"{name} is {got[name]}, expected {expected[name]}"
         for name in ("identity", "episodes", "steps", "solved")
@@ -288,16 +276,14 @@ class _Stored:
         """See `Controller`."""
         self.inner.reset(env, ids)
         shape = env.task.steps, env.batch.width
-        if self._added.shape != (env.num_envs, *shape):
-            self._added = np.zeros((env.num_envs, *shape))
+        self._added = sized(self._added, env.num_envs, *shape)
         for i in ids.tolist() if self.noise else ():
             draw = np.random.default_rng((int(env.batch.episodes.root[i]), 1))
             self._added[i] = self.noise * draw.standard_normal(shape)
 
     def act(self, env: VesVectorEnv, observation: Any) -> Any:
         """See `Controller`."""
-        at = np.minimum(env.batch.episodes.steps, env.task.steps - 1)
-        added = self._added[np.arange(env.num_envs), at]
+        added = row_of_step(env, self._added)
         actions = np.clip(self.inner.act(env, observation) + added, -1.0, 1.0)
         return actions.astype(np.float32)
 
@@ -346,32 +332,21 @@ def _settings(recipe: Recipe, controllers: Sequence[Controller]) -> dict[str, An
 def _episodes(
     controller: Controller, env: VesVectorEnv, seeds: Sequence[int]
 ) -> Iterator[Episode]:
-    parts: dict[int, list[tuple[Any, ...]]] = {}
-    for step in run_episodes(controller, env, seeds):
-        for i in np.flatnonzero(step.seeds >= 0).tolist():
-            seed = int(step.seeds[i])
-            parts.setdefault(seed, []).append(
-                (
-                    _row(step.observation, i),
-                    step.actions[i],
-                    step.reward[i],
-                    step.terminated[i],
-                    step.truncated[i],
-                )
-            )
-            if step.ended[i]:
-                before, actions, rewards, terminated, truncated = zip(
-                    *parts.pop(seed), strict=True
-                )
+    steps: dict[int, list[tuple[Any, ...]]] = {}
+    for period in run_episodes(controller, env, seeds):
+        columns = (period.actions, period.reward, period.terminated, period.truncated)
+        for i in np.flatnonzero(period.seeds >= 0).tolist():
+            seed = int(period.seeds[i])
+            row = (_row(period.observation, i), *(column[i] for column in columns))
+            steps.setdefault(seed, []).append(row)
+            if period.ended[i]:
+                before, *others = zip(*steps.pop(seed), strict=True)
                 yield Episode(
                     seed,
                     controller.name,
-                    _stacked([*before, _row(step.following, i)]),
-                    np.array(actions, np.float32),
-                    np.array(rewards),
-                    np.array(terminated),
-                    np.array(truncated),
-                    bool(step.info["success"][i]),
+                    _stacked([*before, _row(period.following, i)]),
+                    *map(np.array, others),
+                    success=bool(period.info["success"][i]),
                 )
 
 
@@ -391,10 +366,7 @@ def flat_observations(observations: Any) -> Float32:
     """Return observations as one array; parts of a dictionary by name, one after another.
 
     Args:
-        observations: (T, o) or a dictionary of such.
-
-    Returns:
-        (T, o) of all parts.
+        observations: (..., o) or a dictionary of such.
     """
     if isinstance(observations, Mapping):
         return np.concatenate([observations[k] for k in sorted(observations)], axis=-1)
@@ -423,16 +395,12 @@ def _rounded(value: Any) -> Any:
 def identity_of(recipe: Recipe) -> str:
     """Return the SHA-256 of all that decides the content: recipe, task, weights of policies.
 
-    It is the same on every processor.
-
-    Args:
-        recipe: of a data set; nothing is simulated.
+    It is the same on every processor, and nothing is simulated.
     """
     controllers = [_behaviour(recipe, name) for name in recipe.behaviours]
     settings = _settings(recipe, controllers)
-    spec = spec_of(recipe.env)
-    given = {**spec.kwargs, **settings}
-    goal = bool(given.pop("goal", False))
+    kwargs = {**spec_of(recipe.env).kwargs, **settings}
+    goal = bool(kwargs.pop("goal", False))
     weights = [
         [to_plain(c.network), [[W.tolist(), b.tolist()] for W, b in c.weights]]
         if isinstance(c, Policy)
@@ -443,7 +411,7 @@ def identity_of(recipe: Recipe) -> str:
         {
             "schema": SCHEMA,
             "recipe": to_plain(recipe),
-            "task": _rounded(build_task(**given).to_dict()),
+            "task": _rounded(build_task(**kwargs).to_dict()),
             "goal": goal,
             "weights": weights,
         }

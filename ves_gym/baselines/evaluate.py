@@ -17,14 +17,16 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec, load_env_creator
 from gymnasium.vector import AutoresetMode
 
-from ves_gym._util.params import Array, Index, Mask, ParameterError
+from ves_gym._util.params import Array, Index, Mask, ParameterError, to_plain
 from ves_gym._util.statistics import STATISTICS, Estimate, bootstrap, rate
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.controllers import Controller
-from ves_gym.baselines.policy import versions
+from ves_gym.envs.build import build_task
+from ves_gym.envs.control import for_arm
 from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.arm_library import get_arm
+from ves_gym.system.effect import Effect
 
-SCHEMA = "ves-evaluate/1"
 ENERGIES = ("E_mean", "E_peak", "E_res", "E_int")
 MEASURES = ("return", *ENERGIES)
 RATES = ("success", "success_once")
@@ -70,7 +72,7 @@ class Evaluation:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; what is infinite becomes null."""
-        plain = {
+        entry = {
             "name": self.name,
             "about": dict(self.about),
             "settings": dict(self.settings),
@@ -78,7 +80,7 @@ class Evaluation:
             "summary": self.summary(),
             "rows": self.rows,
         }
-        out: dict[str, Any] = _plain(plain)
+        out: dict[str, Any] = plain(entry)
         return out
 
 
@@ -104,8 +106,8 @@ def evaluate(
         settings: other settings of the environment (see `envs.build_task`).
     """
     for name, value in (("episodes", episodes), ("n_envs", 1 if n_envs is None else n_envs)):
-        whole = isinstance(value, int) and not isinstance(value, bool)
-        if not whole or not 1 <= value <= MOST_EPISODES:
+        integer = isinstance(value, int) and not isinstance(value, bool)
+        if not integer or not 1 <= value <= MOST_EPISODES:
             raise ParameterError(
                 f"{name} must be a whole number from 1 to {MOST_EPISODES}, got {value!r:.80}"
             )
@@ -170,9 +172,9 @@ def run_episodes(
             return
         if ended.any():
             observation = _begin(env, ended, running, queue)
-            fresh = np.flatnonzero(ended & (running >= 0))
-            if len(fresh):
-                controller.reset(env, fresh)
+            begun = np.flatnonzero(ended & (running >= 0))
+            if len(begun):
+                controller.reset(env, begun)
         idle = running < 0
         actions = controller.act(env, observation)
         if idle.any():
@@ -200,13 +202,11 @@ def make_vector(
     id: str, n: int, mode: AutoresetMode, threads: int = 0, **settings: Any
 ) -> VesVectorEnv:
     """The native vector environment of a registered id."""
-    spec = spec_of(id)
-    entry: Any = spec.vector_entry_point
-    if isinstance(entry, str):
-        entry = load_env_creator(entry)
+    entry: Any = spec_of(id).vector_entry_point
+    entry = load_env_creator(entry) if isinstance(entry, str) else entry
     if not (isinstance(entry, type) and issubclass(entry, VesVectorEnv)):
         raise ParameterError(f"{id} has no vector environment of ves_gym")
-    env = gym.make_vec(
+    env: Any = gym.make_vec(
         id,
         num_envs=n,
         vectorization_mode="vector_entry_point",
@@ -214,8 +214,32 @@ def make_vector(
         threads=threads,
         **settings,
     )
-    assert isinstance(env, VesVectorEnv)
-    return env
+    return env  # type: ignore[no-any-return]
+
+
+def with_deviations(
+    id: str, settings: Mapping[str, Any], effects: Sequence[Effect] = (), arm: str | None = None
+) -> dict[str, Any]:
+    """Return settings with an arm, whose numbers per joint are its own, and with effects.
+
+    Args:
+        id: registered id of the environment.
+        settings: that it is made with.
+        effects: beside those that it has.
+        arm: name or file; None: the environment's.
+    """
+    id = id if "/" in id else f"ves/{id}"
+    out = dict(settings)
+    if arm is not None:
+        described = get_arm(arm)  # refused here, not in a worker
+        if "control" in settings:
+            control = build_task(**{**spec_of(id).kwargs, **settings}).control
+            out["control"] = to_plain(for_arm(control, described))
+        out["arm"] = arm
+    if effects:
+        task = build_task(**{**spec_of(id).kwargs, **out})
+        out["effects"] = [to_plain(e) for e in (*task.system.effects, *effects)]
+    return out
 
 
 def _begin(env: VesVectorEnv, ended: Mask, running: Index, queue: list[int]) -> Any:
@@ -293,31 +317,6 @@ def beats(
     return better.high < worse.low
 
 
-def report(evaluations: Sequence[Evaluation]) -> dict[str, Any]:
-    """Several evaluations on the same episodes as plain data, schema ves-evaluate/1.
-
-    `beats` lists the pairs whose intervals of the interquartile mean return are apart;
-    `ratios` are medians of energies over the first controller's, episode by episode.
-    """
-    first = evaluations[0]
-    ratios = {
-        e.name: {name: ratio_or_none(e, first, name) for name in ENERGIES} for e in evaluations
-    }
-    out: dict[str, Any] = _plain(
-        {
-            "schema": SCHEMA,
-            "id": first.id,
-            "versions": versions(),
-            "controllers": [e.to_dict() for e in evaluations],
-            "ratios": ratios,
-            "beats": [
-                [a.name, b.name] for a in evaluations for b in evaluations if beats(a, b)
-            ],
-        }
-    )
-    return out
-
-
 def ratio_or_none(a: Evaluation, b: Evaluation, measure: str) -> Estimate | None:
     """Return `ratio`, None where nothing moves the base."""
     try:
@@ -326,13 +325,14 @@ def ratio_or_none(a: Evaluation, b: Evaluation, measure: str) -> Estimate | None
         return None
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Return plain data for JSON; what is infinite becomes null."""
     if isinstance(value, Estimate):
-        return {k: _plain(v) for k, v in value._asdict().items()}
+        return {k: plain(v) for k, v in value._asdict().items()}
     if isinstance(value, Mapping):
-        return {k: _plain(v) for k, v in value.items()}
+        return {k: plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, float) and not np.isfinite(value):
         return None
     json.dumps(value)  # anything else is no plain data, and says so

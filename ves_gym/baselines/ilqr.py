@@ -20,6 +20,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym._util.threads import on_one_thread
+from ves_gym.baselines.controllers import require_fit
 from ves_gym.baselines.mppi import AT_REST, nominal_model, residual_motion_cost
 from ves_gym.engine.kernel.sensitivity import rollout_gradients
 from ves_gym.envs.control import Guided
@@ -75,12 +76,9 @@ class Ilqr:
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
-        task, control = env.task, env.task.control
-        if not isinstance(task, RestToRest) or not isinstance(control, Guided):
-            raise ParameterError(
-                "controller ilqr acts on task rest_to_rest through control guided, got task"
-                f" {task.kind} through control {control.kind}"
-            )
+        task = env.task
+        fits = isinstance(task, RestToRest) and isinstance(task.control, Guided)
+        require_fit(self.name, fits, "acts on task rest_to_rest through control guided", env)
         if self._of != task or len(self._motion) != env.num_envs:
             self._model, self._of = nominal_model(env, len(_STEPS)), task
             width = env.batch.width
@@ -203,11 +201,11 @@ def gains(model: VesVectorEnv, motion: ControlledMotion) -> tuple[Array, Array]:
             V, slope = A[k].T @ V @ A[k], A[k].T @ slope
             continue
         Q_u = B[k].T @ slope + _EFFORT * motion.u[k]
-        right = np.column_stack([Q_u, B[k].T @ V @ A[k]])
-        solved = -np.linalg.solve(Q_uu, right)
+        Q_ux = B[k].T @ V @ A[k]
+        solved = -np.linalg.solve(Q_uu, np.column_stack([Q_u, Q_ux]))
         push[k], K[k] = solved[:, 0], solved[:, 1:]
-        slope = A[k].T @ slope + right[:, 1:].T @ push[k]
-        V = A[k].T @ V @ A[k] + right[:, 1:].T @ K[k]
+        slope = A[k].T @ slope + Q_ux.T @ push[k]
+        V = A[k].T @ V @ A[k] + Q_ux.T @ K[k]
         V = (V + V.T) / 2
     return K, push
 
@@ -286,8 +284,8 @@ def reference_slopes(model: VesVectorEnv, first: int, N: int) -> tuple[Array, Ar
         at = SimpleNamespace(
             ref=ref.reshape(rows, 3, n), goal=np.zeros((rows, n)), q=ref[:, :n], v=ref[:, n:]
         )
-        left = np.full(rows, model.task.duration - k * dt)
-        control.advance(at, action, arm, dt, left)
+        remaining = np.full(rows, model.task.duration - k * dt)
+        control.advance(at, action, arm, dt, remaining)
         flat = at.ref.reshape(rows, -1)
         out.append((flat[1:] - flat[0]).T)
     both = np.stack(out)

@@ -71,6 +71,7 @@ def write_dataset(dataset: Dataset, root: str | os.PathLike[str]) -> Path:
     from minari.dataset.minari_storage import MinariStorage
 
     recipe = dataset.recipe
+    noise = f" with noise of {recipe.noise:g} added to every action" if recipe.noise else ""
     target = Path(root) / recipe.id
     target.parent.mkdir(parents=True, exist_ok=True)
     env = gym.make(recipe.env, **dataset.settings)
@@ -89,7 +90,11 @@ def write_dataset(dataset: Dataset, root: str | os.PathLike[str]) -> Path:
                 "minari_version": version("minari"),
                 "algorithm_name": " and ".join(recipe.behaviours),
                 "author": {"the ves_gym authors"},
-                "description": _description(dataset),
+                "description": (
+                    f"{recipe.episodes} episodes of {recipe.env} by"
+                    f" {', '.join(recipe.behaviours)} in turn{noise}; episode k begins with"
+                    f" env.reset(seed={recipe.seed} + k)"
+                ),
                 "requirements": [f"ves-gym=={__version__}"],
                 "code_permalink": f"ves-gym dataset make {recipe.id}",
                 "ves_gym": dataset.fingerprint,
@@ -114,15 +119,6 @@ def write_dataset(dataset: Dataset, root: str | os.PathLike[str]) -> Path:
         shutil.rmtree(target, ignore_errors=True)
         Path(scratch).replace(target)
     return target
-
-
-def _description(dataset: Dataset) -> str:
-    recipe = dataset.recipe
-    noise = f" with noise of {recipe.noise:g} added to every action" if recipe.noise else ""
-    return (
-        f"{recipe.episodes} episodes of {recipe.env} by {', '.join(recipe.behaviours)} in"
-        f" turn{noise}; episode k begins with env.reset(seed={recipe.seed} + k)"
-    )
 
 
 def open_dataset(path: str | os.PathLike[str]) -> Any:
@@ -182,14 +178,10 @@ def stored_differences(path: str | os.PathLike[str]) -> list[str]:
     Args:
         path: of the folder that `write_dataset` made; of others there is nothing to say.
     """
-    told = open_dataset(path).storage.metadata.get("ves_gym")
-    if told is None:
+    written = open_dataset(path).storage.metadata.get("ves_gym")
+    if written is None:
         return []
-    got = fingerprint_of(told["identity"], read_episodes(path))
-    out = differences(got, told)
-    if not out and got["bits"] != told["bits"]:
-        out = ["bits differ from those that were written"]
-    return out
+    return differences(fingerprint_of(written["identity"], read_episodes(path)), written)
 
 
 def replay(path: str | os.PathLike[str]) -> Replay:
@@ -203,15 +195,15 @@ def replay(path: str | os.PathLike[str]) -> Replay:
     steps, rewards, observations, ends = 0, 0.0, 0.0, True
     episodes = read_episodes(path)
     for episode in episodes:
-        seen, paid, over = _again(env, episode.seed, episode.actions)
+        rows, paid, over = _again(env, episode.seed, episode.actions)
         before = flat_observations(episode.observations)
         ended = episode.terminations | episode.truncations
-        if not np.array_equal(over, ended) or len(seen) != len(before):
+        if not np.array_equal(over, ended) or len(rows) != len(before):
             ends = False
             continue
         steps += len(paid)
         rewards = max(rewards, float(np.abs(paid - episode.rewards).max()))
-        observations = max(observations, float(np.abs(seen - before).max()))
+        observations = max(observations, float(np.abs(rows - before).max()))
     env.close()
     return Replay(len(episodes), steps, rewards, observations, ends)
 
@@ -219,19 +211,12 @@ def replay(path: str | os.PathLike[str]) -> Replay:
 def _again(env: Any, seed: int, actions: Float32) -> tuple[Float32, Array, Array]:
     """Observations, rewards and ends of an episode with given actions, until it is over."""
     observation, _ = env.reset(seed=seed)
-    seen, paid, over = [observation], [], []
+    rows, rewards, over = [flat_observations(observation)], [], []
     for action in actions:
         observation, reward, terminated, truncated, _ = env.step(action)
-        seen.append(observation)
-        paid.append(reward)
+        rows.append(flat_observations(observation))
+        rewards.append(reward)
         over.append(terminated or truncated)
         if over[-1]:
             break
-    rows = np.stack([flat_observations(_columns(row))[0] for row in seen])
-    return rows, np.array(paid), np.array(over)
-
-
-def _columns(observation: Any) -> Any:
-    if isinstance(observation, dict):
-        return {k: v[None] for k, v in observation.items()}
-    return observation[None]
+    return np.stack(rows), np.array(rewards), np.array(over)

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, Index, ParameterError
-from ves_gym.baselines.controllers import Follow
+from ves_gym.baselines.controllers import Follow, episode_rng, require_fit, row_of_step
 from ves_gym.envs.rest_to_rest import RestToRest
 from ves_gym.envs.task import Task
 from ves_gym.envs.vector import VesVectorEnv
@@ -85,20 +85,15 @@ class Mppi:
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
         task = env.task
-        if not isinstance(task, RestToRest) or task.control.level != "reference":
-            raise ParameterError(
-                f"controller {self.name} leads the reference of task rest_to_rest, got task"
-                f" {task.kind} through control {task.control.kind}"
-            )
+        fits = isinstance(task, RestToRest) and task.control.level == "reference"
+        require_fit(self.name, fits, "leads the reference of task rest_to_rest", env)
         if self._of != task or len(self._actions) != env.num_envs:
             self._model, self._of = nominal_model(env, self.lanes), task
             self._splines = basis(self.knots, np.linspace(0.0, 1.0, task.steps), 0)
             self._actions = np.zeros((env.num_envs, task.steps, env.batch.width))
             self._rng = [np.random.default_rng()] * env.num_envs
-        e = env.batch.episodes
         for i in ids.tolist():
-            key = (self.seed, int(e.root[i]), int(e.index[i]), int(e.number[i]))
-            self._rng[i] = np.random.default_rng(key)
+            self._rng[i] = episode_rng(env, i, self.seed)
             self._actions[i] = 0.0
             if self.start != "straight":
                 self._actions[i] = followed(self._model, env, i, self.start, self.seed)
@@ -110,27 +105,26 @@ class Mppi:
         for i, k in enumerate(steps.tolist()):
             if k % every == 0 and k < env.task.steps:
                 self._improve(env, i, k)
-        at = np.minimum(steps, env.task.steps - 1)
-        return np.clip(self._actions[np.arange(env.num_envs), at], -1.0, 1.0)
+        return np.clip(row_of_step(env, self._actions), -1.0, 1.0)
 
     def _improve(self, env: VesVectorEnv, i: int, k: int) -> None:
         """Decide anew on the actions of environment i from period k on."""
-        model, rest = self._model, self._actions[i, k:]
+        model, planned = self._model, self._actions[i, k:]
         assert model is not None
         splines, scale = self._splines[k:], self.noise
         for _ in range(self.later if k else self.first):
-            shape = (self.lanes, self.knots, rest.shape[1])
+            shape = (self.lanes, self.knots, planned.shape[1])
             e = scale * self._rng[i].standard_normal(shape)
             e[0] = 0.0  # the present sequence itself
             model.fan_out(env, i)
-            cost = -returns(model, np.clip(rest + splines @ e, -1.0, 1.0))
+            cost = -returns(model, np.clip(planned + splines @ e, -1.0, 1.0))
             cost += residual_motion_cost(model)
             spread = float(cost.std())
             if not spread > _LEAST:
                 break
             weights = np.exp(-(cost - cost.min()) / (self.temperature * spread))
             weights /= weights.sum()
-            rest += splines @ np.einsum("k,kmj->mj", weights, e)
+            planned += splines @ np.einsum("k,kmj->mj", weights, e)
             scale *= _FADES
 
 

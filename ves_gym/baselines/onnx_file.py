@@ -15,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.optional import installed, require
-from ves_gym._util.params import Array, ParameterError, write_bytes
+from ves_gym._util.optional import require
+from ves_gym._util.params import ParameterError, write_bytes
 from ves_gym.baselines.arm_features import ArmFeatures
 from ves_gym.baselines.policy import Policy
 from ves_gym.engine.kernel.symbolic import column, symbols
 
 OPSET = 17
 TOLERANCE = 1e-6  # of an action in [-1, 1]
-_NONE = 1e-300  # length of no direction
+_SHORTEST = 1e-300  # length of a direction: zero has none
 
 
 def to_onnx(policy: Policy) -> bytes:
@@ -126,12 +126,12 @@ def _features(
     x = symbols("x", (1, len(entries)))
     graph = ca.Function("features", [column(x)], [ca.cse(column(features(x)))])
     kinds = {getattr(ca, name): kind for name, kind in _NODES.items()}
-    known: dict[float, str] = {}
+    constants: dict[float, str] = {}
 
     def number(value: float) -> str:
-        if value not in known:
-            known[value] = constant(f"number{len(known)}", value)
-        return known[value]
+        if value not in constants:
+            constants[value] = constant(f"number{len(constants)}", value)
+        return constants[value]
 
     columns: dict[int, str] = {}
     out = [""] * graph.size1_out(0)
@@ -179,15 +179,15 @@ def _angle(y: str, x: str, add: Callable[..., str], number: Callable[[float], st
     from onnx import TensorProto
 
     squares = add("Add", add("Mul", x, x), add("Mul", y, y))
-    long = add("Max", add("Sqrt", squares), number(_NONE))
+    long = add("Max", add("Sqrt", squares), number(_SHORTEST))
     half = add("Div", y, add("Add", long, add("Abs", x)))  # its tangent, for x >= 0
     single = add("Atan", add("Cast", half, to=TensorProto.FLOAT))
     near = add("Mul", add("Cast", single, to=TensorProto.DOUBLE), number(2.0))
     zero = number(0.0)
     straight = add("Where", add("Less", y, zero), number(-math.pi), number(math.pi))
     rough = add("Where", add("Less", x, zero), add("Sub", straight, near), near)
-    left = add("Sub", add("Mul", y, add("Cos", rough)), add("Mul", x, add("Sin", rough)))
-    return add("Add", rough, add("Div", left, long))
+    missing = add("Sub", add("Mul", y, add("Cos", rough)), add("Mul", x, add("Sin", rough)))
+    return add("Add", rough, add("Div", missing, long))
 
 
 def difference(policy: Policy, data: bytes, rows: int = 1000) -> float:
@@ -195,42 +195,22 @@ def difference(policy: Policy, data: bytes, rows: int = 1000) -> float:
 
     Args:
         policy: it was made from.
-        data: of the model; run by onnxruntime where that is installed, else by the reference
-            evaluator of the package onnx.
+        data: of the model, which onnxruntime runs.
         rows: number of observations drawn, a part of them beyond the policy's limit.
     """
-    draw = np.random.default_rng(0)
-    width = policy.network.entries
-    x = draw.uniform(-1.2, 1.2, (rows, width)) * policy.network.observation_limit
+    require("to run an ONNX model", "onnxruntime")
+    import onnxruntime
+
+    net, draw = policy.network, np.random.default_rng(0)
+    x = draw.uniform(-1.2, 1.2, (rows, net.entries)) * net.observation_limit
     x[: rows // 2] *= 0.1
-    observation = x.astype(np.float32)
-    ours = _plain(policy, observation)
-    theirs = _run(data, observation)
-    return float(np.abs(ours - theirs).max())
-
-
-def _plain(policy: Policy, observation: Any) -> Array:
-    """Actions of rows, whether the policy takes them whole or in parts."""
-    if policy.network.frames > 1 or not policy.network.inputs:
-        return policy(observation)
-    first, *others = policy.network.inputs
-    parts = dict.fromkeys(others, observation[:, :0])
-    return policy({first: observation, **parts})
-
-
-def _run(data: bytes, observation: Any) -> Any:
-    given = {"observation": observation}
-    if installed("onnxruntime"):
-        import onnxruntime
-
-        engine: Any = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
-    else:
-        import onnx
-        from onnx.reference import ReferenceEvaluator
-
-        engine = ReferenceEvaluator(onnx.load_from_string(data))
-    (action,) = engine.run(None, given)
-    return action
+    observation: Any = x.astype(np.float32)
+    engine: Any = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
+    (theirs,) = engine.run(None, {"observation": observation})
+    if net.inputs and net.frames == 1:  # all of it as the first part of the dictionary
+        parts = dict.fromkeys(net.inputs, observation[:, :0])
+        observation = {**parts, net.inputs[0]: observation}
+    return float(np.abs(policy(observation) - theirs).max())
 
 
 def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> float:

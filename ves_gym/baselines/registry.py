@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.baselines.braced import Braced
-from ves_gym.baselines.closing import Closing, ClosingPose
+from ves_gym.baselines.closing import Closing, ClosingPose, Homing
 from ves_gym.baselines.controllers import Controller, Follow, Hold, Optimal, Random, Zero
-from ves_gym.baselines.homing import Homing
 from ves_gym.baselines.mppi import Mppi
 from ves_gym.baselines.regulator import Regulator
 from ves_gym.baselines.resolved import Resolved
@@ -18,28 +17,19 @@ from ves_gym.baselines.servicer import Servicer
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 
 
-def _tuned(seed: int) -> Controller:
-    from ves_gym.baselines.damping import TunedGains
+def _late(where: str) -> Callable[[int], Controller]:
+    """Return a maker that loads planners and engines only where its controller is asked for.
 
-    return TunedGains(seed)
+    Args:
+        where: module of this folder and class, such as damping:TunedGains.
+    """
+    module, _, name = where.partition(":")
 
+    def make(seed: int) -> Controller:
+        made: Controller = getattr(import_module(f"ves_gym.baselines.{module}"), name)(seed)
+        return made
 
-def _receding(seed: int) -> Controller:
-    from ves_gym.baselines.damping import Receding  # loads the planners
-
-    return Receding(seed)
-
-
-def _adaptive(seed: int) -> Controller:
-    from ves_gym.baselines.adaptive import Adaptive
-
-    return Adaptive(seed)
-
-
-def _ilqr(seed: int) -> Controller:
-    from ves_gym.baselines.ilqr import Ilqr
-
-    return Ilqr(seed)
+    return make
 
 
 CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
@@ -53,19 +43,19 @@ CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
     "direct": lambda seed: Follow("direct", "direct", seed),
     "refined": lambda seed: Follow("refined", "refined", seed),
     "robust": lambda seed: Follow("robust", "robust", seed),
-    "adaptive": _adaptive,
+    "adaptive": _late("adaptive:Adaptive"),
     "mppi": Mppi,
-    "ilqr": _ilqr,
+    "ilqr": _late("ilqr:Ilqr"),
     "lqr": lambda seed: Optimal(),
     "lqi": lambda seed: Regulator(),
-    "tuned": _tuned,
-    "receding": _receding,
+    "tuned": _late("damping:TunedGains"),
+    "receding": _late("damping:Receding"),
     "resolved": lambda seed: Resolved(),
     "resolved-gentle": lambda seed: Resolved("resolved-gentle", 16.0),
     "homing": lambda seed: Homing(),
     "closing": lambda seed: Closing(),
     "closing-pose": lambda seed: ClosingPose(),
-    "braced": lambda seed: Braced(),
+    "braced": lambda seed: Resolved("braced", braced=True),
     "resolved-pose": lambda seed: ResolvedPose(),
     "servicer": lambda seed: Servicer(),
 }

@@ -6,12 +6,11 @@ import numpy as np
 import scipy.linalg
 
 from ves_gym._util.params import Array, Index, ParameterError
-from ves_gym.baselines.controllers import torque_action
+from ves_gym.baselines.controllers import require_fit, sized, torque_action
 from ves_gym.engine.linear import linearise_ideal
 from ves_gym.envs.control import Torque
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.spatial import matvec
 from ves_gym.system.system import System
 
@@ -46,36 +45,33 @@ class Regulator:
             if not (np.isfinite(value) and value > 0):
                 raise ParameterError(f"{name} must be > 0 and finite, got {value!r}")
         self.stray, self.drift, self.effort = stray, drift, effort
-        self._count = 0  # simulations that there is room for
         self._home = self._state = self._summed = self._tau = np.empty((0, 0))
         self._A = self._B = self._L = self._F = np.empty((0, 0, 0))
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
         task, s = env.task, env.batch.scene
-        control = task.control
-        if task.kind not in ("damp", "lqr") or not isinstance(control, Torque):
-            raise ParameterError(
-                "controller lqi gives torques in tasks damp and lqr, got task"
-                f" {task.kind} through control {control.kind}"
-            )
+        fits = task.kind in ("damp", "lqr") and isinstance(task.control, Torque)
+        require_fit(self.name, fits, "gives torques in tasks damp and lqr", env)
         system = task.system.replace(effects=()).ideal()
         count, joints = s.q.shape
         outputs = 6 + joints
         n = outputs + system.base.m  # coordinates: Y, joints, internal modes
-        if self._count != count:
-            self._count = count
-            self._home, self._summed, self._tau = np.zeros((3, count, joints))
-            self._state = np.zeros((count, 2 * n))
-            self._A, self._B = np.zeros((count, 2 * n, 2 * n)), np.zeros((count, 2 * n, joints))
-            self._L = np.zeros((count, 2 * n, outputs))
-            self._F = np.zeros((count, joints, 2 * n + joints))
+        self._home, self._summed, self._tau = (
+            sized(k, count, joints) for k in (self._home, self._summed, self._tau)
+        )
+        self._state = sized(self._state, count, 2 * n)
+        self._A = sized(self._A, count, 2 * n, 2 * n)
+        self._B = sized(self._B, count, 2 * n, joints)
+        self._L = sized(self._L, count, 2 * n, outputs)
+        self._F = sized(self._F, count, joints, 2 * n + joints)
+        servo, dt = task.control.servo_for(system.arm), env.batch.dt
         for i in ids.tolist():
             self._home[i] = s.q[i]
-            A, B = plant(system, s.q[i], control.servo_for(system.arm), env.batch.dt)
+            A, B = linearise_ideal(system, s.q[i], servo=servo).discretise(dt)
             self._A[i], self._B[i] = A, B
-            self._L[i] = observer_gain(A, joints, env.batch.dt)
-            self._F[i] = self.feedback(system, s.q[i], A, B, env.batch.dt)
+            self._L[i] = observer_gain(A, joints, dt)
+            self._F[i] = self.feedback(system, s.q[i], A, B, dt)
         u, ud = system.base.attached(s.y_seen), system.base.attached(s.yd_seen)
         x = np.concatenate([s.y_seen, s.q - self._home, u, s.yd_seen, s.v, ud], axis=1)
         self._state[ids], self._summed[ids], self._tau[ids] = x[ids], 0.0, 0.0
@@ -98,7 +94,7 @@ class Regulator:
         Q[np.ix_(at, at)], Q[np.ix_(n + at, n + at)] = K / 2, mass / 2
         Q[joint, joint] = self.stray
         Q[size:, size:] = self.drift * np.eye(joints)
-        wide_A = np.eye(size + joints)
+        wide_A = np.eye(size + joints)  # of state and integral
         wide_A[:size, :size] = A
         wide_A[size:, joint] = dt * np.eye(joints)
         wide_B = np.vstack([B, np.zeros((joints, joints))])
@@ -124,18 +120,6 @@ class Regulator:
         limited = np.abs(action) >= 1.0  # an integral that goes on there would wind up
         self._summed += np.where(limited, 0.0, dt * away)
         return action
-
-
-def plant(system: System, q: Array, servo: JointServo, dt: float) -> tuple[Array, Array]:
-    """Sample the system linearised at rest: A (2 s, 2 s) and B (2 s, joints).
-
-    Args:
-        system: arm and vehicle, mode ideal.
-        q: (joints,) [rad].
-        servo: joint damping that acts besides.
-        dt: period over which a torque is held [s].
-    """
-    return linearise_ideal(system, q, servo=servo).discretise(dt)
 
 
 def observer_gain(A: Array, joints: int, dt: float) -> Array:

@@ -6,16 +6,24 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import Array, Index, ParameterError
-from ves_gym.baselines.controllers import FOLLOW, reference_action
+from ves_gym._util.params import Array, Index
+from ves_gym.baselines.controllers import (
+    FOLLOW,
+    reference_action,
+    require_fit,
+    row_of_step,
+    sized,
+)
 from ves_gym.envs.free_flyer import FreeFlyerReach
 from ves_gym.envs.payload_transfer import PayloadTransfer
 from ves_gym.envs.reach import Reach
 from ves_gym.envs.track import Track
 from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.dynamics import inertia, newton_euler
 from ves_gym.mechanics.kinematics import joint_positions, tool_jacobian
 from ves_gym.mechanics.motion import quintic
-from ves_gym.mechanics.spatial import matvec, rotation, twist
+from ves_gym.mechanics.spatial import matvec, rotation, twist, twist_rate
 from ves_gym.mechanics.tool_pose import joints_for
 
 _MOVE = 0.7  # share of an episode that the way to a target takes
@@ -37,28 +45,46 @@ class Resolved:
     carries the tool along (resolved motion rate control: Whitney, IEEE Trans. Man-Machine
     Systems 10(2), 1969). At the end of free_flyer, whose joints must be at rest on a satellite
     that turns, they take back no more of that than `rest` allows.
+
+    A servo's feed-forward takes the base for still. Where `braced`, the reference is shifted so
+    that servo and feed-forward together add the torque of an accelerating base: for arms whose
+    servos are soft; where they are stiff it changes little.
+
+    Args:
+        name: of the controller.
+        follow: see `reference_action` [1/s].
+        braced: against the base's acceleration.
     """
 
     privileged = True
 
-    def __init__(self, name: str = "resolved", follow: float = FOLLOW) -> None:
-        self.name, self.follow = name, follow  # 1/s, see `reference_action`
+    def __init__(
+        self, name: str = "resolved", follow: float = FOLLOW, braced: bool = False
+    ) -> None:
+        self.name, self.follow, self.braced = name, follow, braced
         self._plan = np.empty(0)  # (n, steps + 2, joints) rad
         self._path = np.empty(0)  # (n, steps + 2, 3) of the tool in space [m]
+        self._base_rate = np.empty(0)  # (n, 6) a period ago
+        self._shift = np.empty(0)  # (2, n, joints) of the reference, and its rate
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
         task, s = env.task, env.batch.scene
-        known = isinstance(task, (FreeFlyerReach, PayloadTransfer, Reach, Track))
-        if not known or task.control.level != "reference":
-            raise ParameterError(
-                "controller resolved leads the reference of tasks reach, track, free_flyer and"
-                f" payload_transfer, got task {task.kind} through control {task.control.kind}"
-            )
-        arm, steps = task.system.arm, task.steps
-        if self._plan.shape[:2] != (env.num_envs, steps + 2):
-            self._plan = np.zeros((env.num_envs, steps + 2, arm.n))
-            self._path = np.zeros((env.num_envs, steps + 2, 3))
+        fits = isinstance(task, (FreeFlyerReach, PayloadTransfer, Reach, Track))
+        require_fit(
+            "resolved",
+            fits and task.control.level == "reference",
+            "leads the reference of tasks reach, track, free_flyer and payload_transfer",
+            env,
+        )
+        arm, steps, n = task.system.arm, task.steps, env.num_envs
+        self._plan = sized(self._plan, n, steps + 2, arm.n)
+        self._path = sized(self._path, n, steps + 2, 3)
+        self._base_rate, self._shift = (
+            sized(self._base_rate, n, 6),
+            sized(self._shift, 2, n, arm.n),
+        )
+        self._base_rate[ids], self._shift[:, ids] = s.yd_seen[ids], 0.0
         q = s.q[ids]
         if isinstance(task, Track):
             path = task.path(s)[ids]
@@ -89,27 +115,30 @@ class Resolved:
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """See `Controller`."""
-        return reference_action(env, env.task.control, self.lead(env), self.follow)
+        target = self._target(env)
+        if self.braced:
+            s, arm, q = env.batch.scene, env.task.system.arm, target[:, 0]
+            slope = (s.yd_seen - self._base_rate) / env.batch.dt
+            # of half a period ago: foreseen it was worse
+            self._base_rate = s.yd_seen.copy()
+            torque = base_torque(arm, q, target[:, 1], s.y_seen, s.yd_seen, slope)
+            shift = servo_shift(env, q, self._shift, torque)
+            self._shift = shift[:2]
+            target = target + np.swapaxes(shift, 0, 1)
+        return reference_action(env, env.task.control, target, self.follow)
 
-    def lead(self, env: VesVectorEnv) -> Array:
-        """Return where the reference is to be at the period's end (n, 3, joints).
-
-        Args:
-            env: in the middle of its episodes.
-        """
+    def _target(self, env: VesVectorEnv) -> Array:
+        """Where the reference is to be at the period's end (n, 3, joints)."""
         s, arm, dt = env.batch.scene, env.task.system.arm, env.batch.dt
-        rows, step = np.arange(env.num_envs), env.batch.episodes.steps
-        before, present, then = (
-            self._plan[rows, np.minimum(step + k, env.task.steps + 1)] for k in (0, 1, 2)
-        )
+        before, present, then = (row_of_step(env, self._plan, k) for k in (0, 1, 2))
         y: Array = s.y_seen + dt * s.yd_seen  # of the base at the period's end
         reach = joint_positions(arm, present)[:, -1]
-        wanted = seen_from_base(y, self._path[rows, np.minimum(step + 1, env.task.steps)])
+        desired = seen_from_base(y, row_of_step(env, self._path, ahead=1))
         drift = carried(twist(y, s.yd_seen), reach)[:, :3]  # of the tool with the base
         inverse = damped_inverse(tool_jacobian(arm, present))
-        angles = present + matvec(inverse, wanted - reach)
+        angles = present + matvec(inverse, desired - reach)
         # once more: damping leaves up to a fifth of the gap where the arm is least dexterous
-        angles += matvec(inverse, wanted - joint_positions(arm, angles)[:, -1])
+        angles += matvec(inverse, desired - joint_positions(arm, angles)[:, -1])
         reference = [
             angles,
             (then - before) / (2 * dt) - matvec(inverse, drift),
@@ -117,8 +146,8 @@ class Resolved:
         ]
         out = np.stack(reference, axis=1)
         if isinstance(env.task, FreeFlyerReach):
-            left = env.task.duration - step * dt
-            calm = left <= env.task.hold + _CALM
+            remaining = env.task.duration - env.batch.episodes.steps * dt
+            calm = remaining <= env.task.hold + _CALM
             out[calm] = _slowly(s.ref[calm], out[calm], _REST * env.task.rest, dt)
         return out
 
@@ -178,3 +207,44 @@ def damped_inverse(J: Array, damping: float = _DAMPING, dear: Array | None = Non
     out: Array = across @ np.linalg.inv(weighted @ across + damping**2 * np.eye(J.shape[-2]))
     out[..., 3:] *= LEVER
     return out
+
+
+def servo_shift(env: VesVectorEnv, q: Array, before: Array, torque: Array) -> Array:
+    """Return the shift s of a reference that servos and feed-forward turn into a torque.
+
+    M s'' + kd s' + kp s = torque, a period on by the implicit rule of Euler.
+
+    Args:
+        env: whose gains and inertia M they are.
+        q: (n, joints) where the inertia is taken [rad].
+        before: (2, n, joints) s and s' a period ago.
+        torque: (n, joints) [N m].
+
+    Returns:
+        (3, n, joints) s, s' and s''.
+    """
+    s, dt, arm = env.batch.scene, env.batch.dt, env.task.system.arm
+    M = inertia(arm, q)[:, 6:, 6:]
+    place, rate = before
+    resists = M + (dt * s.kd + dt**2 * s.kp)[:, None] * np.eye(arm.n)
+    push = matvec(M, rate) + dt * (torque - s.kp * place)
+    after = np.linalg.solve(resists, push[..., None])[..., 0]
+    return np.stack([place + dt * after, after, (after - rate) / dt])
+
+
+def base_torque(arm: Arm, q: Array, v: Array, y: Array, yd: Array, ydd: Array) -> Array:
+    """Return the joint torques that a moving base asks for, beyond those of a still one.
+
+    Args:
+        arm: n joints.
+        q, v: (k, n) joint angles [rad] and rates [rad/s].
+        y, yd, ydd: (k, 6) pose of the base and its derivatives.
+
+    Returns:
+        (k, n) [N m].
+    """
+    moving, turning = twist(y, yd), twist_rate(y, yd, ydd)
+    spin, none = moving[:, 3:], np.zeros_like(v)
+    accel = turning[:, :3] + np.cross(spin, moving[:, :3])
+    ridden, _ = newton_euler(arm, q, v, none, spin=spin, turn=turning[:, 3:], accel=accel)
+    return ridden - newton_euler(arm, q, v, none)[0]

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ves_gym._util.params import Array, Index, ParameterError
-from ves_gym.baselines.controllers import reference_action
+from ves_gym._util.params import Array, Index
+from ves_gym.baselines.controllers import reference_action, require_fit, row_of_step, sized
 from ves_gym.baselines.resolved import LEVER, carried, damped_inverse, seen_from_base
 from ves_gym.envs.pose_reach import PoseReach, goal_pose
 from ves_gym.envs.scales import straight_energy, straight_motion
@@ -50,21 +50,19 @@ class ResolvedPose:
     def __init__(self) -> None:
         self._plan = np.empty(0)  # (n, steps + 2, joints) rad
         self._rate = np.empty(0)  # (n, 6) twist of the base a period ago
-        self._asked = np.empty(0)  # (n, 2, joints) angles and rates for now, as of then
+        self._commanded = np.empty(0)  # (n, 2, joints) angles and rates for now, as of then
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
-        task, s = env.task, env.batch.scene
-        if not isinstance(task, PoseReach) or task.control.level != "reference":
-            raise ParameterError(
-                "controller resolved-pose leads the reference of task pose_reach, got task"
-                f" {task.kind} through control {task.control.kind}"
-            )
+        task, s, n = env.task, env.batch.scene, env.num_envs
+        fits = isinstance(task, PoseReach) and task.control.level == "reference"
+        require_fit(self.name, fits, "leads the reference of task pose_reach", env)
         arm, steps = task.system.arm, task.steps
-        if self._plan.shape[:2] != (env.num_envs, steps + 2):
-            self._plan = np.zeros((env.num_envs, steps + 2, arm.n))
-            self._rate = np.zeros((env.num_envs, 6))
-            self._asked = np.zeros((env.num_envs, 2, arm.n))
+        self._plan = sized(self._plan, n, steps + 2, arm.n)
+        self._rate, self._commanded = (
+            sized(self._rate, n, 6),
+            sized(self._commanded, n, 2, arm.n),
+        )
         self._rate[ids] = twist(s.y_seen[ids], s.yd_seen[ids])
         way = _MOVE * task.duration
         energy = straight_motion(task, way)
@@ -78,10 +76,7 @@ class ResolvedPose:
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         """See `Controller`."""
         s, arm, dt = env.batch.scene, env.task.system.arm, env.batch.dt
-        rows, step = np.arange(env.num_envs), env.batch.episodes.steps
-        before, present, then = (
-            self._plan[rows, np.minimum(step + k, env.task.steps + 1)] for k in (0, 1, 2)
-        )
+        before, present, then = (row_of_step(env, self._plan, k) for k in (0, 1, 2))
         y = s.y_seen + dt * s.yd_seen  # of the base at the period's end
         place, turn = tool_frame(arm, present)
         place, turn = seen_from_base(y, place), np.swapaxes(rotation(y), -1, -2) @ turn
@@ -94,14 +89,14 @@ class ResolvedPose:
         rate = twist(y, s.yd_seen)
         gain, self._rate = (rate - self._rate) / dt, rate
         drift, gaining = (carried(k, tool_frame(arm, q)[0]) for k in (rate, gain))
-        wanted = (then - before) / (2 * dt) - matvec(inverse, drift)
-        first = (step == 0)[:, None]
-        behind = np.where(first, 0.0, self._asked[:, 0] - s.q)
-        slower = np.where(first, 0.0, self._asked[:, 1] - s.v)
-        self._asked = np.stack([q, wanted], axis=1)
+        desired = (then - before) / (2 * dt) - matvec(inverse, drift)
+        first = (env.batch.episodes.steps == 0)[:, None]
+        behind = np.where(first, 0.0, self._commanded[:, 0] - s.q)
+        slower = np.where(first, 0.0, self._commanded[:, 1] - s.v)
+        self._commanded = np.stack([q, desired], axis=1)
         reference = [
             q + _FIRM * behind,
-            wanted + _FIRM * slower,
+            desired + _FIRM * slower,
             (then - 2 * present + before) / dt**2 - matvec(inverse, gaining),
         ]
         return reference_action(env, env.task.control, np.stack(reference, axis=1))
@@ -137,7 +132,7 @@ def configurations_for(arm: Arm, q: Array, places: Array, turns: Array) -> list[
     """
     every = configurations_at_each(arm, places, turns, q, STARTS)
     # nothing better is known than to stay
-    return [ends if len(ends) else here[None] for ends, here in zip(every, q, strict=True)]
+    return [ends if len(ends) else at[None] for ends, at in zip(every, q, strict=True)]
 
 
 def inverse_sparing(arm: Arm, q: Array) -> Array:
@@ -145,8 +140,8 @@ def inverse_sparing(arm: Arm, q: Array) -> Array:
     dear = None
     if arm.n > 6:
         H = inertia(arm, q)
-        whole, pushed = H[:, :6, :6], H[:, :6, 6:]
-        pushing = np.swapaxes(pushed, -1, -2) @ np.linalg.solve(whole, pushed)
-        own = np.trace(H[:, 6:, 6:], axis1=-2, axis2=-1)[:, None, None] / arm.n
-        dear = np.eye(arm.n) + _REACTION * pushing / own
+        system, pushed = H[:, :6, :6], H[:, :6, 6:]
+        pushing = np.swapaxes(pushed, -1, -2) @ np.linalg.solve(system, pushed)
+        joints = np.trace(H[:, 6:, 6:], axis1=-2, axis2=-1)[:, None, None] / arm.n
+        dear = np.eye(arm.n) + _REACTION * pushing / joints
     return damped_inverse(tool_twists(arm, q), _DAMPING, dear)

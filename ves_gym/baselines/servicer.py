@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ves_gym._util.params import Array, Index, ParameterError
-from ves_gym.baselines.controllers import torque_action
+from ves_gym._util.params import Array, Index
+from ves_gym.baselines.controllers import require_fit, sized, torque_action
 from ves_gym.baselines.resolved import damped_inverse
 from ves_gym.envs.control import Acceleration, Torque
 from ves_gym.envs.servicer_capture import ServicerCapture, meeting
@@ -58,20 +58,16 @@ class Servicer:
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""
-        task, s = env.task, env.batch.scene
-        if not isinstance(task, ServicerCapture):
-            raise ParameterError(
-                f"controller servicer acts on task servicer_capture, got task {task.kind}"
-            )
-        if not isinstance(task.control, (Acceleration, Torque)):
-            raise ParameterError(
-                "controller servicer asks for torques through control acceleration or torque,"
-                f" got {task.control.kind}"
-            )
-        shape = (env.num_envs, 3, task.system.arm.n)
-        if self._led.shape != shape:
-            self._led, self._caught = np.zeros(shape), np.zeros(shape[::2])
-            self._fades = np.full(env.num_envs, -1.0)
+        s, fits = env.batch.scene, isinstance(env.task, ServicerCapture)
+        require_fit(
+            self.name,
+            fits and isinstance(env.task.control, (Acceleration, Torque)),
+            "acts on task servicer_capture through control acceleration or torque",
+            env,
+        )
+        n, joints = s.q.shape
+        self._led, self._caught = sized(self._led, n, 3, joints), sized(self._caught, n, joints)
+        self._fades = sized(self._fades, n)
         self._led[ids, 0], self._led[ids, 1:] = s.q[ids], 0.0
         self._fades[ids] = -1.0
 

@@ -47,7 +47,6 @@ def make(
         row: dict[str, Any] = {"id": recipe.id, "folder": str(path)}
         row |= {k: mark[k] for k in ("episodes", "steps", "solved")}
         row["recorded"] = expected is not None
-        row["bits"] = expected is not None and expected["bits"] == mark["bits"]
         wrong = [] if expected is None else d.differences(mark, expected)
         rows.append({**row, **_replayed(replay(path), wrong, begin)})
         datasets.append(dataset)
@@ -103,7 +102,7 @@ def _report(rows: list[dict[str, Any]]) -> Answer:
         if "solved" in row:
             words.append(f"{row['solved']} solved")
         if row.get("recorded"):
-            words.append("bits as recorded" if row["bits"] else "as recorded, to rounding")
+            words.append("as recorded")
         words.append("replayed bit for bit" if row["exact"] else "replayed to rounding")
         lines.append(f"{row['id']}: {'WRONG' if row['wrong'] else ', '.join(words)}")
         for fault in row["wrong"]:

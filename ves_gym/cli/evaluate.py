@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import ves_gym.api as vg
-from ves_gym.baselines.env_settings import with_deviations
+from ves_gym.baselines.evaluate import with_deviations
 from ves_gym.baselines.registry import CONTROLLERS
 from ves_gym.cli.flags import Answer, Flag, integer, names, read, text
 from ves_gym.cli.machine import EFFECT, arm_flag

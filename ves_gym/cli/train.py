@@ -7,7 +7,7 @@ from typing import Any
 
 import ves_gym.api as vg
 from ves_gym.baselines.config import LEARNERS, choose_config
-from ves_gym.baselines.env_settings import with_deviations
+from ves_gym.baselines.evaluate import with_deviations
 from ves_gym.cli.evaluate import ARM
 from ves_gym.cli.flags import Answer, Flag, integer, integers, one_of, text
 from ves_gym.cli.machine import EFFECT

@@ -21,6 +21,7 @@ from ves_gym._util.statistics import STATISTICS, Estimate, bootstrap, rate
 from ves_gym.baselines.config import CONFIGS, config_from_plain
 from ves_gym.baselines.policy import released
 from ves_gym.baselines.registry import get_controller
+from ves_gym.experiments.spec import changed
 from ves_gym.experiments.sweep import Report, do_units
 from ves_gym.experiments.units import Unit, evaluate_unit, read_result, train_unit
 
@@ -122,12 +123,9 @@ def shortened(matrix: Matrix, steps: int) -> tuple[TaskRow, ...]:
         matrix: whose tasks.
         steps: at least 1.
     """
-    changes = {"total_timesteps": steps}
 
     def shorter(method: MatrixMethod) -> MatrixMethod:
-        if method.train is None:
-            return method
-        return replace(method, changes={**method.changes, **changes})
+        return replace(method, changes={**method.changes, "total_timesteps": steps})
 
     return tuple(
         replace(task, methods=tuple(map(shorter, task.methods))) for task in matrix.tasks
@@ -155,32 +153,28 @@ def trainings(matrix: Matrix) -> dict[tuple[str, str, int], Unit]:
                 continue
             machine = machines[method.machine or matrix.machines[0].name]
             path = CONFIGS / f"{method.train}.toml"
-            table = read_table(path)
-            changes = dict(method.changes)
-            settings = {
-                **table.get("settings", {}),
-                **machine.settings,
-                **changes.pop("settings", {}),
-            }
-            env = environment_of(task, machine)
-            config = config_from_plain(
-                {**table, **changes, "env": env, "settings": settings}, str(path)
-            )
+            table = changed(read_table(path), {"settings": machine.settings})
+            table = changed(table, {**method.changes, "env": environment_of(task, machine)})
+            config = config_from_plain(table, str(path))
             for seed in matrix.seeds:
                 out[task.env, method.name, seed] = train_unit(config, seed)
     return out
 
 
 def cells(matrix: Matrix, folder: Path, trained: bool | None = None) -> list[Cell]:
-    """Return the units of evaluation.
+    """Return the units of evaluation, without methods that are not trained with every seed.
 
     Args:
         matrix: what is compared.
         folder: of the results, where trained policies lie.
-        trained: only those of policies that the matrix trains, or only the others; None: all,
-            for which every training must have a result.
+        trained: only those of policies that the matrix trains, or only the others; None: all.
     """
     units = trainings(matrix)
+    lacking = {
+        (task, method)
+        for (task, method, _), unit in units.items()
+        if not (folder / "results" / f"{unit.id}.json").exists()
+    }
     return [
         Cell(
             task.env,
@@ -199,6 +193,7 @@ def cells(matrix: Matrix, folder: Path, trained: bool | None = None) -> list[Cel
         for machine in matrix.machines
         for method in task.methods
         if trained in (None, method.train is not None)
+        if (task.env, method.name) not in lacking
         for seed in matrix.seeds
     ]
 
@@ -242,25 +237,21 @@ def run_matrix(
         options: see `do_units`.
 
     Returns:
-        What was done, skipped and failed. Where a training failed none of the policies is
-        evaluated: the next run tries again.
+        What was done, skipped and failed. Policies are evaluated where the training of every
+        seed has a result: the next run tries the others again.
     """
     root, total = Path(folder), Report(Path(folder))
-    stages: tuple[tuple[str, Callable[[], list[Unit]]], ...] = (
-        ("evaluate controllers", lambda: _units(cells(matrix, root, trained=False))),
-        ("train", lambda: list(trainings(matrix).values())),
-        ("evaluate policies", lambda: _units(cells(matrix, root, trained=True))),
-    )
-    for stage, units in stages:
+
+    stages: dict[str, Callable[[], list[Unit]]] = {
+        "evaluate controllers": lambda: _units(cells(matrix, root, trained=False)),
+        "train": lambda: list(trainings(matrix).values()),
+        "evaluate policies": lambda: _units(cells(matrix, root, trained=True)),
+    }
+    for stage, units in stages.items():
         report = do_units(units(), root, stage=stage, seconds=matrix.seconds, **options)
-        total = Report(
-            total.folder,
-            total.done + report.done,
-            total.skipped + report.skipped,
-            {**total.failed, **report.failed},
-        )
-        if stage == "train" and not report.complete:
-            break
+        total.done.extend(report.done)
+        total.skipped.extend(report.skipped)
+        total.failed.update(report.failed)
     return total
 
 
@@ -298,7 +289,7 @@ def entries(matrix: Matrix, folder: str | os.PathLike[str]) -> list[MatrixEntry]
     """
     root = Path(folder)
     rows: dict[tuple[str, str, str], list[list[dict[str, Any]]]] = {}
-    for cell in cells(_trained_part(matrix, root), root):
+    for cell in cells(matrix, root):
         path = root / "results" / f"{cell.unit.id}.json"
         if path.exists():
             key = cell.task, cell.machine, cell.method
@@ -309,20 +300,6 @@ def entries(matrix: Matrix, folder: str | os.PathLike[str]) -> list[MatrixEntry]
         _entry(key, seeds, rows.get((key[0], key[1], first[key[0]]), []))
         for key, seeds in rows.items()
     ]
-
-
-def _trained_part(matrix: Matrix, root: Path) -> Matrix:
-    """The matrix without the methods that are not trained yet with every seed."""
-    lacking = {
-        (task, method)
-        for (task, method, _), unit in trainings(matrix).items()
-        if not (root / "results" / f"{unit.id}.json").exists()
-    }
-    tasks = (
-        replace(t, methods=tuple(m for m in t.methods if (t.env, m.name) not in lacking))
-        for t in matrix.tasks
-    )
-    return replace(matrix, tasks=tuple(t for t in tasks if t.methods))
 
 
 def _entry(

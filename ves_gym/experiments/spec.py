@@ -10,6 +10,7 @@ from typing import Any
 
 from ves_gym._util.params import ParameterError, from_plain, read_table, to_plain
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.baselines.comparison import policy_files
 from ves_gym.baselines.config import CONFIGS, TrainConfig, config_from_plain
 from ves_gym.baselines.evaluate import MOST_EPISODES
 from ves_gym.baselines.policy import released
@@ -126,8 +127,7 @@ def _policies(text: str, env: str, base: Path) -> list[str]:
     if text == "released":
         files = list(released(env).values())
     elif (base / text).is_dir():
-        files = sorted((base / text).glob("seed-*/best.json"))
-        files = files or sorted((base / text).glob("best.json"))
+        files = policy_files(base / text, env)
     else:
         files = [base / text] if Path(text).suffix == ".json" else []
     if not files:
@@ -154,21 +154,21 @@ def _config(name: str, changes: Mapping[str, Any], base: Path) -> TrainConfig:
             f"config must be a .toml file or one of {', '.join(names)}, got {name!r}"
             f"{did_you_mean(name, names)}"
         )
-    return config_from_plain(_changed(read_table(path), changes), str(path))
+    return config_from_plain(changed(read_table(path), changes), str(path))
 
 
-def _changed(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """A table with some of its entries replaced, those of tables in it one by one."""
+def changed(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a table with some of its entries replaced, those of tables in it one by one."""
     out = dict(table)
     for key, value in changes.items():
         old = out.get(key)
         both = isinstance(old, Mapping) and isinstance(value, Mapping)
-        out[key] = _changed(old, value) if both else value  # type: ignore[arg-type]
+        out[key] = changed(old, value) if both else value  # type: ignore[arg-type]
     return out
 
 
 def _plannings(table: Plannings, base: Path) -> Iterable[Unit]:
-    system = System.from_dict(_changed(to_plain(System()), table.system), "plan.system")
+    system = System.from_dict(changed(to_plain(System()), table.system), "plan.system")
     suite = get_suite(
         table.suite, system=system, vehicle=table.vehicle, obstacles=table.obstacles
     )

@@ -31,7 +31,6 @@ from ves_gym.baselines.config import PACKAGES
 from ves_gym.experiments.spec import Spec, read_spec, units_of
 from ves_gym.experiments.units import Unit, read_result, run_unit, store
 
-FAILURE = "ves-failure/1"
 _LOOK = 0.05  # s between looks at what has ended
 _ORDER = ("kind", "where", "who", "seed", "unit")  # of the rows of a merged table
 
@@ -81,8 +80,8 @@ def sweep(
 ) -> Report:
     """Do the units of a spec that have no result yet.
 
-    A unit that fails, takes too long or kills its worker is reported, in `folder/failed` too,
-    and the others go on; the next sweep tries it again.
+    A unit that fails, takes too long or kills its worker is reported, and the others go on; the
+    next sweep tries it again.
 
     Args:
         spec: or the file that holds it, where paths in it start from.
@@ -190,21 +189,20 @@ def run_units(
     running = [(pool.submit(run_unit, unit, folder), unit) for unit in units]
     count = 0
     while running:  # asked one by one: jobs of submitit are no futures of the standard library
-        left = []
+        pending = []
         for job, unit in running:
-            if not job.done():
-                left.append((job, unit))
-                continue
-            _enter(job, unit, report)
-            count += 1
-            on_progress(count)
-        running = left
+            if job.done():
+                _enter(job, unit, report)
+                count += 1
+                on_progress(count)
+            else:
+                pending.append((job, unit))
+        running = pending
         time.sleep(_LOOK if running else 0.0)
 
 
 def _enter(job: Any, unit: Unit, report: Report) -> None:
     """Store what a unit came back with, or why it did not."""
-    failure = report.folder / "failed" / f"{unit.id}.json"
     try:
         outcome = job.result()
     except ProcessExpired as error:
@@ -215,11 +213,8 @@ def _enter(job: Any, unit: Unit, report: Report) -> None:
         why = f"{type(error).__name__}: {error}"
     else:
         store(outcome, report.folder)
-        failure.unlink(missing_ok=True)
         report.done.append(unit.id)
         return
-    record = {"schema": FAILURE, "id": unit.id, "unit": dict(unit.identity), "why": why}
-    write_text(failure, canonical_json(record) + "\n")
     report.failed[unit.id] = f"{unit.label}: {why}"
 
 

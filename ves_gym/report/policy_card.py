@@ -12,9 +12,10 @@ from typing import Any
 import gymnasium as gym
 
 from ves_gym._util.params import ParameterError, content_hash, read_table
+from ves_gym.baselines.comparison import ControllerComparison
 from ves_gym.baselines.config import find_configs
 from ves_gym.baselines.controllers import Random, Zero
-from ves_gym.baselines.evaluate import evaluate, report
+from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.policy import RELEASED, Policy, load_policy, task_name
 from ves_gym.envs.build import build_task
 from ves_gym.envs.task import Task
@@ -57,7 +58,8 @@ def evaluation_for_card(name: str, episodes: int, seed: int = 0) -> dict[str, An
         raise ParameterError(f"{name}: names no environment; give its --figures")
     policy.name = str(policy.about.get("algorithm", policy.name))
     rivals = (Zero(), Random(), policy)
-    return report([evaluate(c, env, episodes=episodes, seed=seed, **settings) for c in rivals])
+    rows = (evaluate(c, env, episodes=episodes, seed=seed, **settings) for c in rivals)
+    return ControllerComparison(tuple(rows)).to_dict()
 
 
 def _opening(policy: Policy, label: str) -> str:
