@@ -112,46 +112,22 @@ def test_newton_ends_elsewhere_than_at_the_nearest_configuration():
     assert share > 0.5
 
 
-def some_policy(features, hidden=16):
-    sizes = (len(features.scales) + features.size, hidden, 3)
+def test_a_file_says_them_and_a_row_does_not_depend_on_its_neighbours(tmp_path):
+    env, rows = moving("ves/PumaReachGoal-v0")
+    features = arm_features(env.task, env.goal)
+    sizes = (len(features.scales) + features.size, 16, 3)
     draw = np.random.default_rng(0)
     weights = tuple(
         (draw.normal(size=(a, b)).astype(np.float32).astype(float), np.zeros(b))
         for a, b in itertools.pairwise(sizes)
     )
-    return Policy(Network(sizes=sizes, features=features), weights, {"env": "x"})
-
-
-def test_a_row_does_not_depend_on_its_neighbours():
-    env, rows = moving("ves/PumaReach-v0")
-    policy = some_policy(arm_features(env.task))
-    whole = policy(rows)
+    policy = Policy(Network(sizes=sizes, features=features), weights, {"env": "x"})
+    actions = policy(rows)
     for n in (1, 7):
-        np.testing.assert_array_equal(policy(rows[:n]), whole[:n])
-
-
-def test_a_file_says_them_and_an_onnx_model_computes_them(tmp_path):
-    env, rows = moving("ves/PumaReachGoal-v0")
-    policy = some_policy(arm_features(env.task, env.goal))
+        np.testing.assert_array_equal(policy(rows[:n]), actions[:n])
     again = load_policy(save_policy(policy, tmp_path / "p.json"))
     assert again.network == policy.network and again.network.observations == 28
-    np.testing.assert_array_equal(again(rows), policy(rows))
-    pytest.importorskip("onnx")
-    from ves_gym.baselines.onnx_file import difference, to_onnx
-
-    assert difference(policy, to_onnx(policy)) <= 1e-6
-
-
-def test_an_onnx_model_computes_those_of_a_pose():
-    pytest.importorskip("onnx")
-    from ves_gym.baselines.onnx_file import difference, to_onnx
-
-    env = gym.make_vec(
-        "ves/PoseReach-v0", num_envs=1, threads=1, control={"kind": "joint_velocity"}
-    )
-    for rounds in (0, 2):  # closed form; Newton's method
-        policy = some_policy(dataclasses.replace(arm_features(env.task), rounds=rounds))
-        assert difference(policy, to_onnx(policy), rows=100) <= 1e-6
+    np.testing.assert_array_equal(again(rows), actions)
 
 
 def test_what_does_not_fit_is_refused():

@@ -24,6 +24,7 @@ def test_values_come_back_as_they_were(tmp_path):
             np.float32(0.1),
             np.zeros((0, 2)),
             np.array(True),
+            np.ones((3, 2)).T,  # sums may depend on the order in memory
         ),
         "system": [
             System(vehicle=BENT_THESIS),
@@ -38,13 +39,8 @@ def test_values_come_back_as_they_were(tmp_path):
     assert again["a", 1] == value["a", 1]
     for a, b in zip(again["arrays"], value["arrays"], strict=True):
         assert a.dtype == b.dtype and a.shape == b.shape and np.array_equal(a, b)
+        assert np.asarray(a).flags.c_contiguous == np.asarray(b).flags.c_contiguous
     again["arrays"][0][0, 0] = 7  # writable
-
-
-def test_the_order_in_memory_is_kept(tmp_path):
-    save_state(tmp_path / "x", [np.ones((2, 3)), np.ones((3, 2)).T])
-    one, two = load_state(tmp_path / "x")
-    assert one.flags.c_contiguous and two.flags.f_contiguous
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from ves_gym.baselines.dataset import (
     recipes,
     recorded,
 )
+from ves_gym.baselines.registry import get_controller
 
 SHORT = Recipe(
     id="ves/test/mixed-v0",
@@ -55,13 +56,8 @@ def test_every_recipe_is_recorded_as_it_is_now():
 
 
 def test_behaviours_take_turns_and_episodes_depend_on_their_seed_alone(short):
-    assert [e.behaviour for e in short.episodes] == [
-        "random",
-        "resolved",
-        "closing-dagger",
-        "random",
-        "resolved",
-    ]
+    turns = ["random", "resolved", "closing-dagger", "random", "resolved"]
+    assert [e.behaviour for e in short.episodes] == turns
     assert [e.seed for e in short.episodes] == list(range(7, 12))
     fewer = make_dataset(dataclasses.replace(SHORT, episodes=2))
     for a, b in zip(fewer.episodes, short.episodes, strict=False):
@@ -103,17 +99,17 @@ def test_random_sums_are_those_of_any_version_of_numpy():
     """Bits of Philox (Salmon et al., 2011) by key and counter; fixed here once."""
     sums = random_sums(np.arange(5.0))
     assert sums[0] == pytest.approx(np.sqrt(6.0))
-    assert [round(s * np.sqrt(5)) for s in sums[1:5]] == EXPECTED_SUMS
-
-
-EXPECTED_SUMS = [4, 0, 10, 6]
+    assert [round(s * np.sqrt(5)) for s in sums[1:5]] == [4, 0, 10, 6]
 
 
 def test_recipes_are_checked(tmp_path):
-    with pytest.raises(ParameterError, match=r"behaviours"):
-        dataclasses.replace(SHORT, behaviours=())
-    with pytest.raises(ParameterError, match=r"ves/Env-v0/name-v0"):
-        dataclasses.replace(SHORT, id="no version")
+    for changes, message in (
+        ({"behaviours": ()}, "behaviours"),
+        ({"id": "no version"}, "ves/Env-v0/name-v0"),
+        ({"noise": -1.0}, "noise must be >= 0"),
+    ):
+        with pytest.raises(ParameterError, match=message):
+            dataclasses.replace(SHORT, **changes)
     with pytest.raises(ParameterError, match="did you mean"):
         choose_recipes(["PumaReach-v0/mixd-v0"])
     file = tmp_path / "r.toml"
@@ -126,18 +122,10 @@ def test_recipes_are_checked(tmp_path):
 
 
 def test_behaviours_that_need_different_settings_cannot_share_a_set():
-    recipe = Recipe(
-        id="ves/x/y-v0",
-        env="ves/PumaReach-v0",
-        behaviours=("closing", "clash"),
-        episodes=2,
-        seed=0,
-    )
-
     class Clash:
         def settings(self, spec):
             return {"control": {"kind": "guided", "jerk": 1.0}}
 
-    closing = dataset._behaviour(recipe, "closing")
+    recipe = dataclasses.replace(SHORT, env="ves/PumaReach-v0")
     with pytest.raises(ParameterError, match="same control"):
-        dataset._settings(recipe, [closing, Clash()])
+        dataset._settings(recipe, [get_controller("closing"), Clash()])

@@ -1,16 +1,21 @@
 """Policies as ONNX: other engines give the same actions, and none is ever read."""
 
 import ast
+import dataclasses
 import inspect
 import itertools
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 onnx = pytest.importorskip("onnx")
+runtime = pytest.importorskip("onnxruntime")
+from onnx.reference import ReferenceEvaluator  # noqa: E402
 
 from ves_gym._util.params import ParameterError  # noqa: E402
 from ves_gym.baselines import onnx_file  # noqa: E402
+from ves_gym.baselines.arm_features import arm_features  # noqa: E402
 from ves_gym.baselines.onnx_file import difference, to_onnx, write_onnx  # noqa: E402
 from ves_gym.baselines.policy import (  # noqa: E402
     RELEASED,
@@ -22,39 +27,30 @@ from ves_gym.baselines.policy import (  # noqa: E402
 NAMES = [p.relative_to(RELEASED).with_suffix("").as_posix() for p in RELEASED.glob("*/*.json")]
 
 
-def drawn(activation="relu", output="tanh", inputs=()):
+def drawn(activation="relu", output="tanh", inputs=(), sizes=(7, 16, 9, 2), features=None):
     draw = np.random.default_rng(1)
-    sizes = (7, 16, 9, 2)
     weights = tuple(
         (draw.normal(size=(a, b)), draw.normal(size=b)) for a, b in itertools.pairwise(sizes)
     )
-    network = Network(sizes=sizes, activation=activation, output=output, inputs=inputs, hold=3)
+    network = Network(
+        sizes=sizes, activation=activation, output=output, inputs=inputs, hold=3,
+        features=features,
+    )  # fmt: skip
     return Policy(network, weights, {"env": "ves/PumaReach-v0"})
-
-
-def reference(data, observation):
-    """Actions by the evaluator of the package onnx, which is NumPy of others."""
-    from onnx.reference import ReferenceEvaluator
-
-    model = onnx.load_from_string(data)
-    return ReferenceEvaluator(model).run(None, {"observation": observation})[0]
 
 
 @pytest.mark.parametrize("name", sorted(NAMES))
 def test_released_policies_act_alike(name):
+    """Judges: onnxruntime, and the evaluator of the package onnx, which is NumPy of others."""
     policy = load_policy(name)
     data = to_onnx(policy)
     assert difference(policy, data) <= 1e-6
-    x = np.random.default_rng(0).uniform(-6, 6, (50, policy.network.entries))
-    x = x.astype(np.float32)
-    ours = policy(parts(policy, x) if policy.network.inputs else x)
-    assert np.abs(reference(data, x) - ours).max() <= 1e-6
-
-
-def parts(policy, x):
-    """The observation as a dictionary whose parts follow each other."""
-    first, *others = policy.network.inputs
-    return {first: x, **dict.fromkeys(others, x[:, :0])}
+    net = policy.network
+    x = np.random.default_rng(0).uniform(-6, 6, (50, net.entries)).astype(np.float32)
+    (theirs,) = ReferenceEvaluator(onnx.load_from_string(data)).run(None, {"observation": x})
+    if net.inputs:  # all of it as the first part of the dictionary
+        x = {**dict.fromkeys(net.inputs, x[:, :0]), net.inputs[0]: x}
+    assert np.abs(theirs - policy(x)).max() <= 1e-6
 
 
 @pytest.mark.parametrize("activation", ["tanh", "relu"])
@@ -64,8 +60,15 @@ def test_every_architecture(activation, output):
     assert difference(policy, to_onnx(policy)) <= 1e-6
 
 
+@pytest.mark.parametrize("rounds", [0, 2], ids=["closed form", "Newton's method"])
+def test_a_model_computes_the_features_of_a_pose(rounds):
+    env = gym.make_vec("ves/PoseReach-v0", num_envs=1, control={"kind": "joint_velocity"})
+    features = dataclasses.replace(arm_features(env.task), rounds=rounds)
+    policy = drawn(sizes=(len(features.scales) + features.size, 16, 3), features=features)
+    assert difference(policy, to_onnx(policy), rows=100) <= 1e-6
+
+
 def test_onnxruntime_runs_it_and_the_model_says_how_it_is_used(tmp_path):
-    runtime = pytest.importorskip("onnxruntime")
     policy = drawn(inputs=("observation", "desired_goal"))
     gap = write_onnx(policy, tmp_path / "p.onnx")
     assert gap <= 1e-6

@@ -40,44 +40,37 @@ def main() -> str:
     """Train; return what was run."""
     torch.manual_seed(0)
     envs = gym.make_vec("ves/PumaReach-v0", num_envs=NUM_ENVS, duration=0.25)
-    envs = vector.RecordEpisodeStatistics(envs)
-    envs = vector.ClipAction(envs)
-    envs = vector.NormalizeObservation(envs)
-    envs = vector.TransformObservation(envs, lambda o: np.clip(o, -10, 10))
-    envs = vector.NormalizeReward(envs, gamma=GAMMA)
+    envs = vector.ClipAction(vector.RecordEpisodeStatistics(envs))
+    envs = vector.NormalizeReward(vector.NormalizeObservation(envs), gamma=GAMMA)
     size, width = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
     agent = Agent(size, width)
     optimiser = torch.optim.Adam(agent.parameters(), lr=3e-4, eps=1e-5)
-    obs = torch.zeros(NUM_STEPS, NUM_ENVS, size)
+    obs = torch.zeros(NUM_STEPS + 1, NUM_ENVS, size)
     actions = torch.zeros(NUM_STEPS, NUM_ENVS, width)
-    logprobs, rewards, dones, values = torch.zeros(4, NUM_STEPS, NUM_ENVS)
-    first, _ = envs.reset(seed=1)
-    next_obs = torch.as_tensor(first, dtype=torch.float32)
-    next_done = torch.zeros(NUM_ENVS)
+    logprobs, rewards = torch.zeros(2, NUM_STEPS, NUM_ENVS)
+    dones, values = torch.zeros(2, NUM_STEPS + 1, NUM_ENVS)
+    obs[0] = torch.as_tensor(envs.reset(seed=1)[0])
     returns: list[float] = []
     for _ in range(UPDATES):
         for t in range(NUM_STEPS):
-            obs[t], dones[t] = next_obs, next_done
             with torch.no_grad():
-                actions[t], logprobs[t], values[t] = agent(next_obs)
-            observation, reward, terminated, truncated, infos = envs.step(actions[t].numpy())
-            rewards[t] = torch.as_tensor(reward)
-            next_obs = torch.as_tensor(observation, dtype=torch.float32)
-            next_done = torch.as_tensor(terminated | truncated, dtype=torch.float32)
+                actions[t], logprobs[t], values[t] = agent(obs[t])
+            after, reward, terminated, truncated, infos = envs.step(actions[t].numpy())
+            obs[t + 1], rewards[t] = torch.as_tensor(after), torch.as_tensor(reward)
+            dones[t + 1] = torch.as_tensor(terminated | truncated)
             if "episode" in infos:
                 returns += infos["episode"]["r"][infos["_episode"]].tolist()
+        advantages, last = torch.zeros_like(rewards), torch.zeros(NUM_ENVS)
         with torch.no_grad():
-            advantages, last = torch.zeros_like(rewards), torch.zeros(NUM_ENVS)
-            for t in reversed(range(NUM_STEPS)):
-                final = t == NUM_STEPS - 1
-                alive = 1 - (next_done if final else dones[t + 1])
-                after = agent(next_obs)[2] if final else values[t + 1]
-                delta = rewards[t] + GAMMA * after * alive - values[t]
-                advantages[t] = last = delta + GAMMA * LAMBDA * alive * last
-        target, flat = (advantages + values).flatten(), advantages.flatten()
+            values[-1] = agent(obs[-1])[2]
+        for t in reversed(range(NUM_STEPS)):
+            alive = 1 - dones[t + 1]
+            delta = rewards[t] + GAMMA * values[t + 1] * alive - values[t]
+            advantages[t] = last = delta + GAMMA * LAMBDA * alive * last
+        target, flat = (advantages + values[:-1]).flatten(), advantages.flatten()
         for rows in torch.randperm(NUM_STEPS * NUM_ENVS).chunk(4):
             _, logprob, value = agent(
-                obs.reshape(-1, size)[rows], actions.reshape(-1, width)[rows]
+                obs[:-1].reshape(-1, size)[rows], actions.reshape(-1, width)[rows]
             )
             ratio = (logprob - logprobs.flatten()[rows]).exp()
             gain = (flat[rows] - flat[rows].mean()) / (flat[rows].std() + 1e-8)
@@ -88,6 +81,7 @@ def main() -> str:
             nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
             optimiser.step()
             assert torch.isfinite(loss)
+        obs[0], dones[0] = obs[-1], dones[-1]
     assert len(returns) >= 80 and np.isfinite(returns).all()
     return (
         f"PPO in CleanRL's style on PumaReach, native vector of {NUM_ENVS}, statistics and"

@@ -28,12 +28,11 @@ class Lossy(Executor):
         return future
 
 
-def test_an_executor_of_the_standard_library_gives_the_same_files(tmp_path):
-    sweep(spec(), tmp_path / "processes", workers=2)
+def test_an_executor_of_the_standard_library_gives_the_same_files(swept, tmp_path):
     with ThreadPoolExecutor(1) as pool:
-        report = sweep(spec(), tmp_path / "threads", workers=pool)
+        report = sweep(spec(), tmp_path, workers=pool)
     assert len(report.done) == 4
-    assert files(tmp_path / "threads") == files(tmp_path / "processes")
+    assert files(tmp_path) == files(swept[0])
 
 
 def test_a_lost_job_costs_its_unit_and_is_done_next_time(tmp_path):
@@ -69,24 +68,22 @@ def test_a_limit_is_not_kept_by_another_executor(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ResourceWarning")  # of Dask's own sockets
-def test_dask(tmp_path):
+def test_dask(swept, tmp_path):
     distributed = pytest.importorskip("distributed")
-    sweep(spec(), tmp_path / "processes", workers=2)
     with (
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0"
         ) as cluster,
         distributed.Client(cluster) as client,
     ):
-        sweep(spec(), tmp_path / "dask", workers=client.get_executor(pure=False))
-    assert files(tmp_path / "dask") == files(tmp_path / "processes")
+        sweep(spec(), tmp_path, workers=client.get_executor(pure=False))
+    assert files(tmp_path) == files(swept[0])
 
 
 @pytest.mark.slow
-def test_submitit(tmp_path):
+def test_submitit(swept, tmp_path):
     submitit = pytest.importorskip("submitit")
-    sweep(spec(), tmp_path / "processes", workers=2)
     pool = submitit.LocalExecutor(folder=tmp_path / "jobs")
     pool.update_parameters(timeout_min=10)
-    sweep(spec(), tmp_path / "submitit", workers=pool)
-    assert files(tmp_path / "submitit") == files(tmp_path / "processes")
+    sweep(spec(), tmp_path / "out", workers=pool)
+    assert files(tmp_path / "out") == files(swept[0])

@@ -49,34 +49,34 @@ def here():
         yield pool
 
 
-def params(found):
-    return [t["params"] for t in found.trials if t["state"] == "complete"]
+def params(result):
+    return [t["params"] for t in result.trials if t["state"] == "complete"]
 
 
 # ---------------------------------------------------------------------------- searching
 
 
 def test_the_best_of_all_trials(here, file, tmp_path):
-    told = []
-    found = search(
+    fractions = []
+    result = search(
         file(),
         tmp_path / "out",
         workers=here,
-        progress=lambda stage, done: told.append(round(done, 2)),
+        progress=lambda stage, done: fractions.append(round(done, 2)),
     )
-    assert [t["state"] for t in found.trials] == ["complete"] * 4
-    assert found.best["value"] == min(t["value"] for t in found.trials)
-    for t in found.trials:
+    assert [t["state"] for t in result.trials] == ["complete"] * 4
+    assert result.best["value"] == min(t["value"] for t in result.trials)
+    for t in result.trials:
         assert 1e-3 <= t["params"]["evaluate.0.settings.shift"] <= 4e-3
         (unit,) = t["units"]
         result = json.loads((tmp_path / "out" / "results" / f"{unit}.json").read_text())
         assert result["summary"]["E_mean"] == t["value"]
         chosen = t["params"]["evaluate.0.policies"]
         assert [result["unit"]["who"]] == json.loads(chosen)
-    assert told == [0.0, 0.5, 1.0]
+    assert fractions == [0.0, 0.5, 1.0]
 
     again = search(file(), tmp_path / "out", workers=here)
-    assert again == found  # nothing is left to do
+    assert again == result  # nothing is left to do
     assert len(search(file(trials=5), tmp_path / "out", workers=here).trials) == 5
 
 
@@ -93,11 +93,11 @@ def test_seeds_decide(here, file, tmp_path, sampler):
 
 def test_settings_that_do_not_work_are_failed_trials(here, file, tmp_path):
     text = PLAIN.replace("low = 1e-3", "low = -4e-3").replace("high = 4e-3", "high = 1e-3")
-    found = search(file(trials=3, text=text), tmp_path / "out", workers=here)
-    assert found.best is None or found.best["value"] >= 0
-    failed = [t for t in found.trials if t["state"] == "fail"]
+    result = search(file(trials=3, text=text), tmp_path / "out", workers=here)
+    assert result.best is None or result.best["value"] >= 0
+    failed = [t for t in result.trials if t["state"] == "fail"]
     assert failed and all(t["why"] for t in failed)
-    assert len(found.trials) == 3
+    assert len(result.trials) == 3
 
 
 def test_a_search_begun_again_comes_to_the_same_trials(here, file, tmp_path):
@@ -116,8 +116,8 @@ def test_a_search_begun_again_comes_to_the_same_trials(here, file, tmp_path):
 
 @pytest.mark.slow
 def test_processes_give_the_same(here, file, tmp_path):
-    found = search(file(), tmp_path / "two", workers=2)
-    assert found == search(file(), tmp_path / "here", workers=here)
+    result = search(file(), tmp_path / "two", workers=2)
+    assert result == search(file(), tmp_path / "here", workers=here)
 
 
 # ------------------------------------------------------------------------------ bad input
@@ -127,6 +127,8 @@ def test_processes_give_the_same(here, file, tmp_path):
     ("old", "new", "message"),
     [
         ("[search]", "[other]", "missing key 'trials'"),
+        (PLAIN.partition("[search]")[2], "", "missing key"),
+        (f"[search]{PLAIN.partition('[search]')[2]}", "", r"expected a table \[search\]"),
         ('"minimize"', '"down"', "direction must be one of"),
         ('"{sampler}"', '"grid"', "sampler must be one of"),
         ("batch = 2", "batch = 0", "batch must be >= 1"),
@@ -143,12 +145,6 @@ def test_a_bad_file_is_refused(here, file, tmp_path, old, new, message):
     with pytest.raises(ParameterError, match=message):
         search(file(text=PLAIN.replace(old, new, 1)), tmp_path / "out", workers=here)
     assert not (tmp_path / "out").exists()
-
-
-def test_a_sweep_is_no_search(here, file, tmp_path):
-    text = PLAIN.partition("[search]")[0]
-    with pytest.raises(ParameterError, match=r"expected a table \[search\]"):
-        search(file(text=text), tmp_path / "out", workers=here)
 
 
 def test_an_unknown_objective_names_the_known(here, file, tmp_path):

@@ -12,22 +12,14 @@ from pathlib import Path
 import pytest
 
 from tests.experiments.sweeps import SMALL, files, many, spec
-from ves_gym._util.params import ParameterError, canonical_json, content_hash
+from ves_gym._util.params import ParameterError, canonical_json, content_hash, to_plain
+from ves_gym.baselines.policy import load_policy
 from ves_gym.experiments import units as u
 from ves_gym.experiments.spec import read_spec, spec_from_plain, units_of
 from ves_gym.experiments.sweep import merge, sweep, write_rows
 
 ROOT = Path(__file__).parents[2]
 POLICY = ROOT / "ves_gym" / "baselines" / "policies" / "BeamLQR" / "ppo"
-
-
-@pytest.fixture(scope="module")
-def swept(tmp_path_factory):
-    """A small sweep, done by two workers."""
-    folder = tmp_path_factory.mktemp("sweep")
-    told = []
-    report = sweep(spec(), folder, workers=2, progress=lambda *words: told.append(words))
-    return folder, report, told
 
 
 # ------------------------------------------------------------------------------- units
@@ -46,6 +38,8 @@ def test_an_id_is_the_content():
         assert unit.id == content_hash(json.loads(canonical_json(unit.identity)))
         assert {"version", "system", "seed"} <= unit.identity.keys()
     assert len({unit.id for unit in units}) == 4
+    twice = {**SMALL, "evaluate": SMALL["evaluate"] * 2}
+    assert [unit.id for unit in units_of(spec(twice))] == [unit.id for unit in units]
 
 
 @pytest.mark.parametrize(
@@ -85,37 +79,24 @@ def test_a_policy_is_named_by_its_weights_not_by_its_place(tmp_path):
         u.run_unit(file[0])
 
 
-def test_a_unit_named_twice_is_done_once():
-    twice = {"evaluate": [SMALL["evaluate"][0]] * 2}
-    assert len(units_of(spec(twice))) == 2
-
-
 # ------------------------------------------------------------------------------- sweeps
 
 
-def test_every_unit_has_its_files(swept):
-    folder, report, told = swept
+def test_every_unit_has_its_files_and_is_done_once(swept):
+    folder, report, progress = swept
     ids = {unit.id for unit in units_of(spec())}
     assert set(report.done) == ids and not report.failed and report.complete
     assert files(folder).keys() == files(folder, "about").keys() == {f"{i}.json" for i in ids}
-    assert [done for _, done in told] == [0.25, 0.5, 0.75, 1.0]
+    assert [done for _, done in progress] == [0.25, 0.5, 0.75, 1.0]
     for path in (folder / "results").iterdir():
-        found = u.read_result(path)
-        assert (
-            found["rows"]
-            and path.read_text() == canonical_json(json.loads(path.read_text())) + "\n"
-        )
         text = path.read_text()
+        assert u.read_result(path)["rows"] and text == canonical_json(json.loads(text)) + "\n"
         assert os.uname().nodename not in text and "seconds" not in text
         about = json.loads((folder / "about" / path.name).read_text())
         assert about["id"] == path.stem and about["seconds"] > 0
-
-
-def test_finished_units_are_skipped(swept):
-    folder, report, _ = swept
     before = {p: p.stat().st_mtime_ns for p in (folder / "results").iterdir()}
     again = sweep(spec(), folder, workers=2)
-    assert again.done == [] and set(again.skipped) == set(report.done)
+    assert again.done == [] and set(again.skipped) == ids
     assert {p: p.stat().st_mtime_ns for p in (folder / "results").iterdir()} == before
 
 
@@ -124,12 +105,12 @@ def test_a_damaged_result_is_done_again_and_another_left_alone(swept, tmp_path):
     copy = shutil.copytree(folder, tmp_path / "copy")
     unit = units_of(spec())[0]
     path = copy / "results" / f"{unit.id}.json"
-    whole = path.read_text()
-    path.write_text(whole[: len(whole) // 2])  # torn
+    text = path.read_text()
+    path.write_text(text[: len(text) // 2])  # torn
     with pytest.warns(UserWarning, match="left out"):
         rows = merge([copy])
     assert {row["unit"] for row in rows} == set(report.done) - {unit.id}
-    path.write_text(whole.replace('"failed":false', '"failed":true', 1))  # changed
+    path.write_text(text.replace('"failed":false', '"failed":true', 1))  # changed
     with pytest.warns(UserWarning, match="does not match its digest; the unit is done again"):
         again = sweep(spec(), copy, workers=1)
     assert again.done == [unit.id]
@@ -137,16 +118,12 @@ def test_a_damaged_result_is_done_again_and_another_left_alone(swept, tmp_path):
 
 
 def test_units_that_fail_are_reported_and_the_others_go_on(tmp_path):
-    tables = [
-        {"envs": ["BeamLQR-v0"], "policies": ["resolved", "zero"], "episodes": 1},
-    ]
-    report = sweep(spec({"evaluate": tables}), tmp_path, workers=1)
+    table = {"envs": ["BeamLQR-v0"], "policies": ["resolved", "zero"], "episodes": 1}
+    report = sweep(spec({"evaluate": [table]}), tmp_path, workers=1)
     assert len(report.done) == len(report.failed) == 1 and not report.complete
     (id,) = report.failed
     assert "resolved" in report.failed[id]
-    told = json.loads((tmp_path / "failed" / f"{id}.json").read_text())
-    assert "resolved" in told["why"] and told["unit"]["who"] == "resolved"
-    again = sweep(spec({"evaluate": tables}), tmp_path, workers=1)
+    again = sweep(spec({"evaluate": [table]}), tmp_path, workers=1)
     assert again.skipped == report.done and set(again.failed) == {id}
 
 
@@ -172,20 +149,13 @@ def test_parts_of_a_sweep_on_two_machines_are_one_by_copying(swept, tmp_path):
     assert sweep(spec(), tmp_path / "both", workers=1).done == []
 
 
-def command(folder, count, *words):
-    file = folder / "many.json"
-    table = {"envs": ["BeamLQR-v0"], "policies": ["random"], "episodes": 1}
-    table["seeds"] = list(range(count))
-    file.write_text(json.dumps({"evaluate": [table]}))
-    out = ["--out", str(folder / "out"), "--workers", "1", *words]
-    return [sys.executable, "-m", "ves_gym.cli.main", "sweep", str(file), *out]
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
 def test_a_killed_sweep_goes_on_where_it_was(tmp_path):
-    words = command(tmp_path, 60)
-    results = tmp_path / "out" / "results"
+    file, results = tmp_path / "many.json", tmp_path / "out" / "results"
+    file.write_text(json.dumps(to_plain(many(60))))
+    words = [sys.executable, "-m", "ves_gym.cli.main", "sweep", str(file), "--workers", "1"]
+    words += ["--out", str(tmp_path / "out")]
     process = subprocess.Popen(words, cwd=ROOT, stderr=subprocess.PIPE)
     while process.poll() is None:
         if results.exists() and len(list(results.glob("*.json"))) >= 5:
@@ -197,8 +167,8 @@ def test_a_killed_sweep_goes_on_where_it_was(tmp_path):
     assert 5 <= len(before) < 60
     report = sweep(many(60), tmp_path / "out", workers=1)
     assert len(report.done) + len(report.skipped) == 60 and len(report.done) < 60
-    kept = {tmp_path / "out" / "results" / f"{i}.json" for i in report.skipped}
-    assert {p: p.stat().st_mtime_ns for p in kept} == {p: before[p] for p in kept}
+    skipped = {results / f"{i}.json" for i in report.skipped}
+    assert {p: p.stat().st_mtime_ns for p in skipped} == {p: before[p] for p in skipped}
     assert len(merge([tmp_path / "out"])) == 60
 
 
@@ -255,24 +225,18 @@ def test_two_results_of_one_unit_that_differ_are_refused(swept, tmp_path):
 
 @pytest.mark.slow
 def test_training_runs_are_units_too(tmp_path):
-    pytest.importorskip("stable_baselines3")
-    from ves_gym.baselines.policy import load_policy
-
     changes = {
-        "total_timesteps": 400,
-        "n_envs": 8,
-        "eval_episodes": 4,
-        "layers": [8],
-        "hyperparameters": {"n_steps": 16, "batch_size": 64, "n_epochs": 1},
-    }
+        "learner": "native", "total_timesteps": 400, "n_envs": 8, "eval_episodes": 4,
+        "layers": [8], "hyperparameters": {"n_steps": 16, "batch_size": 64, "n_epochs": 1},
+    }  # fmt: skip
     table = {"configs": ["BeamLQR-ppo"], "seeds": [0, 1], "changes": changes}
     report = sweep(spec({"train": [table]}), tmp_path, workers=2)
     assert len(report.done) == 2, report.failed
     for id in report.done:
-        found = u.read_result(tmp_path / "results" / f"{id}.json")
-        assert found["unit"]["config"]["hyperparameters"]["gamma"] == 0.99  # of the package
-        best = max(found["rows"], key=lambda row: row["return"])
-        assert found["summary"]["return"] == best["return"]
+        result = u.read_result(tmp_path / "results" / f"{id}.json")
+        assert result["unit"]["config"]["hyperparameters"]["gamma"] == 0.99  # of the package
+        best = max(result["rows"], key=lambda row: row["return"])
+        assert result["summary"]["return"] == best["return"]
         policy = load_policy(tmp_path / "policies" / id / "best.json")
         assert policy.about["steps"] == best["steps"]
     assert not list((tmp_path / "work").glob("*"))

@@ -16,6 +16,8 @@ from ves_gym.leaderboard.entry import LARGEST, from_bytes, require_name, to_byte
 from ves_gym.leaderboard.errors import Code, Refused
 from ves_gym.leaderboard.files import ENTRY, RECORDING, pack, read_files, unpack, write_files
 
+MISSING = object()
+
 
 def malformed(data):
     with pytest.raises(Refused) as refused:
@@ -66,6 +68,9 @@ def test_five_trainings_on_a_hundred_episodes_fit_and_more_are_refused():
         (("results", "success", 0, 0), 0.5, "0 or 1"),
         (("results", "speed"), [[1.0]], "results"),
         (("more",), 1, "more"),
+        (("track",), MISSING, "track"),
+        (("method",), MISSING, "method"),
+        (("results",), MISSING, "results"),
     ],
 )
 def test_an_entry_that_is_none(place, value, why):
@@ -74,6 +79,8 @@ def test_an_entry_that_is_none(place, value, why):
     for key in place[:-1]:
         inner = inner[key]
     inner[place[-1]] = value
+    if value is MISSING:
+        del inner[place[-1]]
     assert why in malformed(json.dumps(plain).encode())
 
 
@@ -88,13 +95,6 @@ def test_what_is_told_is_no_deeper_than_it_can_be_written():
             assert error.code is Code.MALFORMED_ENTRY and depth > 100
 
 
-def test_a_key_that_is_missing():
-    plain = json.loads(to_bytes(made_entry()))
-    for key in ("track", "method", "results"):
-        rest = {k: v for k, v in plain.items() if k != key}
-        assert key in malformed(json.dumps(rest).encode())
-
-
 @pytest.mark.parametrize(
     "text",
     [b"", b"[]", b"null", b"{", b"\xff\xfe", b"[" * 9000, b'{"a":' * 3000 + b"1" + b"}" * 3000,
@@ -105,15 +105,11 @@ def test_a_text_that_is_no_entry(text):
     malformed(text)
 
 
-@pytest.mark.parametrize("name", ["a", "direct", "a-b-2"])
-def test_names(name):
-    assert require_name(name, "name") == name
-
-
 @pytest.mark.parametrize(
     "name", ["", "A", "a_b", "-a", "a--b", "a ", "vés", "\u0430", "a/b", "..", "a" * 41]
 )
 def test_names_that_could_be_taken_for_others(name):
+    assert require_name("a-b-2", "name") == "a-b-2"
     with pytest.raises(ParameterError, match="name must be of a-z"):
         require_name(name, "name")
 
@@ -181,9 +177,8 @@ def test_a_folder_with_links_pipes_folders_and_more(own, tmp_path):
 
 def test_recordings_keep_every_bit():
     rng = np.random.default_rng(0)
-    given_ = [[rng.normal(size=(k, 3)) for k in (0, 5)] for _ in range(2)]
-    found = unpack(pack(given_), 2, 2, (3,))
-    for ours, theirs in zip(given_, found, strict=True):
+    recording = [[rng.normal(size=(k, 3)) for k in (0, 5)] for _ in range(2)]
+    for ours, theirs in zip(recording, unpack(pack(recording), 2, 2, (3,)), strict=True):
         for a, b in zip(ours, theirs, strict=True):
             assert a.shape == b.shape and a.tobytes() == b.tobytes()
 

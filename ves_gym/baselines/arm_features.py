@@ -136,31 +136,31 @@ class ArmFeatures:
         at, desired = frames(arm, q), matvec(back, way)
         tool, moved = at.position[..., -1, :], tool_motions(arm, at)
         carried, turning = moving[:, :3] + cross(moving[:, 3:], tool), moving[:, 3:]
-        rest = [tool]
+        others = [tool]
         if self.turn < 0:
             J, far = moved[..., :3], _FAR
             joint_way, taken = _damped(J, desired), _damped(J, carried)
         else:
             missing = matvec(back, part(self.turn, 3))
             turn, far = self._turn(at), _FURTHER
-            asked = _turned(missing, part(self.turn + 3, 1)[:, 0], turn)
-            left = []
+            target_turn = _turned(missing, part(self.turn + 3, 1)[:, 0], turn)
+            residual = []
             if self.rounds:
-                joint_way, lacking = self._to_pose(q, tool + desired, asked)
-                left = [lacking]
+                joint_way, lacking = self._to_pose(q, tool + desired, target_turn)
+                residual = [lacking]
             else:
-                joint_way = shortest_way(arm, q, tool + desired, asked)
+                joint_way = shortest_way(arm, q, tool + desired, target_turn)
             both = np.concatenate([carried, _LEVER * turning], axis=-1)
             taken = _damped(moved * _WEIGHTS, both)
-            axes = [np.swapaxes(k, -1, -2).reshape(len(q), 9) for k in (turn, asked)]
-            rest = [tool, *axes, *left]
+            axes = [np.swapaxes(k, -1, -2).reshape(len(q), 9) for k in (turn, target_turn)]
+            others = [tool, *axes, *residual]
         parts = (
             np.clip(joint_way, -_NEAR, _NEAR) * (1 / _NEAR),
             np.clip(joint_way, -far, far),
             np.clip(taken, -_FAST, _FAST) * (1 / _FAST),
             np.sin(q),
             np.cos(q),
-            *rest,
+            *others,
         )
         return np.concatenate(parts, axis=-1)
 
@@ -172,18 +172,20 @@ class ArmFeatures:
             place: (n, 3) of the tool in the base's axes [m].
             turn: (n, 3, 3) that it is to have there.
         """
-        end, left = q, np.zeros(6)
+        end, residual = q, np.zeros(6)
         for _ in range(self.rounds):
             at = frames(self._arm, end)
-            gap, now = place - at.position[..., -1, :], self._turn(at)
-            sine = 0.5 * cross(np.swapaxes(now, -1, -2), np.swapaxes(turn, -1, -2)).sum(axis=-2)
-            cosine = 0.5 * ((now * turn).sum(axis=(-2, -1)) - 1.0)
+            gap, turned = place - at.position[..., -1, :], self._turn(at)
+            sine = 0.5 * cross(np.swapaxes(turned, -1, -2), np.swapaxes(turn, -1, -2)).sum(
+                axis=-2
+            )
+            cosine = 0.5 * ((turned * turn).sum(axis=(-2, -1)) - 1.0)
             # twice the tangent of half the angle along the axis: the angle, where it is small
             angle = (2.0 / (cosine + (1.0 + _NO_AXIS)))[:, None] * sine
-            left = np.concatenate([gap, _LEVER * angle], axis=-1)
-            step = _damped(tool_motions(self._arm, at) * _WEIGHTS, left)
+            residual = np.concatenate([gap, _LEVER * angle], axis=-1)
+            step = _damped(tool_motions(self._arm, at) * _WEIGHTS, residual)
             end = end + np.clip(step, -_STRIDE, _STRIDE)
-        return end - q, left
+        return end - q, residual
 
     def _turn(self, at: Frames) -> Array:
         """(n, 3, 3) from the tool's axes to the base's."""

@@ -169,7 +169,7 @@ class Follow:
 
     def __init__(self, name: str, planner: str, seed: int = 0) -> None:
         self.name, self.planner, self.seed = name, planner, seed
-        self._plan = np.empty(0)  # (n, steps + 1, 3, joints)
+        self._plan: Array = np.empty(0)  # (n, steps + 1, 3, joints)
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         """See `Controller`."""

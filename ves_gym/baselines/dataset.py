@@ -340,14 +340,14 @@ def _episodes(
             row = (_row(period.observation, i), *(column[i] for column in columns))
             steps.setdefault(seed, []).append(row)
             if period.ended[i]:
-                before, *others = zip(*steps.pop(seed), strict=True)
+                before, *parts = zip(*steps.pop(seed), strict=True)
+                rows = _stacked([*before, _row(period.following, i)])
+                actions, rewards, terminations, truncations = map(np.array, parts)
+                success = bool(period.info["success"][i])
                 yield Episode(
-                    seed,
-                    controller.name,
-                    _stacked([*before, _row(period.following, i)]),
-                    *map(np.array, others),
-                    success=bool(period.info["success"][i]),
-                )
+                    seed, controller.name, rows, actions, rewards, terminations, truncations,
+                    success,
+                )  # fmt: skip
 
 
 def _row(observation: Any, i: int) -> Any:

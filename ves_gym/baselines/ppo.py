@@ -120,8 +120,8 @@ class ObservationStack:
         """Observations with their features."""
         if self.features is None:
             return observation
-        more = self.features(observation)
-        return np.concatenate([observation, more], axis=1, dtype=np.float32)
+        extra = self.features(observation)
+        return np.concatenate([observation, extra], axis=1, dtype=np.float32)
 
     def scaled(self, rows: Floats) -> Floats:
         """Rows by mean and spread."""
@@ -140,11 +140,11 @@ class ObservationStack:
         mean = old + stretch * rows.mean(axis=0, dtype=float)
         variance = stretch**2 * rows.var(axis=0, dtype=float)
         share = len(rows) / (self.count + len(rows))
-        apart = mean - old
+        difference = mean - old
         self.variance = (1 - share) * (self.variance if self.count else 0.0) + share * (
-            variance + (1 - share) * apart**2
+            variance + (1 - share) * difference**2
         )
-        self.mean = old + share * apart
+        self.mean = old + share * difference
         self.count += len(rows)
         shift, factor = (self.mean - old) / stretch, self.spread / stretch
         return shift.astype(np.float32), factor.astype(np.float32)

@@ -26,8 +26,10 @@ def _late(where: str) -> Callable[[int], Controller]:
     module, _, name = where.partition(":")
 
     def make(seed: int) -> Controller:
-        made: Controller = getattr(import_module(f"ves_gym.baselines.{module}"), name)(seed)
-        return made
+        controller: Controller = getattr(import_module(f"ves_gym.baselines.{module}"), name)(
+            seed
+        )
+        return controller
 
     return make
 

@@ -55,7 +55,7 @@ def event_writer(folder: Path, rows: Sequence[Row]) -> Iterator[Callable[[Row], 
     """
     from tensorboard.summary import Writer
 
-    known = any(folder.glob("events.*"))  # then the rows before the checkpoint are there
+    resumed = any(folder.glob("events.*"))  # then the rows before the checkpoint are there
     writer = Writer(str(folder))
 
     def add(row: Row) -> None:
@@ -64,7 +64,7 @@ def event_writer(folder: Path, rows: Sequence[Row]) -> Iterator[Callable[[Row], 
         writer.flush()
 
     try:
-        for row in () if known else rows:
+        for row in () if resumed else rows:
             add(row)
         yield add
     finally:

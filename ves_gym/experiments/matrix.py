@@ -84,9 +84,9 @@ class Matrix:
         names = [machine.name for machine in self.machines]
         for task in self.tasks:
             methods = [method.name for method in task.methods]
-            for kind, some in (("machine", names), (f"method of {task.env}", methods)):
-                if len(set(some)) < len(some) or not some:
-                    raise ParameterError(f"each {kind} needs a name of its own, got {some}")
+            for kind, chosen in (("machine", names), (f"method of {task.env}", methods)):
+                if len(set(chosen)) < len(chosen) or not chosen:
+                    raise ParameterError(f"each {kind} needs a name of its own, got {chosen}")
             for method in task.methods:
                 if method.machine not in (None, *names):
                     raise ParameterError(
@@ -255,9 +255,9 @@ def run_matrix(
     return total
 
 
-def _units(some: list[Cell]) -> list[Unit]:
+def _units(chosen: list[Cell]) -> list[Unit]:
     """Units of cells, each once."""
-    return list({cell.unit.id: cell.unit for cell in some}.values())
+    return list({cell.unit.id: cell.unit for cell in chosen}.values())
 
 
 # ------------------------------------------------------------------------- figures

@@ -35,6 +35,7 @@ from ves_gym._util.params import (
     write_bytes,
     write_text,
 )
+from ves_gym._util.threads import on_one_thread
 from ves_gym._util.version import __version__
 from ves_gym.baselines.config import TrainConfig, config_from_plain
 from ves_gym.baselines.evaluate import STATISTICS, evaluate
@@ -155,7 +156,8 @@ def run_unit(unit: Unit, folder: str | None = None) -> Outcome:
     """
     root = None if folder is None else Path(folder)
     begun, begin, worked = datetime.now(UTC), time.perf_counter(), time.process_time()
-    with tempfile.TemporaryDirectory() as scratch:
+    # sums depend on the number of threads, and a result on nothing but its unit
+    with tempfile.TemporaryDirectory() as scratch, on_one_thread():
         work = root / "work" / unit.id if root and root.is_dir() else Path(scratch)
         answer = _RUN[unit.identity["kind"]](unit, work)
     body = {

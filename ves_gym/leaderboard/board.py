@@ -49,9 +49,9 @@ def read_board(folder: str | os.PathLike[str]) -> list[Entry]:
             raise ParameterError(f"{path}: {error}") from None
         if entry.file != path.name:
             raise ParameterError(f"{path}: its content belongs to {entry.file}")
-        asked = get_problem(entry.track, entry.problem).count
-        if (found := entry.results["score"].shape[1]) != asked:
-            raise ParameterError(f"{path}: {found} results, {entry.problem} asks {asked}")
+        count = get_problem(entry.track, entry.problem).count
+        if (results := entry.results["score"].shape[1]) != count:
+            raise ParameterError(f"{path}: {results} results, {entry.problem} asks {count}")
         out.append(entry)
     return out
 
@@ -63,12 +63,12 @@ def make_board(entries: Iterable[Entry]) -> Plain:
     reproduced; what was only replayed is in `shown`.
     """
     cells: dict[tuple[str, str, str], list[Entry]] = defaultdict(list)
-    shown = []
+    replayed = []
     for entry in entries:
         if entry.level == RANKED:
             cells[entry.track, entry.problem, entry.seeds].append(entry)
         else:
-            shown.append({"problem": entry.problem, "seeds": entry.seeds, **_of(entry)})
+            replayed.append({"problem": entry.problem, "seeds": entry.seeds, **_of(entry)})
     tracks = [
         {
             "track": track,
@@ -80,7 +80,7 @@ def make_board(entries: Iterable[Entry]) -> Plain:
     return {
         "schema": SCHEMA,
         "tracks": [track for track in tracks if track["groups"]],
-        "shown": shown,
+        "shown": replayed,
     }
 
 

@@ -50,17 +50,17 @@ def read_files(path: str | os.PathLike[str]) -> dict[str, bytes]:
     path = Path(path)
     if path.is_dir():
         with os.scandir(path) as items:
-            found = {item.name: path / item.name for item in items}
-        if ENTRY not in found:
+            files = {item.name: path / item.name for item in items}
+        if ENTRY not in files:
             raise ParameterError(f"{path}: has no {ENTRY}")
     elif path.is_file():
-        found = {ENTRY: path}
+        files = {ENTRY: path}
     else:
         raise ParameterError(f"{path}: expected an entry, a folder with {ENTRY} or the file")
-    for name in found:
+    for name in files:
         if _limit(name) is None:
             raise Refused(Code.UNSAFE_FILE, f"{name[:100]!r} is no file of an entry")
-    return {name: _read(file, _limit(name) or 0) for name, file in found.items()}
+    return {name: _read(file, _limit(name) or 0) for name, file in files.items()}
 
 
 def write_files(folder: str | os.PathLike[str], files: Mapping[str, bytes]) -> Path:

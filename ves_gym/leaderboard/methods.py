@@ -27,7 +27,7 @@ from ves_gym.planners.registry import PLANNERS, get_planner
 Agents = Sequence[Any]
 
 
-class Given(NamedTuple):
+class Entered(NamedTuple):
     """A method with the objects that answer, one per group, and the files it needs again."""
 
     method: Method
@@ -42,7 +42,7 @@ class Given(NamedTuple):
         return bool(self.method.name or self.method.weights)
 
 
-def given(problem: Problem, method: Any, seeds: Sequence[int]) -> Given:
+def enter(problem: Problem, method: Any, seeds: Sequence[int]) -> Entered:
     """Return the method that somebody enters.
 
     Args:
@@ -71,16 +71,16 @@ def given(problem: Problem, method: Any, seeds: Sequence[int]) -> Given:
         settings = chosen_settings(agents[0], id)
         about = {"privileged": bool(agents[0].privileged)}
     name = words[0] if words else str(getattr(method, "name", ""))
-    made = Method(
+    chosen = Method(
         kind="controller" if id is not None else problem.kinds[0],
         name=name if words and name in _known(problem) else "",
         seeds=tuple(seeds),
         settings=settings,
     )
-    return Given(made, agents, name, {}, about)
+    return Entered(chosen, agents, name, {}, about)
 
 
-def again(
+def answering(
     problem: Problem, method: Method, files: Mapping[str, bytes]
 ) -> tuple[Method, Agents]:
     """Return what answers again, built in or from the files; nothing submitted is run.
@@ -99,8 +99,8 @@ def again(
             Code.WRONG_SEEDS,
             f"seeds of a {method.kind} are 0, 1, ... in order, got {method.seeds}",
         )
-    known = _known(problem)
-    if method.name not in known:
+    names = _known(problem)
+    if method.name not in names:
         raise Refused(
             Code.NOT_REPRODUCIBLE,
             f"no recording, and no built-in {method.kind} {method.name!r}",
@@ -140,7 +140,7 @@ def _settings(agent: Any, problem: Problem) -> dict[str, Any]:
 # ------------------------------------------------------------------------- policies
 
 
-def _policies(id: str, words: Sequence[str]) -> Given:
+def _policies(id: str, words: Sequence[str]) -> Entered:
     if len(words) == 1 and not Path(words[0]).suffix and not Path(words[0]).exists():
         names = [*CONTROLLERS, *released(id)]
         if words[0] not in names:
@@ -160,21 +160,21 @@ def _policies(id: str, words: Sequence[str]) -> Given:
         table, weights = policy_names(group)
         files[table] = file.read_bytes()
         files[weights] = file.with_suffix(".safetensors").read_bytes()
-    told = policies[0].about
+    origin = policies[0].about
     method = Method(
         kind="policy",
         seeds=_training_seeds(policies),
         weights=tuple(_digest(files[policy_names(g)[1]]) for g in range(len(places))),
         settings=settings[0],
     )
-    about = {"training": {k: told[k] for k in ("algorithm", "steps", "env") if k in told}}
-    return Given(method, policies, places[0].stem, files, about)
+    about = {"training": {k: origin[k] for k in ("algorithm", "steps", "env") if k in origin}}
+    return Entered(method, policies, places[0].stem, files, about)
 
 
 def _training_seeds(policies: Sequence[Policy]) -> tuple[int, ...]:
     """The seeds that the policies tell of, or their numbers."""
-    told = [p.about.get("seed") for p in policies]
-    seeds = [k for k in told if isinstance(k, int) and k >= 0]
+    numbers = [p.about.get("seed") for p in policies]
+    seeds = [k for k in numbers if isinstance(k, int) and k >= 0]
     return tuple(seeds) if len(set(seeds)) == len(policies) else tuple(range(len(policies)))
 
 

@@ -12,7 +12,7 @@ from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.policy import versions
 from ves_gym.leaderboard.entry import Entry, Method, Results, to_bytes
 from ves_gym.leaderboard.files import ENTRY, RECORDING, pack, write_files
-from ves_gym.leaderboard.methods import given
+from ves_gym.leaderboard.methods import enter
 from ves_gym.leaderboard.problems import Problem, get_problem
 from ves_gym.leaderboard.seeds import Seeds, seeds_of
 from ves_gym.leaderboard.statistics import repeated
@@ -59,7 +59,7 @@ def make_entry(
     """
     question = get_problem(track, problem)
     drawn, rules = seeds_of(question, salt), track_of(question, workers)
-    entered = given(question, method, seeds)
+    entered = enter(question, method, seeds)
     with on_one_thread():  # as `verify` does
         answers = rules.answer(question, drawn, entered.method, entered.agents, progress)
         results = results_of(rules, question, drawn, entered.method, answers)
@@ -68,7 +68,7 @@ def make_entry(
             f"groups {twice[0]} and {twice[1]} do the same, and one of them would count twice:"
             " leave it out"
         )
-    told = {} if training is None else {"training": dict(training)}
+    about = {} if training is None else {"training": dict(training)}
     entry = Entry(
         track=track,
         problem=problem,
@@ -78,7 +78,7 @@ def make_entry(
         seeds=drawn.name,
         method=entered.method,
         results=dict(results),
-        about={"versions": versions(), **entered.about, **told},
+        about={"versions": versions(), **entered.about, **about},
     )
     files = {ENTRY: to_bytes(entry), **entered.files}
     if not entered.built_in:

@@ -79,14 +79,14 @@ def standings(candidates: Sequence[Results], *, by_success: bool = False) -> lis
     else:
         rank = scipy.stats.rankdata(value, "min")
         placed = scipy.stats.rankdata(drawn, "min", axis=0)
-    found = [
+    estimates = [
         Estimate(v, *map(float, ends))
         for v, ends in zip(value.tolist(), zip(*interval(drawn.T), strict=True), strict=True)
     ]
     places = zip(*interval(placed.T), strict=True)
     return [
         Standing(s, Estimate(float(r), *map(float, ends)), int(k))
-        for s, r, ends, k in zip(found, rank, places, level, strict=True)
+        for s, r, ends, k in zip(estimates, rank, places, level, strict=True)
     ]
 
 
@@ -105,9 +105,9 @@ def success_classes(share: Array, n: int) -> Index:
     low, high = wilson(share, n)
     out = np.zeros(share.shape, dtype=np.intp)
     for level in range(1, len(share) + 1):
-        left = out == 0
-        best = np.where(left, low, -np.inf).max(axis=0)
-        out[left & (high >= best)] = level
+        unplaced = out == 0
+        best = np.where(unplaced, low, -np.inf).max(axis=0)
+        out[unplaced & (high >= best)] = level
     return out
 
 
@@ -137,8 +137,8 @@ def repeated(results: Results, kind: str) -> tuple[int, int] | None:
     values = np.concatenate([results[name] for name in names], axis=1)  # (groups, numbers)
     for k in range(1, len(values)):
         for earlier in range(k):
-            apart = _apart(values[earlier], values[k])
-            if apart is not None and apart <= within:
+            gap = _apart(values[earlier], values[k])
+            if gap is not None and gap <= within:
                 return earlier, k
     return None
 

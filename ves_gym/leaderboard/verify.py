@@ -21,7 +21,7 @@ from ves_gym.baselines.policy import versions
 from ves_gym.leaderboard.entry import LEVELS, Entry, Method, Results, from_bytes, to_bytes
 from ves_gym.leaderboard.errors import Code, Refused
 from ves_gym.leaderboard.files import ENTRY, RECORDING, read_files, unpack
-from ves_gym.leaderboard.methods import again
+from ves_gym.leaderboard.methods import answering
 from ves_gym.leaderboard.problems import Problem, get_problem
 from ves_gym.leaderboard.run import results_of, track_of
 from ves_gym.leaderboard.seeds import PUBLIC, Seeds, seeds_of
@@ -74,7 +74,7 @@ def verify(
         answers = _from_recording(rules, problem, claimed, files[RECORDING])
     else:
         level = "reproduced"
-        method, agents = again(problem, claimed.method, files)
+        method, agents = answering(problem, claimed.method, files)
         with _careful(Code.BAD_POLICY):
             answers = rules.answer(problem, seeds, method, agents, progress)
     with _careful(Code.BAD_RECORDING):
@@ -109,7 +109,7 @@ def add(board: str | os.PathLike[str], entry: Entry) -> Path:
     return place
 
 
-def require_claims(claimed: Results, found: Results, *, searched: bool = False) -> None:
+def require_claims(claimed: Results, computed: Results, *, searched: bool = False) -> None:
     """Refuse claims that are better than what was found; worse ones cost whoever makes them.
 
     Args:
@@ -121,10 +121,10 @@ def require_claims(claimed: Results, found: Results, *, searched: bool = False) 
     """
     relative, share = _SEARCHED if searched else (_RELATIVE[0], _FLIPPED)
     names = ["score"] if searched else [k for k in claimed if k not in ("success", "seconds")]
-    off = (claimed["success"] > found["success"]).copy()
+    off = (claimed["success"] > computed["success"]).copy()
     first = {"success": off.copy()}
     for name in names:
-        its, mine = claimed[name], found.get(name, np.inf)
+        its, mine = claimed[name], computed.get(name, np.inf)
         room = relative if name == "score" else _RELATIVE[1]
         least = np.where(np.isfinite(mine), (1 - room) * mine - _ABSOLUTE, np.inf)
         first[name] = its < least
@@ -132,7 +132,7 @@ def require_claims(claimed: Results, found: Results, *, searched: bool = False) 
     if off.sum() > int(share * off.size):
         name = next(k for k, worse in first.items() if worse.any())
         group, episode = np.argwhere(first[name])[0]
-        mine = np.broadcast_to(found.get(name, np.inf), off.shape)[group, episode]
+        mine = np.broadcast_to(computed.get(name, np.inf), off.shape)[group, episode]
         raise Refused(
             Code.SCORE_DIFFERS,
             f"{int(off.sum())} of {off.size} are better than found here: {name} of episode"

@@ -92,11 +92,11 @@ class PathTrack:
         parts = []
         for group in recording:
             motions = [_motion(q, points) for q, points in zip(queries, group, strict=True)]
-            kept = [
+            playable = [
                 m if m is not None and first_violation(q, m) is None else None
                 for q, m in zip(queries, motions, strict=True)
             ]
-            parts.append(_measured(_played(queries, kept)))
+            parts.append(_measured(_played(queries, playable)))
         out = {name: np.stack([part[name] for part in parts]) for name in _MEASURES}
         with np.errstate(invalid="ignore"):  # no answer, on a query without a straight line
             score = out["E_mean"] / lines

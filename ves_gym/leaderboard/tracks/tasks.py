@@ -49,10 +49,10 @@ class TaskTrack:
         for group, agent in enumerate(agents):
             recorder = Recorded(agent)
 
-            def tell(done: float, group: int = group) -> None:
+            def step(done: float, group: int = group) -> None:
                 progress("episodes", (group + done) / len(agents))
 
-            evaluated(recorder, problem, seeds, method.settings, tell)
+            evaluated(recorder, problem, seeds, method.settings, step)
             out.append([recorder.actions(seeds.root + k) for k in range(problem.count)])
         return Answers(out)
 
