@@ -35,23 +35,23 @@ def test_gives_what_the_environment_gives():
     for step in range(1, 81):
         action = actions(rng, venv)
         observation, reward, done, infos = venv.step(action)
-        wanted = env.step(action)
-        np.testing.assert_array_equal(observation, wanted[0])
-        np.testing.assert_array_equal(reward, wanted[1].astype(np.float32))
+        expected = env.step(action)
+        np.testing.assert_array_equal(observation, expected[0])
+        np.testing.assert_array_equal(reward, expected[1].astype(np.float32))
         assert reward.dtype == np.float32
-        total += wanted[1]
+        total += expected[1]
         assert done.all() == (step % 40 == 0)
         for i, info in enumerate(infos):
             if not done[i]:
                 assert info == {}
                 continue
             np.testing.assert_array_equal(
-                info["terminal_observation"], wanted[4]["final_obs"][i]
+                info["terminal_observation"], expected[4]["final_obs"][i]
             )
             assert info["TimeLimit.truncated"] is False  # the deadline is part of the task
             assert info["episode"]["r"] == pytest.approx(total[i], rel=1e-12)
             assert info["episode"]["l"] == 40 and info["episode"]["t"] > 0
-            final = wanted[4]["final_info"]
+            final = expected[4]["final_info"]
             assert info["is_success"] == final["success"][i]
             assert info["energy/E_mean"] == final["energy/E_mean"][i]
         total[done] = 0
@@ -145,24 +145,6 @@ def test_an_action_is_held_and_rewards_add_up():
     assert not alive.all()
 
 
-def test_continues_from_a_snapshot():
-    venv = Sb3VecEnv(vector(**SHORT))
-    venv.seed(1)
-    venv.reset()
-    rng = np.random.default_rng(0)
-    for _ in range(30):
-        venv.step(actions(rng, venv))
-    snapshot, remaining = venv.env.snapshot(), [actions(rng, venv) for _ in range(30)]
-    first = [venv.step(a) for a in remaining]
-    venv.env.restore(snapshot)
-    for a, (observation, reward, done, infos) in zip(remaining, first, strict=True):
-        again = venv.step(a)
-        np.testing.assert_array_equal(again[0], observation)
-        np.testing.assert_array_equal(again[1], reward)
-        for i in np.flatnonzero(done):
-            assert again[3][i]["episode"]["r"] == infos[i]["episode"]["r"]
-
-
 @pytest.mark.parametrize("id", IDS)
 def test_check_env_has_nothing_to_say(id):
     """Stable-Baselines3's own check, warnings being errors; and goals only where they are."""
@@ -191,10 +173,10 @@ def test_acts_like_the_torch_network(algorithm):
     observation, _ = env.reset(seed=3)
     largest = 0.0
     for _ in range(40):
-        wanted, _ = model.predict(observation, deterministic=True)
+        expected, _ = model.predict(observation, deterministic=True)
         got = policy.act(env, observation)
         largest = max(largest, np.abs(got).max())
-        np.testing.assert_allclose(got, wanted, atol=1e-6)
+        np.testing.assert_allclose(got, expected, atol=1e-6)
         observation = env.step(got)[0]
     assert largest > 0.01
 
