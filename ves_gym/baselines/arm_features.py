@@ -74,17 +74,13 @@ class ArmFeatures:
             )
         if not all(np.isfinite(k) and k > 0 for k in self.scales):
             raise ParameterError(f"ArmFeatures.scales must be > 0, got {self.scales}")
-        widths = {"joint_angle": self._arm.n, "base_pose": 6, "base_rate": 6, "target": 3}
-        for name, width in widths.items():
-            if not 0 <= getattr(self, name) <= len(self.scales) - width:
+        required = {"joint_angle": self._arm.n, "base_pose": 6, "base_rate": 6, "target": 3}
+        for name, width in {**required, "tool": 3, "turn": 4}.items():
+            first, last = (0 if name in required else -1), len(self.scales) - width
+            if not first <= getattr(self, name) <= last:
                 raise ParameterError(
-                    f"ArmFeatures.{name} must be 0 to {len(self.scales) - width}, got"
-                    f" {getattr(self, name)}"
+                    f"ArmFeatures.{name} must be {first} to {last}, got {getattr(self, name)}"
                 )
-        if self.turn > len(self.scales) - 4:
-            raise ParameterError(
-                f"ArmFeatures.turn must be at most {len(self.scales) - 4}, got {self.turn}"
-            )
         if not 0 <= self.rounds <= _MOST_ROUNDS or (self.rounds != 1 and self.turn < 0):
             raise ParameterError(
                 f"ArmFeatures.rounds must be 0 to {_MOST_ROUNDS}, and 1 where no turn is asked,"
@@ -94,10 +90,6 @@ class ArmFeatures:
             raise ParameterError(
                 "ArmFeatures.rounds must be 1 or more for an arm without a spherical wrist, got"
                 f" 0 for {self.arm}"
-            )
-        if self.tool > len(self.scales) - 3:
-            raise ParameterError(
-                f"ArmFeatures.tool must be at most {len(self.scales) - 3}, got {self.tool}"
             )
 
     @cached_property

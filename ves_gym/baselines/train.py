@@ -24,12 +24,12 @@ from typing import Any, Protocol
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from pebble import ProcessExpired
-from threadpoolctl import threadpool_limits
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError, content_hash, write_text
 from ves_gym._util.process_pool import Workers
 from ves_gym._util.statistics import STATISTICS, bootstrap, rate
+from ves_gym._util.threads import on_one_thread
 from ves_gym.baselines.checkpoint import load_state, save_state
 from ves_gym.baselines.config import PACKAGES, TrainConfig
 from ves_gym.baselines.controllers import Zero
@@ -99,23 +99,21 @@ def make_learner(
 @contextmanager
 def one_thread(learner: str) -> Iterator[None]:
     """Layers this small are slower on more threads, and sums depend on their number."""
-    if learner == "native":
-        with threadpool_limits(1):
+    with on_one_thread():
+        if learner == "native":
             yield
-        return
-    import torch
+            return
+        import torch
 
-    threads, deterministic = (
-        torch.get_num_threads(),
-        torch.are_deterministic_algorithms_enabled(),
-    )
-    torch.set_num_threads(1)
-    torch.use_deterministic_algorithms(True)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
-        torch.use_deterministic_algorithms(deterministic)
+        threads = torch.get_num_threads()
+        deterministic = torch.are_deterministic_algorithms_enabled()
+        torch.set_num_threads(1)
+        torch.use_deterministic_algorithms(True)
+        try:
+            yield
+        finally:
+            torch.set_num_threads(threads)
+            torch.use_deterministic_algorithms(deterministic)
 
 
 def train(

@@ -100,20 +100,30 @@ class Search:
 class SearchResult:
     """Trials of a search and the best of them."""
 
-    best: dict[str, Any] | None  # number, value, params of the best trial; None: all failed
     trials: list[dict[str, Any]]  # number, state, value, params, units, why
     objective: str
     direction: str
 
+    @property
+    def complete(self) -> list[dict[str, Any]]:
+        """Trials that have a value, the best first."""
+        sign = 1.0 if self.direction == "minimize" else -1.0
+        complete = [t for t in self.trials if t["state"] == "complete"]
+        return sorted(complete, key=lambda t: sign * t["value"])
+
+    @property
+    def best(self) -> dict[str, Any] | None:
+        """Number, value and params of the best trial; None: all failed."""
+        for trial in self.complete:
+            return {k: trial[k] for k in ("number", "value", "params")}
+        return None
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
-        return {"schema": SCHEMA, **vars(self)}
+        return {"schema": SCHEMA, "best": self.best, **vars(self)}
 
     def __str__(self) -> str:
-        done = [t for t in self.trials if t["state"] == "complete"]
-        sign = 1.0 if self.direction == "minimize" else -1.0
-        done.sort(key=lambda t: sign * t["value"])
-        rows = []
+        done, rows = self.complete, []
         for trial in done[:_SHOWN]:
             settings = (
                 f"{k.rpartition('.')[2]} {f'{v:.4g}' if isinstance(v, float) else v}"
@@ -192,7 +202,18 @@ def search(
             trials = [study.ask() for _ in range(min(plan.batch, plan.trials - ended))]
             _batch(study, trials, plan, plain, Path(folder), Path(path).parent, pool)
         on_progress("search", 1.0)
-    return _outcome(study, plan)
+    trials = [
+        {
+            "number": t.number,
+            "state": t.state.name.lower(),
+            "value": t.value,
+            "params": dict(t.params),
+            "units": t.user_attrs.get(_UNITS, []),
+            "why": t.user_attrs.get(_WHY),
+        }
+        for t in study.get_trials(deepcopy=False)
+    ]
+    return SearchResult(trials, plan.objective, plan.direction)
 
 
 def _batch(
@@ -215,17 +236,17 @@ def _batch(
             units[trial.number] = units_of(spec_from_plain(changed), base)
         except ParameterError as error:  # settings that do not go together
             wrong[trial.number] = str(error)
-    every = {unit.id: unit for own_units in units.values() for unit in own_units}
+    every = {unit.id: unit for named in units.values() for unit in named}
     report = Report(root)
     run_units(pool, [unit for unit in every.values() if not finished(root, unit)], report)
     for trial in trials:
-        own_units = units.get(trial.number, [])
-        trial.set_user_attr(_UNITS, [unit.id for unit in own_units])
+        its_units = units.get(trial.number, [])
+        trial.set_user_attr(_UNITS, [unit.id for unit in its_units])
         why = wrong.get(trial.number)
         why = why or next(
-            (report.failed[u.id] for u in own_units if u.id in report.failed), None
+            (report.failed[u.id] for u in its_units if u.id in report.failed), None
         )
-        value = None if why else _value(root, own_units, plan.objective)
+        value = None if why else _value(root, its_units, plan.objective)
         if value is None:
             why = why or f"its units have no number {plan.objective}"
             trial.set_user_attr(_WHY, why)
@@ -256,25 +277,6 @@ def _sampler(plan: Search, seed: int, ended: int) -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", _optuna().exceptions.ExperimentalWarning)
         return samplers.TPESampler(seed=mixed % 2**32, constant_liar=True)
-
-
-def _outcome(study: Any, plan: Search) -> SearchResult:
-    trials = [
-        {
-            "number": t.number,
-            "state": t.state.name.lower(),
-            "value": t.value,
-            "params": dict(t.params),
-            "units": t.user_attrs.get(_UNITS, []),
-            "why": t.user_attrs.get(_WHY),
-        }
-        for t in study.get_trials(deepcopy=False)
-    ]
-    complete = [t for t in trials if t["state"] == "complete"]
-    sign = 1.0 if study.direction.name == "MINIMIZE" else -1.0
-    best = min(complete, key=lambda t: sign * t["value"], default=None)
-    first = best and {k: best[k] for k in ("number", "value", "params")}
-    return SearchResult(first, trials, plan.objective, plan.direction)
 
 
 def _optuna() -> Any:

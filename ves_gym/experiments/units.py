@@ -217,7 +217,7 @@ def read_result(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Answer:
     rows: list[dict[str, Any]]
     summary: Mapping[str, float | None]
     clocked: Any = None
@@ -229,7 +229,7 @@ class _Found:
         return [(k, v) for k, v in self.files.items() if k.endswith(".safetensors")]
 
 
-def _evaluate(unit: Unit, work: Path) -> _Found:
+def _evaluate(unit: Unit, work: Path) -> _Answer:
     identity, who = unit.identity, unit.source["who"]
     if _weights(who) != identity["weights"]:
         raise ParameterError(f"{who}: is not the policy any more that the sweep began with")
@@ -251,14 +251,14 @@ def _evaluate(unit: Unit, work: Path) -> _Found:
         summary[name] = _statistic(evaluation, name, "mean")
     for name in ("E_mean", "E_peak", "E_res", "E_int"):
         summary[name] = _number(_statistic(evaluation, name, "median"))
-    return _Found(evaluation.to_dict()["rows"], summary)
+    return _Answer(evaluation.to_dict()["rows"], summary)
 
 
 def _statistic(evaluation: Any, measure: str, kind: str) -> float:
     return float(STATISTICS[kind](evaluation.values(measure)[0]))
 
 
-def _train(unit: Unit, work: Path) -> _Found:
+def _train(unit: Unit, work: Path) -> _Answer:
     from ves_gym.baselines.train import train
 
     config = config_from_plain(unit.identity["config"])
@@ -268,10 +268,10 @@ def _train(unit: Unit, work: Path) -> _Found:
     best = max(timeless, key=lambda row: row["return"])
     summary = {k: v for k, v in best.items() if isinstance(v, float | int)}
     files = {name: (work / name).read_bytes() for name in ("best.json", "best.safetensors")}
-    return _Found(timeless, summary, clocked, files)
+    return _Answer(timeless, summary, clocked, files)
 
 
-def _plan(unit: Unit, work: Path) -> _Found:
+def _plan(unit: Unit, work: Path) -> _Answer:
     identity = unit.identity
     row = run_query(
         identity["who"], identity["vehicle"], unit.source["query"], identity["seed"]
@@ -279,10 +279,10 @@ def _plan(unit: Unit, work: Path) -> _Found:
     clocked = {k: row.pop(k) for k in _CLOCKED if k in row}
     clocked["curve"] = row["info"].pop("curve", None)  # of (seconds, evaluations, cost)
     summary = {k: row[k] for k in ("E_mean", "E_peak", "E_res", "E_int", "predicted")}
-    return _Found([row], summary | {"success": float(row["success"])}, clocked)
+    return _Answer([row], summary | {"success": float(row["success"])}, clocked)
 
 
-_RUN: dict[str, Callable[[Unit, Path], _Found]] = {
+_RUN: dict[str, Callable[[Unit, Path], _Answer]] = {
     "evaluate": _evaluate,
     "train": _train,
     "plan": _plan,
