@@ -180,11 +180,11 @@ def returns(
     from ves_gym.baselines.train import train
 
     out: dict[str, list[float]] = {"native": [], "sb3": []}
-    for learner, found in out.items():
+    for learner, means in out.items():
         config = _config(learner, LARGE, total_timesteps=decisions, **changes)
         for seed in seeds:
             with tempfile.TemporaryDirectory() as folder:
-                found.append(train(config, seed, Path(folder))[-1]["return"])
+                means.append(train(config, seed, Path(folder))[-1]["return"])
     return out["native"], out["sb3"]
 
 

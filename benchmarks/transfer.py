@@ -62,18 +62,17 @@ def _answered(
     stored: dict[str, dict[str, float]] = {}
     if path.exists():
         stored = json.loads(path.read_text("utf-8"))
-    asked = tuple((v, q) for v, q in suite.queries if q.name == question)
+    queries = tuple((v, q) for v, q in suite.queries if q.name == question)
     missing = [p for p in planners if p not in stored and p != KNOWN]
     rows: list[dict[str, Any]] = []
     if missing:
-        rows += run_benchmark(replace(suite, queries=asked), planners=missing, workers=1)[
-            "rows"
-        ]
+        part = replace(suite, queries=queries)
+        rows += run_benchmark(part, planners=missing, workers=1)["rows"]
     if KNOWN not in stored:
-        told = {v: q.system.actual for v, q in asked}
-        part = replace(suite, queries=asked, described=told)
-        found = run_benchmark(part, planners=["refined"], workers=1)["rows"]
-        rows += [{**row, "planner": KNOWN} for row in found if row["planner"] == "refined"]
+        actual = {v: q.system.actual for v, q in queries}
+        part = replace(suite, queries=queries, described=actual)
+        refined = run_benchmark(part, planners=["refined"], workers=1)["rows"]
+        rows += [{**row, "planner": KNOWN} for row in refined if row["planner"] == "refined"]
     for row in rows:
         stored.setdefault(row["planner"], {})[row["vehicle"]] = row["E_mean"]
     if rows:
@@ -85,7 +84,7 @@ def _answered(
 def _print(
     vehicle: str, duration: float, machines: list[str], energy: dict[str, Array], each: bool
 ) -> None:
-    straight, known, nominal = (energy[k] for k in ("straight", KNOWN, "refined"))
+    straight, ideal, nominal = (energy[k] for k in ("straight", KNOWN, "refined"))
     count = straight.shape[1]
     print(f"{vehicle}, {duration:g} s, {len(machines)} machines, {count} questions")
     print(
@@ -100,8 +99,8 @@ def _print(
             f"{name:13s}  {np.median(ratio[0]):9.4f}"
             f"  {np.median(price):6.3f} ({price.max():.3f})"
             f"  | {np.median(ratio):13.4f}  {np.quantile(ratio, 0.9):12.4f}  {ratio.max():.3f}"
-            f"  | {np.quantile((E - known) / straight, 0.9):22.4f}"
-            f"  {np.quantile(E / known, 0.9):6.3f}",
+            f"  | {np.quantile((E - ideal) / straight, 0.9):22.4f}"
+            f"  {np.quantile(E / ideal, 0.9):6.3f}",
             flush=True,
         )
     for k, machine in enumerate(machines) if each else ():
