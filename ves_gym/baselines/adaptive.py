@@ -62,7 +62,7 @@ class Adaptive(Follow):
     """
 
     def __init__(self, seed: int = 0) -> None:
-        super().__init__("adaptive", "direct", seed)  # (n, steps + 1, 3, joints), unshifted
+        super().__init__("adaptive", "direct", seed)  # its plan is without the shift
         self._shift: Array = np.empty(0)  # (2, n, joints) what is added to it, and its rate
         self._before: list[Array] = []  # q, v, torque, y, yd a period ago
         self._periods: Array = np.empty(0)  # (n,) since the first, -1 at a start

@@ -72,7 +72,7 @@ class Resolved:
         task, s = env.task, env.batch.scene
         fits = isinstance(task, (FreeFlyerReach, PayloadTransfer, Reach, Track))
         require_fit(
-            "resolved",
+            self.name,
             fits and task.control.level == "reference",
             "leads the reference of tasks reach, track, free_flyer and payload_transfer",
             env,
@@ -80,10 +80,8 @@ class Resolved:
         arm, steps, n = task.system.arm, task.steps, env.num_envs
         self._plan = sized(self._plan, n, steps + 2, arm.n)
         self._path = sized(self._path, n, steps + 2, 3)
-        self._base_rate, self._shift = (
-            sized(self._base_rate, n, 6),
-            sized(self._shift, 2, n, arm.n),
-        )
+        self._base_rate = sized(self._base_rate, n, 6)
+        self._shift = sized(self._shift, 2, n, arm.n)
         self._base_rate[ids], self._shift[:, ids] = s.yd_seen[ids], 0.0
         q = s.q[ids]
         if isinstance(task, Track):
