@@ -69,10 +69,10 @@ def test_the_best_of_all_trials(here, file, tmp_path):
     for t in result.trials:
         assert 1e-3 <= t["params"]["evaluate.0.settings.shift"] <= 4e-3
         (unit,) = t["units"]
-        result = json.loads((tmp_path / "out" / "results" / f"{unit}.json").read_text())
-        assert result["summary"]["E_mean"] == t["value"]
+        stored = json.loads((tmp_path / "out" / "results" / f"{unit}.json").read_text())
+        assert stored["summary"]["E_mean"] == t["value"]
         chosen = t["params"]["evaluate.0.policies"]
-        assert [result["unit"]["who"]] == json.loads(chosen)
+        assert [stored["unit"]["who"]] == json.loads(chosen)
     assert fractions == [0.0, 0.5, 1.0]
 
     again = search(file(), tmp_path / "out", workers=here)
