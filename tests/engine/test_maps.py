@@ -1,12 +1,15 @@
 """Compiled functions of many configurations."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.arms import six_joint_arm
-from ves_gym.engine.kernel.maps import coupling_matrices, weight_function
+from ves_gym.engine.kernel.maps import coupling_matrices, motion_loads, weight_function
 from ves_gym.engine.kernel.modes import ModeMap
 from ves_gym.mechanics.arm_library import PUMA_560
+from ves_gym.mechanics.dynamics import newton_euler
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench, minimal_model
 from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
@@ -135,3 +138,16 @@ def test_modes_without_a_compiler_are_those_of_lapack():
     omega, _ = ModeMap(K, 3, 40)(M[:40], b[:40])
     wanted, _ = natural_modes(K, M[:40])
     np.testing.assert_allclose(np.sort(omega, axis=1), wanted, rtol=1e-10)
+
+
+@pytest.mark.parametrize("arm", [PUMA_560, six_joint_arm()], ids=["three", "six"])
+def test_loads_of_a_motion_are_those_of_newton_and_euler(arm):
+    """Arms that differ in masses share the code; leading axes are kept."""
+    rng, n = np.random.default_rng(6), arm.n
+    motion = [rng.normal(size=(2, 9, k)) for k in (n, n, n, 3, 3, 3)]
+    q, v, a, spin, turn, accel = motion
+    heavy = replace(arm.links[-1], inertial=arm.links[0].inertial, rotor_inertia=2.0)
+    for each in (arm, replace(arm, links=(*arm.links[:-1], heavy))):
+        expected = newton_euler(each, q, v, a, spin=spin, turn=turn, accel=accel)
+        for ours, wanted in zip(motion_loads(each, *motion), expected, strict=True):
+            np.testing.assert_allclose(ours, wanted, rtol=1e-12, atol=1e-10)

@@ -8,6 +8,7 @@ other rotors, gears and limits move.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable
 from dataclasses import replace
 from typing import Any
@@ -16,12 +17,14 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import Kinematics, forget
+from ves_gym.engine.kernel.maps import motion_loads
 from ves_gym.mechanics.arm import Arm, Inertial
 from ves_gym.mechanics.body_numbers import numbers_of_body
 from ves_gym.mechanics.dynamics import newton_euler
 from ves_gym.mechanics.gravity import gravity_vector, mass_parameters, moment_regressor
 from ves_gym.mechanics.spatial import twist, twist_rate
 
+_MANY = 300  # instants from which compiled code is faster than NumPy
 _NONE = ((0.0,) * 3,) * 3
 # Masses of 1 kg, far and near along the axes and between them: their numbers span all ten.
 _PLACES = (*np.vstack([np.zeros(3), np.eye(3), -np.eye(3), 1 - np.eye(3)]).tolist(),)
@@ -54,7 +57,12 @@ def motion_load(
     spin, turn, accel = base
     if fall is not None:
         accel = accel - fall
-    tau, wrench = newton_euler(arm, *joints, spin=spin, turn=turn, accel=accel)
+    batch = np.broadcast_shapes(*(k.shape[:-1] for k in (joints.x, spin, turn, accel)))
+    if math.prod(batch) < _MANY:
+        tau, wrench = newton_euler(arm, *joints, spin=spin, turn=turn, accel=accel)
+        return tau, -wrench
+    parts = (np.broadcast_to(k, (*batch, k.shape[-1])) for k in (*joints, spin, turn, accel))
+    tau, wrench = motion_loads(arm, *parts)
     return tau, -wrench
 
 

@@ -11,7 +11,8 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
 from ves_gym.engine.kernel.numbers import geometry, parameters, structure
 from ves_gym.engine.kernel.trace import coupling, inertia_matrix
-from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.arm import Arm, Chain, LinkBodies
+from ves_gym.mechanics.dynamics import newton_euler
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench, minimal_model
 from ves_gym.system.system import System
 
@@ -70,6 +71,33 @@ def weight_function(arm: Arm) -> CompiledFunction:
 
     size = minimal_model(arm).size
     return CompiledFunction.of(f"weight {geometry(arm)}", weight, arm.n, 6, 1, size)
+
+
+def motion_loads(
+    arm: Arm, q: Array, v: Array, a: Array, spin: Array, turn: Array, accel: Array
+) -> tuple[Array, Array]:
+    """Return what `dynamics.newton_euler` does, of many instants (...) with leading axes alike.
+
+    Masses, centres, inertias and rotors are numbers, so that arms that differ in them share
+    the code.
+    """
+    n, key = arm.n, f"load {geometry(arm)}"
+
+    def load(*rows: Array) -> tuple[Array, Array]:
+        *motion, numbers = (row[0] for row in rows)
+        mass, com, moments, rotors = np.split(numbers, np.cumsum([1, 3, 6]) * (n + 1))
+        square = moments.reshape(n + 1, 6)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+        bodies = LinkBodies(mass, com.reshape(n + 1, 3), square, rotors)
+        chain = Chain(arm.joints, arm.start, bodies)
+        q, v, a, spin, turn, accel = motion
+        return newton_euler(chain, q, v, a, spin=spin, turn=turn, accel=accel)
+
+    mass, com, inertia, rotors = arm.bodies
+    moments = inertia[:, *np.triu_indices(3)]
+    numbers = np.concatenate([mass, com.ravel(), moments.ravel(), rotors])
+    function = CompiledFunction.of(key, load, n, n, n, 3, 3, 3, len(numbers))
+    out = function(q, v, a, spin, turn, accel, numbers)
+    return out[..., :n], out[..., n:]
 
 
 def points(*parts: tuple[npt.ArrayLike, int, str]) -> Array:
