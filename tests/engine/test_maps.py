@@ -6,15 +6,26 @@ import numpy as np
 import pytest
 
 from tests.arms import six_joint_arm
-from ves_gym.engine.kernel.maps import coupling_matrices, motion_loads, weight_function
+from ves_gym.engine.kernel.maps import (
+    coupling_matrices,
+    inertia_function,
+    motion_loads,
+    weight_function,
+)
 from ves_gym.engine.kernel.modes import ModeMap
+from ves_gym.engine.kernel.scene import SceneMap
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import newton_euler
+from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench, minimal_model
+from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.modes import natural_modes
+from ves_gym.mechanics.spatial import matvec, rotation
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.planners.coupling import coupling_matrix
+from ves_gym.system.energy import base_energy
 from ves_gym.system.system import System
+from ves_gym.system.system_library import get_system
 
 
 @pytest.mark.parametrize("vehicle", VEHICLES)
@@ -151,3 +162,33 @@ def test_loads_of_a_motion_are_those_of_newton_and_euler(arm):
         expected = newton_euler(each, q, v, a, spin=spin, turn=turn, accel=accel)
         for ours, wanted in zip(motion_loads(each, *motion), expected, strict=True):
             np.testing.assert_allclose(ours, wanted, rtol=1e-12, atol=1e-10)
+
+
+# ------------------------------------------------------------------------------ scenes
+
+
+def test_a_scene_of_an_arm_that_bends_takes_its_flexures():
+    """Reference: `base_energy` and the tool of the chain with a joint for each flexure."""
+    system = get_system("macro-micro-braked").ideal()
+    rng, n, p = np.random.default_rng(7), system.arm.n, system.arm.bends
+    q, v = rng.normal(size=(2, 5, n))
+    y, yd, measured = 0.1 * rng.normal(size=(3, 5, 6))
+    u, ud = 1e-3 * rng.normal(size=(2, 5, p))
+    energies, tool, tool_measured = SceneMap(system, 5)(q, v, y, yd, measured, (u, ud))
+    expected = base_energy(system, q, y, yd, (u, ud))
+    np.testing.assert_allclose(energies[:, 0], expected.total, rtol=1e-10)
+    np.testing.assert_allclose(energies[:, 1], expected.strain, rtol=1e-10)
+    chain = expand(system.arm)
+    joints = np.zeros((5, n + p))
+    joints[:, chain.driven], joints[:, chain.passive] = q, u
+    reach = joint_positions(chain.arm, joints)[:, -1]
+    for place, pose in ((tool, y), (tool_measured, measured)):
+        np.testing.assert_allclose(
+            place, pose[:, :3] + matvec(rotation(pose), reach), atol=1e-12
+        )
+
+
+def test_a_piece_wants_rows_for_every_argument():
+    function = inertia_function(System(vehicle=BENT_THESIS))
+    with pytest.raises(AssertionError, match="rows for each argument"):
+        function.piece(np.zeros((1, 3, 8)))

@@ -134,6 +134,7 @@ class CompiledFunction:
             rows: of its arguments, then of its results: (blocks, k, LANES), or a slice along
                 the second axis of such an array; (1, k, LANES) serves all blocks.
         """
+        assert len(rows) == sum(map(len, self.sizes)), "rows for each argument and result"
         code = self._compiled
         if code is None:
             return Piece(None, (), rows, lambda lo, hi: self._interpret(rows, lo, hi))

@@ -27,8 +27,8 @@ def scene_function(system: System) -> CompiledFunction:
     """(z, z', measured pose, modes, their rates, p) -> E, strain energy, tool twice (8).
 
     Energy of the base [J] and place of the tool in space [m] (`system.energy`,
-    `dynamics.frames`), with the base at its pose and at the measured one; modes are there for
-    a base that has some.
+    `kinematics.frames`), with the base at its pose and at the measured one. Modes are the arm's
+    flexures and what the base has, where there are any.
     """
     return CompiledFunction(f"scene {structure(system)}", partial(_scene, system))
 
@@ -67,7 +67,7 @@ class SceneMap:
         """E of the base and its strain energy (n, 2) [J], tool in space (n, 3) [m].
 
         The tool twice: with the base at its pose y, and at its `measured` pose (n, 6).
-        `modes`: u and u' (n, m) of a base with internal modes.
+        `modes`: u and u' (n, m) of flexures and of the base's internal modes.
         """
         z, zd = np.concatenate([y, q], axis=1), np.concatenate([yd, v], axis=1)
         out = self._values(z, zd, measured, *(modes or ()))
@@ -94,14 +94,18 @@ def _scene(system: System) -> casadi.Function:
     import casadi as ca
 
     model, _, p = symbolic_model(system)
-    size, hidden = 6 + system.arm.n, system.base.hidden
+    size, bends = 6 + system.arm.n, system.arm.bends
+    hidden = bends + system.base.hidden
     sizes = {"z": size, "zd": size, "measured": 6}
     sizes |= {"u": hidden, "ud": hidden} if hidden else {}
     x = [symbols(name, (k,)) for name, k in sizes.items()]
     z, zd, measured, *modes = x
     u, ud = modes or (z[:0], z[:0])
     energies = equations.base_energy(model, z, zd, u, ud)
-    reach = frames(model.arm, z[6:]).position[-1]
+    arm, joints = model.arm, z[6:]
+    if bends:
+        arm, joints = model.chain, model.along(joints, u[:bends])
+    reach = frames(arm, joints).position[-1]
     tools = [y[:3] + rotation(y) @ reach for y in (z[:6], measured)]
     out = column(*energies, *tools)
     return ca.Function("scene", [column(k) for k in (*x, p)], [ca.cse(out)])
