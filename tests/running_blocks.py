@@ -5,7 +5,7 @@ import copy
 import numpy as np
 
 from ves_gym.hardware.force_sensor import SensorErrors
-from ves_gym.hardware.legs import Legs
+from ves_gym.hardware.leg_servo import Legs
 from ves_gym.hardware.platform import second_order
 from ves_gym.simulation.blocks.block import LoopShape
 from ves_gym.simulation.blocks.force_sensor import ForceSensorBlock

@@ -126,7 +126,7 @@ if TYPE_CHECKING:
         Query as Query,
     )
     from ves_gym.planners.registry import register_planner as register_planner
-    from ves_gym.simulation.divergence import Divergence as Divergence
+    from ves_gym.simulation.machines import Divergence as Divergence
     from ves_gym.simulation.simulator import Simulator as Simulator
     from ves_gym.simulation.state import State as State
     from ves_gym.system.effect import (
@@ -224,7 +224,7 @@ _HOMES = {
     "Case": "planners.case",
     "Controller": "baselines.controllers",
     "Diagnosis": "diagnosis.diagnose",
-    "Divergence": "simulation.divergence",
+    "Divergence": "simulation.machines",
     "Effect": "system.effect",
     "EmulatorSettings": "system.emulator_settings",
     "Energies": "system.energy",

@@ -68,7 +68,7 @@ def through(sim: Simulator, time: float) -> float:
     dt, pushed = sim.system.control_dt, 0
     for _ in range(round(time / dt)):
         sim.step()
-        pushed += bool(sim.touch.measured()[0].any())
+        pushed += bool(sim.contact.measured()[0].any())
     return pushed * dt
 
 
@@ -143,11 +143,11 @@ def test_plain_mujoco_gives_the_same_trajectory_through_contact_and_capture():
     mine, wrench = [], []
     for period in range(21):
         if period == 8:
-            assert sim.touch.measured()[0].any()  # it is caught while it touches
+            assert sim.contact.measured()[0].any()  # it is caught while it touches
             sim.grasp()
         s = sim.state
         mine.append(np.r_[s.q[0], s.y[0, :3], s.attitude[0], sim.payload.state.position[0]])
-        wrench.append(sim.touch.measured()[0][0, :3])
+        wrench.append(sim.contact.measured()[0][0, :3])
         sim.step(hold)
     error = np.abs(np.array(mine) - theirs[::10]).max()
     off = np.abs(np.array(wrench)[:8] + force[:80:10]).max()
@@ -227,7 +227,7 @@ def test_it_is_the_same_whichever_way_the_satellite_is_turned(on):
         hold, most = sim.servo_command(HOME[None], np.zeros((1, 3))), 0.0
         for _ in range(20):
             sim.step(hold)
-            most = max(most, np.abs(sim.touch.measured()[0]).max())
+            most = max(most, np.abs(sim.contact.measured()[0]).max())
         s, back = sim.state, conjugate(q)
         place = rotate(back, sim.payload.state.position[0]) if on == "payload" else []
         ends.append(np.r_[s.q[0], rotate(back, s.y[0, :3]), place])

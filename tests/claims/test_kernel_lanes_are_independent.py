@@ -13,7 +13,7 @@ import pytest
 
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLYING
-from ves_gym.simulation.divergence import Divergence
+from ves_gym.simulation.machines import Divergence
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.state import State
 from ves_gym.system.system import System

@@ -23,8 +23,7 @@ from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import SERVICER, SERVICER_FLEXIBLE, Satellite, get_vehicle
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.system.energy_balance import EnergyBalance
-from ves_gym.system.momentum import momentum
+from ves_gym.system.energy_balance import EnergyBalance, momentum
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 

@@ -10,7 +10,7 @@ from ves_gym.damping.plant import GainMatrices, plant_at
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS, STRAIGHT_VERTICAL_THESIS
-from ves_gym.simulation.divergence import Divergence
+from ves_gym.simulation.machines import Divergence
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.energy import energies
 from ves_gym.system.system import System

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ves_gym import ParameterError, System
+from ves_gym import System
 from ves_gym.effects import BaseUnknown
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.vehicle import DECOUPLED, FREE_FLOATING
+from ves_gym.mechanics.vehicle import DECOUPLED
 from ves_gym.simulation.playback import play_motions
 
 EFFECT = BaseUnknown(
@@ -34,8 +34,3 @@ def test_it_moves_as_a_vehicle_that_has_them(mode):
     plain = play_motions(System(mode=mode, vehicle=DECOUPLED), [motion]).log(0)
     np.testing.assert_allclose(ours.y, theirs.y, atol=1e-12)
     assert np.abs(ours.y - plain.y).max() > 1e-5
-
-
-def test_nothing_holds_a_satellite():
-    with pytest.raises(ParameterError, match="a vehicle of M, D, K, got a satellite"):
-        System(vehicle=FREE_FLOATING, effects=(EFFECT,))

@@ -21,14 +21,12 @@ from ves_gym.mechanics.vehicle import (
     DECOUPLED,
     FREE_FLOATING,
     Oscillator,
-    get_vehicle,
 )
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.stability import transition
 from ves_gym.system.emulator_settings import EmulatorSettings
-from ves_gym.system.energy_balance import EnergyBalance
-from ves_gym.system.momentum import momentum
+from ves_gym.system.energy_balance import EnergyBalance, momentum
 from ves_gym.system.system import System
 
 BACKENDS = ("kernel", "mujoco")
@@ -78,29 +76,6 @@ def test_a_link_swings_on_its_gear(backend):
     link = inertia(PUMA_560, q)[8, 8] - PUMA_560.links[2].rotor_inertia
     want = np.sqrt(1 / c / link)
     assert frequency(path, system.control_dt) == pytest.approx(want, rel=2e-3)
-
-
-def test_a_soft_gear_lowers_the_frequency_of_rotor_against_link():
-    """Free rotor: w^2 = stiffness (1 / rotor + 1 / link), on a kernel step by step."""
-    c = 1e-4
-    emulator = EmulatorSettings(operation="position")
-    system = System(vehicle=BENT_THESIS, mode="emulated", emulator=emulator, effects=(soft(c),))
-    sim = Simulator(system, servo=None, warn_at=None)
-    hold = np.zeros((1, 2, 3))
-    for k in range(800):  # pushed for a moment
-        hold[0, :, 2] = 20.0 if k < 4 else 0.0
-        hold[0, 0, 2] = hold[0, 1, 2]
-        sim.backend.step_on_platform(hold, np.zeros((1, 2, 6)), None)
-        if k == 10:
-            path = []
-        if k > 10:
-            path.append(sim.internal_state[0][0, 0])
-    H = inertia(PUMA_560, np.zeros(3))[6:, 6:]
-    rotor = PUMA_560.links[2].rotor_inertia
-    others = H[2, :2] @ np.linalg.solve(H[:2, :2], H[:2, 2])
-    link = H[2, 2] - rotor - others  # the other joints give way, too
-    want = np.sqrt((1 / rotor + 1 / link) / c)
-    assert frequency(np.array(path), system.physics_dt) == pytest.approx(want, rel=0.02)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -261,12 +236,6 @@ def test_a_satellite_and_what_rides_on_it_keep_their_momentum(backend):
     assert np.abs(np.add(bodies, rider)).max() < 1e-6 * np.abs(rider).max()
 
 
-def test_a_file_keeps_what_rides_on_a_satellite(tmp_path):
-    vehicle = System(vehicle=FREE_FLOATING, effects=(EXTRA,)).actual.vehicle
-    vehicle.save(tmp_path / "carries.toml")
-    assert get_vehicle(tmp_path / "carries.toml") == vehicle
-
-
 def test_the_admittance_is_sampled_exactly():
     """Without compensation: the eigenvalues of the wider vehicle, whatever the form."""
     base = System(vehicle=DECOUPLED, effects=(EXTRA,)).actual.base
@@ -279,19 +248,6 @@ def test_the_admittance_is_sampled_exactly():
         phi, gamma = admittance_matrices(base, 0.01, form)
         assert gamma.shape == (14, 6)
         np.testing.assert_allclose(np.sort_complex(np.linalg.eigvals(phi)), want, atol=1e-12)
-
-
-def test_it_is_felt_without_compensation_too():
-    lab = EmulatorSettings(payload_compensation=False)
-    heavy = System(vehicle=BENT_THESIS, mode="emulated", emulator=lab, effects=(EXTRA,))
-    ends = []
-    for system in (heavy, heavy.replace(effects=())):
-        sim = Simulator(system, warn_at=None)
-        sim.reset(y=[0.01, 0, 0, 0, 0, 0])
-        for _ in range(40):
-            sim.step(0.0)
-        ends.append(sim.state.y)
-    assert np.abs(ends[0] - ends[1]).max() > 1e-4
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

@@ -1,10 +1,8 @@
 """What a controller sees through a low-pass of the joint rates."""
 
 import numpy as np
-import pytest
 import scipy
 
-from ves_gym._util.params import ParameterError
 from ves_gym.effects import JointVelocityLag
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.simulator import Simulator
@@ -34,8 +32,3 @@ def test_seen_rates_are_the_true_ones_low_passed():
         # between two samples the rate is not quite linear
         assert np.abs(seen[:, i] - want)[50:].max() < 0.02 * np.abs(true[:, i]).max()
         assert np.abs(seen[:, i] - true[:, i])[50:].max() > 0.05 * np.abs(true[:, i]).max()
-
-
-def test_one_number_per_joint():
-    with pytest.raises(ParameterError, match="3 numbers"):
-        System(vehicle=BENT_THESIS, effects=(JointVelocityLag(time_constant=(0.1,)),))

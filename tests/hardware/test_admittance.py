@@ -104,12 +104,6 @@ def test_a_vehicle_without_mass_is_refused(lowest):
         admittance_matrices(massless.base_model(), DT)
 
 
-@pytest.mark.parametrize("dt", [0.0, -1.0, np.nan])
-def test_a_sample_time_is_positive(dt):
-    with pytest.raises(ParameterError, match=f"sample time must be > 0 s, got {dt}"):
-        discretise(np.eye(1), np.eye(1), np.eye(1), dt)
-
-
 # ---------------------------------------------------------------------------- forms
 
 
@@ -170,15 +164,6 @@ def test_runge_kutta_approaches_the_exact_step_with_order_four():
         errors.append(np.abs(X - exact).max())
     order = np.log2(np.array(errors[:-1]) / errors[1:])
     np.testing.assert_allclose(order, 4.0, atol=0.3)
-
-
-def test_one_sample_of_a_5_hz_mode_is_good_to_a_millionth():
-    m, w = 10.0, 2 * np.pi * 5
-    M, D, K = (np.array([[k]]) for k in (m, 0.0, m * w**2))
-    phi, _ = discretise(M, D, K, DT)
-    X = np.array([[1.0, 0.0]])
-    got = integrate(linear(M, D, K), X, np.zeros((1, 1)), DT)
-    assert np.abs((got - X @ phi.T) / [1, w]).max() < 1e-6
 
 
 def test_a_satellite_keeps_its_momentum():
@@ -259,18 +244,3 @@ def test_the_trapezoidal_rule_is_stable_however_stiff(dt):
         M[None], 1e-4 * K, K, np.zeros((1, 4)), np.array([[200.0, 0.0]]), 1e6
     )  # a very long step under a constant force: twice the static answer, it then rings
     assert np.isfinite(rest).all()
-
-
-def test_the_trapezoidal_rule_keeps_the_energy_of_an_undamped_mode():
-    """The rule conserves 1/2 M v^2 + 1/2 K y^2 of a linear system; tolerance: rounding."""
-    M, K = np.array([[5.0, 1.0], [1.0, 3.0]]), np.array([[200.0, -30.0], [-30.0, 900.0]])
-    X = np.array([[0.01, -0.02, 0.3, 0.1]])
-
-    def energy(X):
-        y, v = X[0, :2], X[0, 2:]
-        return v @ M @ v / 2 + y @ K @ y / 2
-
-    before = energy(X)
-    for _ in range(1000):
-        X = implicit_step(M[None], np.zeros((2, 2)), K, X, np.zeros((1, 2)), 0.05)
-    assert energy(X) == pytest.approx(before, rel=1e-10)

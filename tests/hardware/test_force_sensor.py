@@ -52,13 +52,6 @@ def test_the_frame_is_that_of_appendix_d_with_the_sign_corrected():
     np.testing.assert_allclose(sensor.frame @ platform, seen, rtol=1e-14)
 
 
-def test_a_force_through_the_sensors_origin_has_no_moment_there():
-    sensor = ForceSensor()
-    force = np.array([4.0, -6.0, 9.0])
-    seen = sensor.frame @ np.concatenate([force, np.cross(sensor.offset, force)])
-    np.testing.assert_allclose(seen, [4.0, 6.0, -9.0, 0, 0, 0], atol=1e-14)
-
-
 def test_without_errors_a_constant_wrench_is_read_exactly():
     """Whatever the frame and the filter; tolerance: rounding of its inverse."""
     runtime, rng = at_rest(n=2)
@@ -95,16 +88,6 @@ def test_the_filter_is_a_butterworth_exact_for_piecewise_linear_inputs():
             for k in range(periods):
                 state = filtered(cutoff, state, u[:, 10 * k : 10 * k + 11])
                 assert state[i, c, 0] == pytest.approx(y[10 * (k + 1)], abs=1e-9)
-
-
-def test_a_batch_of_filters_is_bitwise_each_one_alone():
-    rng = np.random.default_rng(1)
-    for cutoff in (np.array([20.0, 20.0, 20.0]), np.array([20.0, 5.0, 11.0])):
-        u, state = rng.normal(size=(3, 11, 6)), rng.normal(size=(3, 6, 2))
-        together = filtered(cutoff, state, u)
-        for i in range(3):
-            one = filtered(cutoff[i : i + 1], state[i : i + 1], u[i : i + 1])
-            assert one.tobytes() == together[i : i + 1].tobytes()
 
 
 def test_the_stated_lag_is_that_of_a_ramp():
@@ -238,23 +221,6 @@ def test_the_zero_can_be_set_so_that_any_wrench_is_read():
     assert runtime.reading()[1].tobytes() == before[1].tobytes()
     runtime.reset(np.array([0]), np.tile(WRENCH, (1, 1)), draws)
     assert np.abs(runtime.reading()[0] - wanted[0]).max() > 1  # a reset forgets it
-
-
-def test_zeroing_takes_bias_out_of_later_readings():
-    """What the sensor feels beyond the wrench it was zeroed under is read truly."""
-    runtime, rng = at_rest(bias=[5.0, -3.0, 2.0, 1.0, 1.0, 1.0])
-    runtime.zero_to(np.arange(1), WRENCH[None])
-    for _ in range(60):
-        runtime.advance(np.broadcast_to(WRENCH + 1.0, (1, 11, 6)), rng)
-    np.testing.assert_allclose(runtime.reading()[0], WRENCH + 1.0, rtol=1e-9)
-
-
-def test_a_stated_zero_is_subtracted_from_the_signals():
-    zero = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
-    runtime, _ = at_rest(ForceSensor(zero=zero))
-    sensor = ForceSensor()
-    want = WRENCH - np.linalg.solve(sensor.frame, zero)
-    np.testing.assert_allclose(runtime.reading()[0], want, rtol=1e-12)
 
 
 # ---------------------------------------------------------------------- calibration

@@ -53,18 +53,6 @@ def test_the_path_solves_the_servos_equation(zeta, feedforward):
         state = want[-1]
 
 
-def test_periods_join_without_a_jump():
-    platform = started(PoseServo())
-    before = None
-    for y_cmd, yd_cmd in zip(*commands(3), strict=True):
-        y, yd, _ = platform.advance(y_cmd, yd_cmd)
-        if before is not None:
-            np.testing.assert_allclose(y[:, 0], before[0], rtol=0, atol=1e-15)
-            np.testing.assert_allclose(yd[:, 0], before[1], rtol=0, atol=1e-13)
-        before = y[:, -1], yd[:, -1]
-        np.testing.assert_array_equal(platform.measured(), y[:, -1])
-
-
 @pytest.mark.parametrize(("feedforward", "lag"), [(True, 0.0), (False, 2 * 0.7 / (16 * np.pi))])
 def test_the_stated_lag_is_that_of_a_ramp(feedforward, lag):
     """A ramp of 0.1 m/s, once settled, lies 0.1 m/s x lag behind.
@@ -98,29 +86,6 @@ def test_a_simulation_may_have_its_own_bandwidth_and_damping():
         for i, platform in enumerate(alone):
             one = platform.advance(y_cmd[i : i + 1], yd_cmd[i : i + 1])
             assert all((a[0] == b[i]).all() for a, b in zip(one, path, strict=True))
-
-
-def test_some_may_be_reset_alone():
-    platform = started(PoseServo(), 3)
-    kept = platform.y.copy()
-    platform.reset(np.array([1]), np.full((1, 6), 0.5), np.full((1, 6), 0.1))
-    assert (platform.y[1] == 0.5).all()
-    assert (platform.yd[1] == 0.1).all()
-    np.testing.assert_array_equal(platform.y[[0, 2]], kept[[0, 2]])
-
-
-def test_a_state_handed_out_brings_the_platform_back():
-    platform = started(PoseServo(), 2)
-    y_cmd, yd_cmd = commands(4, 2)
-    platform.advance(y_cmd[0], yd_cmd[0])
-    kept = platform.get_state()
-    want = [platform.advance(y_cmd[k], yd_cmd[k]) for k in (1, 2, 3)]
-    other = pose_platform(PoseServo(), 2, NODES)
-    for target in (platform, other):
-        target.set_state(kept)
-        for k, path in zip((1, 2, 3), want, strict=True):
-            got = target.advance(y_cmd[k], yd_cmd[k])
-            assert all((a == b).all() for a, b in zip(got, path, strict=True))
 
 
 @pytest.mark.parametrize("name", ["bandwidth", "damping_ratio"])

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ves_gym._util.params import ParameterError, write_table
-from ves_gym.hardware.stewart import VES, Stewart, read_stewart
+from ves_gym._util.params import ParameterError
+from ves_gym.hardware.stewart import VES, Stewart
 
 HEXAGON = {
     "base_radius": 1.0,
@@ -86,16 +86,6 @@ def test_forward_says_where_it_found_no_pose():
     np.testing.assert_allclose(found[0], 0, atol=1e-12)
 
 
-def test_forward_of_a_batch_is_that_of_each():
-    y = poses(40)
-    lengths = VES.leg_lengths(y)
-    together = VES.forward(lengths, 0 * y)
-    alone = [VES.forward(length[None], np.zeros((1, 6)))[0] for length in lengths]
-    np.testing.assert_array_equal(together, alone)
-    alone = [VES.leg_lengths(row[None])[0] for row in y]
-    np.testing.assert_array_equal(lengths, alone)
-
-
 def test_limits_stay_quiet_inside():
     """The release of Table 5-2, 0.3 m and 20 deg one axis at a time."""
     single = np.concatenate([s * np.diag([0.3] * 3 + [np.deg2rad(20)] * 3) for s in (1, -1)])
@@ -159,14 +149,3 @@ def test_geometry_that_does_not_hold_is_refused():
         )
     with pytest.raises(ParameterError, match="do not reach"):
         Stewart.hexagonal(**{**HEXAGON, "base_radius": 5.0})
-
-
-@pytest.mark.parametrize("suffix", [".toml", ".json"])
-def test_a_file_gives_back_the_platform(tmp_path, suffix):
-    path = tmp_path / f"platform{suffix}"
-    write_table(path, VES)
-    assert read_stewart(path) == VES
-    table = path.read_text().replace("speed_max", "speed_most")
-    path.write_text(table)
-    with pytest.raises(ParameterError, match="speed_most"):
-        read_stewart(path)

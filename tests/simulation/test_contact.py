@@ -52,7 +52,7 @@ def played(sim: Simulator, periods: int = 8) -> np.ndarray:
     hold = sim.servo_command(np.tile(HOME, (sim.n, 1)), np.zeros((sim.n, 3)))
     for _ in range(periods):
         sim.step(hold)
-    return np.concatenate([*sim.state[1:], *sim.payload.state, *sim.touch.measured()[:1]], 1)
+    return np.concatenate([*sim.state[1:], *sim.payload.state, *sim.contact.measured()[:1]], 1)
 
 
 @pytest.mark.parametrize("vehicle", [FREE_FLOATING, BENT], ids=["satellite", "internal modes"])
@@ -82,13 +82,13 @@ def test_simulations_do_not_touch_each_other():
 def test_while_it_is_carried_nothing_touches_and_once_released_it_does():
     sim = started()
     played(sim, 4)
-    assert sim.touch.measured()[0].any()
+    assert sim.contact.measured()[0].any()
     sim.grasp()
-    assert not sim.touch.measured()[0].any()
+    assert not sim.contact.measured()[0].any()
     played(sim, 4)
-    assert not sim.touch.measured()[0].any()
+    assert not sim.contact.measured()[0].any()
     sim.release()
-    assert sim.touch.measured()[0].any()
+    assert sim.contact.measured()[0].any()
     assert np.abs(sim.payload.state.position - started().payload.state.position).max() < 0.1
 
 

@@ -1,7 +1,5 @@
 """The Model Method finds arm and sensor from static poses, or says what it cannot find."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +8,7 @@ from hypothesis import strategies as st
 from tests.arms import planar_arm, six_joint_arm
 from ves_gym._util.params import ParameterError, write_table
 from ves_gym.mechanics.arm_library import PUMA_560
-from ves_gym.mechanics.gravity import GravityModel, minimal_model
+from ves_gym.mechanics.gravity import GravityModel
 from ves_gym.mechanics.spatial import skew
 from ves_gym.simulation.gravity_calibration import (
     calibration_poses,
@@ -224,16 +222,3 @@ def test_unlike_arrays_are_named():
     found = fit(PUMA_560, Q, Y, W)
     with pytest.raises(ParameterError, match="not of planar"):
         predict_errors(found, planar_arm(), Q, Y, W)
-
-
-def test_unknown_masses_do_not_matter():
-    """Only lengths of the arm's description are used: it may come without masses."""
-    empty = dataclasses.replace(
-        PUMA_560,
-        links=tuple(
-            dataclasses.replace(k, inertial=dataclasses.replace(k.inertial, mass=0.0))
-            for k in PUMA_560.links
-        ),
-    )
-    assert minimal_model(empty).names == minimal_model(PUMA_560).names
-    np.testing.assert_allclose(fit(empty, Q, Y, W).model.P, EXACT.P, atol=1e-9)

@@ -88,24 +88,6 @@ def test_the_gravity_learnt_is_the_weight(learnt, exact):
     np.testing.assert_allclose(got[-1], want[-1], atol=2)
 
 
-def test_the_recording_is_the_last_run_at_full_speed(learnt):
-    run = learnt.recording
-    np.testing.assert_array_equal(run.y[0], learnt.iterations[-1].y)
-    assert run.duration == MOTION.duration
-    assert run.t[-1] == pytest.approx(1.5)
-
-
-def test_a_good_first_guess_saves_iterations(learnt):
-    """Started from what was learnt, the first round hardly changes anything."""
-    t, y = learnt.t, learnt.iterations[-1].y
-
-    def guess(at):
-        return np.stack([np.interp(at, t, column) for column in y.T], axis=-1)
-
-    again = learn(iterations=1, start=guess)
-    assert again.iterations[0].change.max() < 0.05 * learnt.iterations[0].change.max()
-
-
 def test_the_gravity_model_is_not_used(learnt):
     """A wrong model and a wrong mass in it change nothing of what is learnt, to the bit."""
     wrong = GravityModel(mass=10.0, P=(0.0,) * 9)
@@ -115,19 +97,6 @@ def test_the_gravity_model_is_not_used(learnt):
     got = learn(system, iterations=2)
     for a, b in zip(got.iterations, learnt.iterations, strict=False):
         np.testing.assert_array_equal(a.y, b.y)
-
-
-def test_noise_is_drawn_from_the_seed():
-    system = SYSTEM.replace(effects=(SensorNoise(force=(0.5,) * 3, moment=(0.2,) * 3),))
-    a, b, c = (learn(system, iterations=1, slow=2.0, seed=s) for s in (1, 1, 2))
-    np.testing.assert_array_equal(a.iterations[0].y, b.iterations[0].y)
-    assert (a.iterations[0].y[1:] != c.iterations[0].y[1:]).any()
-
-
-def test_progress_is_told():
-    told = []
-    learn(iterations=2, slow=1.0, settle=0.1, progress=told.append)
-    assert told == [0.5, 1.0]
 
 
 def test_converged_means_that_it_stays_so():
@@ -190,7 +159,6 @@ def test_a_workspace_that_is_left_later_keeps_what_was_learnt(call, monkeypatch,
         ({"slow": 0.99}, "slow must be >= 1, got 0.99"),
         ({"slow": np.nan}, "slow must be >= 1, got nan"),
         ({"iterations": 0}, "iterations must be >= 1, got 0"),
-        ({"iterations": -1}, "iterations must be >= 1, got -1"),
         ({"settle": -1.0}, r"settle must be >= 0 s, got -"),
         ({"seed": -2}, "seed must be a whole number >= 0, got -2"),
     ],
@@ -217,8 +185,9 @@ POSES[2, :3] = 0.02, 0.0, -0.01
 POSES[3] = -0.01, 0.02, 0.01, -0.08, 0.1, 0.0
 
 
-@pytest.mark.parametrize("operation", ["microgravity", "admittance", "position"])
-@pytest.mark.parametrize("zeroed", [False, True])
+@pytest.mark.parametrize(
+    ("operation", "zeroed"), [("microgravity", True), ("admittance", False)]
+)
 def test_weighing_gives_the_exact_weight_on_a_clean_machine(operation, zeroed):
     """Whatever the machine does otherwise. Tolerance: the engine's 1e-5 N of 919 N."""
     lab = EmulatorSettings(operation=operation, zero_at_start=zeroed)

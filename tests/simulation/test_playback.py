@@ -11,7 +11,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import FREE, HIGH_GAINS, PPED_GAINS, JointServo
 from ves_gym.mechanics.spatial import matvec, rotation, twist
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, MatrixVehicle
-from ves_gym.simulation.divergence import Divergence
+from ves_gym.simulation.machines import Divergence
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.effect import EFFECTS
@@ -71,15 +71,6 @@ def test_a_record_lies_on_the_run_whatever_its_period():
     np.testing.assert_allclose(fine.w[:, ::20], coarse.w, atol=1e-9)
 
 
-def test_the_last_record_covers_the_settling():
-    run = play_motions(
-        System(vehicle=BENT_THESIS), [MOTION.retimed(0.33)], settle=0.0, record_dt=12.5e-3
-    )
-    assert run.t[-1] == pytest.approx(0.3375)
-    np.testing.assert_allclose(run.q_cmd[0, -1], MOTION.goal, rtol=0, atol=1e-15)
-    assert (run.v_cmd[0, -1] == 0).all()
-
-
 def test_the_servo_follows_and_without_one_nothing_moves():
     good = play_motions(System(vehicle=BENT_THESIS), [MOTION], settle=0.5)
     np.testing.assert_allclose(good.q, good.q_cmd, atol=2e-3)
@@ -97,15 +88,6 @@ def test_the_servo_follows_and_without_one_nothing_moves():
     np.testing.assert_allclose(loose.q[0], np.tile(MOTION.start, (len(loose.t), 1)), atol=1e-12)
 
 
-def test_a_prescribed_drive_follows_exactly():
-    """Tolerance: base forces of 1e3 N m over 1e8 kg m^2, for a second and a half."""
-    run = play_motions(
-        System(vehicle=BENT_THESIS, drive="prescribed"), [MOTION, OTHER], settle=0.5
-    )
-    np.testing.assert_allclose(run.q, run.q_cmd, atol=3e-5)
-    np.testing.assert_allclose(run.v, run.v_cmd, atol=3e-5)
-
-
 def test_the_base_may_start_anywhere():
     y = [0.01, -0.02, 0.0, 0.001, 0.0, 0.002]
     run = play_motions(
@@ -119,14 +101,6 @@ def test_the_base_may_start_anywhere():
     np.testing.assert_array_equal(run.yd[:, 0], [[0.1] + [0.0] * 5] * 2)
     with pytest.raises(ParameterError, match=r"y must be numbers of shape \(2, 6\)"):
         play_motions(System(vehicle=BENT_THESIS), [MOTION, OTHER], y=[0.0] * 5)
-
-
-def test_progress_is_told():
-    told = []
-    play_motions(System(vehicle=BENT_THESIS), [MOTION], settle=0.5, progress=told.append)
-    assert told[0] == 0.0
-    assert told == sorted(told)
-    assert told[-1] < 1.0
 
 
 # --------------------------------------------------------------------------- wrench
@@ -147,14 +121,6 @@ def test_on_a_rigid_base_the_wrench_is_that_of_inverse_dynamics():
             scale = np.abs(want).max()
             assert scale > 10
             np.testing.assert_allclose(found, want, atol=1e-3 * scale)
-
-
-def test_a_softer_base_takes_another_wrench():
-    """The other side of the test above: it is not inverse dynamics that is recorded."""
-    run = play_motions(System(vehicle=BENT_THESIS, drive="prescribed"), [MOTION], settle=0.2)
-    s = MOTION.at(run.t)
-    wrench = inverse_dynamics(run.system.arm, s.q, s.v, s.a)[1]
-    assert np.abs(run.w[0] - wrench).max() > 0.1 * np.abs(wrench).max()
 
 
 def test_on_a_satellite_the_wrench_is_what_accelerates_it():
@@ -204,9 +170,6 @@ def test_a_run_becomes_a_log_that_repeats_it(tmp_path):
         ([Motion.straight([0, 0], [1, 1], 1.0)], {}, "puma560 needs 3 joints, got 2"),
         ([MOTION], {"record_dt": 2e-3}, "record_dt must be a whole number of physics steps"),
         ([MOTION], {"record_dt": 0.0}, "record_dt must be a whole number .*got 0 s"),
-        ([MOTION], {"record_dt": -12.5e-3}, "record_dt must be a whole number"),
-        ([MOTION], {"record_dt": 1e-4}, "record_dt must be a whole number"),
-        ([MOTION], {"record_dt": np.nan}, "record_dt must be a whole number"),
         ([MOTION], {"record_dt": np.inf}, "record_dt must be a whole number"),
         ([MOTION], {"settle": -1.0}, "settle must be >= 0 s, got -1.0"),
         ([MOTION], {"settle": np.nan}, "settle must be >= 0 s"),
@@ -225,22 +188,6 @@ def test_a_run_that_diverges_is_an_error(tmp_path, monkeypatch):
         play_motions(
             System(vehicle=BENT_THESIS), [MOTION, OTHER], yd=[[0.0] * 6, [1e12] + [0.0] * 5]
         )
-
-
-@pytest.mark.parametrize(
-    "gains",
-    [
-        {"kp": (1.0, 2.0), "kd": (1.0,)},
-        {"kp": (-1.0,), "kd": (1.0,)},
-        {"kp": (1.0,), "kd": (np.nan,)},
-        {"kp": ((1.0,),), "kd": ((1.0,),)},
-        {"kp": 1.0, "kd": 1.0},
-        {"kp": ("a",), "kd": (1.0,)},
-    ],
-)
-def test_bad_gains_are_refused(gains):
-    with pytest.raises(ParameterError, match="JointServo"):
-        JointServo(**gains)
 
 
 # ---------------------------------------------------------------------------- limits
@@ -277,7 +224,7 @@ def test_watching_the_joints_changes_no_record(system):
     for name in ("q", "v", "tau", "y", "yd", "w", "wg", "y_cmd"):
         a, b = getattr(plain, name), getattr(watched, name)
         assert a is b is None or np.array_equal(a, b), name
-    assert plain.extremes is None and watched.extremes is not None
+    assert plain.watch is None and watched.watch is not None
 
 
 def test_the_joints_are_watched_at_every_physics_step():
@@ -293,17 +240,11 @@ def test_the_joints_are_watched_at_every_physics_step():
         velocity.value
         == dense.v[0, np.searchsorted(dense.t, velocity.time - 1e-9)][velocity.joint - 1]
     )
+    assert coarse.limit_check(0, v_max=(9.0,) * 3) == here and not here.inside
+    tight = coarse.limit_check(0, v_max=(0.1, 9.0, 9.0)).extremes[1]
+    assert tight.joint == 1 and tight.limit == 0.1  # the tighter of two limits holds
     assert "simulated arm: velocity of joint" in truth.sentences("simulated arm")[0]
     seen, recorded = coarse.closely(0), dense.closely(0)
     for name in ("t", "q", "v", "y"):
         a, b = getattr(seen, name), getattr(recorded, name)
         assert np.array_equal(a[: len(b)], b), name
-
-
-def test_the_tighter_of_two_speed_limits_holds():
-    run = play_motions(System(vehicle=BENT_THESIS), [QUICK_TURN], settle=0.1, watch=True)
-    own = run.limit_check(0)
-    assert [e.kind for e in own.extremes] == ["position", "velocity", "torque"]
-    assert not own.inside and run.limit_check(0, v_max=(9.0, 9.0, 9.0)) == own
-    tight = run.limit_check(0, v_max=(0.1, 9.0, 9.0)).extremes[1]
-    assert tight.joint == 1 and tight.limit == 0.1

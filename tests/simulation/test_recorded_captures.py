@@ -15,8 +15,7 @@ from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, FREE_FLOATING, get_vehicle
 from ves_gym.rendering.render import View, render
 from ves_gym.simulation.playback import play_motions
-from ves_gym.system.captures import segments
-from ves_gym.system.energy_balance import EnergyBalance
+from ves_gym.system.energy_balance import EnergyBalance, segments
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 

@@ -13,7 +13,7 @@ from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.effects import JointMemory
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.playback import play_motions
-from ves_gym.system.rest_friction import BENT, FORGOTTEN, RESTING, advanced, fresh, friction
+from ves_gym.system.deviations import BENT, FORGOTTEN, RESTING, advanced, fresh, friction
 
 NOTHING = (0.0,) * 3
 STICKS = JointMemory(

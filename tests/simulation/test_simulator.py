@@ -1,6 +1,5 @@
 """`Simulator`: what goes in, what comes out, and what happens when it goes wrong."""
 
-import copy
 import dataclasses
 import itertools
 import pickle
@@ -16,12 +15,11 @@ from ves_gym.mechanics.spatial import twist
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,
     DECOUPLED,
-    FREE_FLOATING,
     FREE_FLYING,
-    STRAIGHT_VERTICAL_THESIS,
+    SERVICER_FLEXIBLE,
     Satellite,
 )
-from ves_gym.simulation.divergence import Divergence
+from ves_gym.simulation.machines import Divergence
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
@@ -82,35 +80,20 @@ def test_commands_broadcast(command):
     assert same(moving().step(command), want)
 
 
-@pytest.mark.parametrize("n", [0, -1, 1.0, True, "2", None, 2.5])
-def test_n_is_a_whole_number(n):
-    with pytest.raises(ParameterError, match="n must be a whole number >= 1, got"):
-        Simulator(System(vehicle=BENT_THESIS), n)
-
-
-@pytest.mark.parametrize("threads", [-1, 1.5, True, "two"])
-def test_threads_are_a_whole_number(threads):
-    with pytest.raises(ParameterError, match="threads must be a whole number >= 0, got"):
-        Simulator(System(vehicle=BENT_THESIS), threads=threads)
-
-
-def test_other_bad_arguments():
-    assert Simulator(System(vehicle=BENT_THESIS), np.int64(2)).n == 2
-    with pytest.raises(
-        ParameterError, match="mujoco, gpu-kernel, gpu-kernel-float32, got 'bullet'"
-    ):
-        Simulator(System(vehicle=BENT_THESIS), backend="bullet")
-    with pytest.raises(
-        ParameterError, match="on_divergence must be raise or mark, got 'ignore'"
-    ):
-        Simulator(System(vehicle=BENT_THESIS), on_divergence="ignore")
-    for seed in (-1, 1.5, True, "0", None):
-        with pytest.raises(ParameterError, match="seed must be a whole number >= 0"):
-            Simulator(System(vehicle=BENT_THESIS), seed=seed)
-    with pytest.raises(ParameterError, match="servo must have gains for 3 joints, got 1"):
-        Simulator(
-            System(vehicle=BENT_THESIS), servo=JointServo(kp=(1.0,), kd=(1.0,))
-        )  # one gain is no three
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        *(({"n": n}, "n must be a whole number >= 1, got") for n in (0, -1, 1.0, True, "2")),
+        *(({"threads": k}, "threads must be a whole number >= 0") for k in (-1, 1.5, True)),
+        *(({"seed": k}, "seed must be a whole number >= 0") for k in (-1, 1.5, True, None)),
+        ({"backend": "bullet"}, "mujoco, gpu-kernel, gpu-kernel-float32, got 'bullet'"),
+        ({"on_divergence": "ignore"}, "on_divergence must be raise or mark, got 'ignore'"),
+        ({"servo": JointServo(kp=(1.0,), kd=(1.0,))}, "must have gains for 3 joints, got 1"),
+    ],
+)
+def test_bad_options_are_refused(options, message):
+    with pytest.raises(ParameterError, match=message):
+        Simulator(System(vehicle=BENT_THESIS), **options)
 
 
 def test_a_simulation_does_not_know_how_many_there_are():
@@ -137,12 +120,9 @@ NAN_ROW[1, 2] = np.nan
 BAD = [np.nan, np.inf, -np.inf, NAN_ROW, [0.0, 0.0], np.zeros((2, 3)), np.zeros((3, 4))]
 BAD += [
     "0.0",
-    "abc",
-    ["1", "2", "3"],
     None,
     True,
     1j,
-    {},
     [[0], [0, 0]],
     np.zeros((2, 2, 3, 3)),
 ]
@@ -206,23 +186,15 @@ def test_values_go_to_the_ids_in_the_order_given():
     sim = Simulator(System(vehicle=BENT_THESIS), 4)
     state = sim.reset(q=[[3.0] * 3, [0.0] * 3, [1.0] * 3], ids=[3, 0, 1])
     assert state.q[:, 0].tolist() == [0.0, 1.0, 0.0, 3.0]
+    mask = np.array([False, True, False, True])
+    assert sim.reset(q=0.5, ids=mask).q[:, 0].tolist() == [0.0, 0.5, 0.0, 0.5]
+    assert same(sim.reset(ids=[]), sim.state)
     sim.set_gains([[3.0] * 3, [1.0] * 3], 0.0, ids=[2, 1])
     sim.reset(q=0.1)
     np.testing.assert_allclose(sim.evaluate(0.0)[0][1:3, 0], [-0.1, -0.3])
 
 
-def test_ids_as_a_mask_and_none_at_all():
-    sim, twin = moving(), moving()
-    assert same(sim.reset(ids=[]), twin.state)
-    assert same(sim.reset(ids=np.zeros(3, bool)), twin.state)
-    state = sim.reset(ids=np.array([True, False, True]))
-    assert same(state, twin.state, [1])
-    assert (state.time[[0, 2]] == 0).all()
-
-
-@pytest.mark.parametrize(
-    "ids", [[3], [-1], [0.0], [[0]], "0", 0, [True], [0, 0], [None], [0, 1, 2, 3], [1, 0, 1]]
-)
+@pytest.mark.parametrize("ids", [[3], [-1], [0.0], [[0]], "0", [True], [0, 0], [1, 0, 1]])
 def test_bad_ids_are_refused(ids):
     with pytest.raises(ParameterError, match="ids must"):
         Simulator(System(vehicle=BENT_THESIS), 3).reset(ids=ids)
@@ -269,12 +241,13 @@ def test_an_unknown_spread_is_refused():
 @pytest.mark.parametrize(
     "system",
     [
+        System(vehicle=SERVICER_FLEXIBLE, physics_dt=2.5e-3),
         System(vehicle=BENT_THESIS),
         System(vehicle=BENT_THESIS, drive="prescribed"),
         System(vehicle=FREE_FLYING),
         System(vehicle=BENT_THESIS, integrator="euler"),
     ],
-    ids=["motor", "prescribed", "satellite", "euler"],
+    ids=["wheels and jets", "motor", "prescribed", "satellite", "euler"],
 )
 def test_a_snapshot_continues_bitwise_in_another_simulator(system):
     sim = moving(system=system)
@@ -287,45 +260,18 @@ def test_a_snapshot_continues_bitwise_in_another_simulator(system):
         return states + [s.step(0.0) for _ in range(3)]
 
     want = go_on(sim)
-    other = Simulator(system, 3, seed=99)
+    other = Simulator(system, 3, seed=99, servo=None)
+    if system.drive == "motor":
+        sim.set_gains(PPED_GAINS.kp, PPED_GAINS.kd)  # the snapshot brings its own back
     for target in (sim, other):
         target.restore(pickle.loads(text))
         assert all(same(a, b) for a, b in zip(go_on(target), want, strict=True))
 
 
-def test_a_snapshot_brings_its_gains_back():
-    sim = moving()
-    before = sim.snapshot()
-    want = sim.step(sim.servo_command(np.zeros((3, 3)), np.zeros((3, 3))))
-    bare = Simulator(System(vehicle=BENT_THESIS), 3, servo=None)
-    bare_before = bare.snapshot()
-    for target in (sim, bare):
-        target.set_gains(PPED_GAINS.kp, PPED_GAINS.kd)
-        target.restore(before)
-        command = target.servo_command(np.zeros((3, 3)), np.zeros((3, 3)))
-        assert same(target.step(command), want)
-    sim.restore(bare_before)
-    sim.reset(q=0.3)
-    assert (sim.evaluate(0.0)[0] == 0).all()
-
-
-def test_a_snapshot_keeps_its_place_while_the_simulator_moves_on():
-    sim = moving()
-    snapshot = sim.snapshot()
-    before, kept = sim.state, copy.deepcopy(snapshot)
-    sim.step(3.0)
-    sim.reset(spread={"q": 1.0})
-    sim.restore(snapshot)
-    assert same(sim.state, before)
-    sim.step(3.0)
-    sim.restore(kept)
-    assert same(sim.state, before)
-
-
 def test_a_snapshot_of_something_else_is_refused():
     sim, before = moving(), moving().state
     for other in (moving(2), moving(system=System(vehicle=DECOUPLED))):
-        with pytest.raises(ParameterError, match=r"snapshot is of system .* with n = "):
+        with pytest.raises(ParameterError, match=r"snapshot is of system .* with n = .*, this"):
             sim.restore(other.snapshot())
     assert same(sim.state, before)
 
@@ -356,16 +302,6 @@ def test_motors_have_a_limit():
     np.testing.assert_array_equal(sim.evaluate([1.0, -2.0, 3.0])[0], [[1.0, -2.0, 3.0]])
 
 
-def test_without_a_servo_the_torque_is_the_command():
-    free = Simulator(System(vehicle=BENT_THESIS), servo=None)
-    zero = Simulator(
-        System(vehicle=BENT_THESIS), servo=JointServo(kp=(0.0,) * 3, kd=(0.0,) * 3)
-    )
-    for sim in (free, zero):
-        sim.reset(**START)
-    assert same(free.step(3.0), zero.step(3.0))
-
-
 def test_a_prescribed_drive_follows_its_command_and_has_no_gains():
     """Tolerance: base forces of 1e3 N m over the 1e8 kg m^2 that prescribe the motion."""
     sim = Simulator(System(vehicle=BENT_THESIS, drive="prescribed"), 2)
@@ -375,12 +311,6 @@ def test_a_prescribed_drive_follows_its_command_and_has_no_gains():
     np.testing.assert_allclose(state.q, [[0.125, -0.0625, 0.25], [0, 0, 0]], atol=1e-5)
     with pytest.raises(ParameterError, match="no servo gains"):
         sim.set_gains(1.0, 1.0)
-
-
-def test_a_held_command_plays_as_it_steps():
-    sim, twin = moving(), moving()
-    sim.play(np.broadcast_to(np.array([4.0, -2.0, 1.0]), (3, 11, 3)))
-    assert same(sim.state, twin.step([4.0, -2.0, 1.0]))
 
 
 def test_a_ramp_is_the_mean_of_its_ends():
@@ -435,22 +365,18 @@ def test_a_moment_turns_in_the_platform_s_axes():
     np.testing.assert_allclose(rates[0], np.array([100, 200, -50]) / 1e7 * 0.25, rtol=1e-3)
 
 
-@pytest.mark.parametrize("vehicle", [STRAIGHT_VERTICAL_THESIS, DECOUPLED, FREE_FLOATING])
-def test_only_thrusters_push(vehicle):
-    sim = Simulator(System(vehicle=vehicle))
-    before = sim.state
-    with pytest.raises(ParameterError, match="base_wrench needs a vehicle with thrusters"):
-        sim.step(0.0, base_wrench=np.zeros(6))
-    assert same(sim.state, before)
-
-
-def test_a_bad_wrench_is_refused():
-    sim = moving(system=System(vehicle=FREE_FLYING))
-    before = sim.state
-    for bad in (np.nan, np.zeros(5), "0", np.zeros((2, 6)), [np.inf] * 6):
-        with pytest.raises(ParameterError, match="base_wrench must be"):
-            sim.step(0.0, base_wrench=bad)
-    assert same(sim.state, before)
+def test_only_thrusters_push_and_only_numbers():
+    bad = {
+        "base_wrench needs a vehicle with thrusters": (DECOUPLED, np.zeros(6)),
+        "base_wrench must be finite": (FREE_FLYING, [np.inf] * 6),
+        "base_wrench must be numbers of shape": (FREE_FLYING, np.zeros(5)),
+    }
+    for message, (vehicle, wrench) in bad.items():
+        sim = moving(system=System(vehicle=vehicle))
+        before = sim.state
+        with pytest.raises(ParameterError, match=message):
+            sim.step(0.0, base_wrench=wrench)
+        assert same(sim.state, before)
 
 
 # ----------------------------------------------------------------------- divergence
@@ -518,15 +444,6 @@ def test_nan_that_appears_inside_the_engine_is_seen():
     assert sim.diverged.tolist() == [True, False, False]
 
 
-def test_all_may_diverge_and_the_clock_goes_on():
-    sim = Simulator(System(vehicle=BENT_THESIS), 2, servo=None, on_divergence="mark")
-    sim.reset(v=1e12)
-    for _ in range(3):
-        sim.step(0.0)
-        sim.play(np.zeros((2, 3, 3)))
-    assert sim.diverged.all()
-
-
 def test_every_diverged_simulation_is_listed():
     sim = Simulator(System(vehicle=BENT_THESIS), 4, servo=None)
     sim.reset(v=1e12, ids=[1, 3])
@@ -534,15 +451,9 @@ def test_every_diverged_simulation_is_listed():
         sim.step(0.0)
     assert caught.value.ids.tolist() == [1, 3]
     sim.step(0.0)  # known by now, not raised again
-
-
-def test_a_snapshot_remembers_what_diverged():
-    sim = Simulator(System(vehicle=BENT_THESIS), 2, servo=None, on_divergence="mark")
-    sim.reset(v=1e12, ids=[1])
-    sim.step(0.0)
-    other = Simulator(System(vehicle=BENT_THESIS), 2, on_divergence="mark")
+    other = Simulator(System(vehicle=BENT_THESIS), 4, servo=None, on_divergence="mark")
     other.restore(sim.snapshot())
-    assert other.diverged.tolist() == [False, True]
+    assert other.diverged.tolist() == [False, True, False, True]
     before = other.state
     assert same(other.step(0.0), before, [1])
 
@@ -584,15 +495,6 @@ def test_a_satellite_that_tumbles_too_fast_for_its_angles_is_reported():
     assert sim.diverged.tolist() == [False, True]
     assert "phi_y" in sim.describe_divergence(1)
     assert "90 deg" in sim.describe_divergence(1)
-
-
-def test_turning_about_the_other_axes_is_no_tumble():
-    sim = Simulator(System(vehicle=HEAVY, drive="prescribed"), 3)
-    sim.reset(yd=[[0, 0, 0, 3.0, 0, 0], [0, 0, 0, 0, 0, 3.0], [0] * 6])
-    sim.reset(y=[0, 0, 0, 0, 1.5, 0], ids=[2])  # 86 deg, at rest
-    for _ in range(200):
-        state = sim.step(0.0)
-    np.testing.assert_allclose(state.y[[0, 1], [3, 5]], 7.5, rtol=1e-3)
 
 
 @pytest.mark.parametrize("backend", ["kernel", "mujoco"])

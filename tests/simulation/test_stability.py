@@ -98,20 +98,6 @@ def test_the_stated_lag_is_the_sum_of_its_parts():
     )
 
 
-def test_the_modes_become_the_ideal_ones_as_the_machine_grows_faster():
-    """Ten times the bandwidths at a tenth of the period: a tenth of the added damping."""
-    added = []
-    for factor in (1, 10):
-        system = plain(
-            AXES, 8.0 * factor, dt=12.5e-3 / factor, cutoff=20.0 * factor, drive="prescribed"
-        )
-        modes = slow_modes(system)
-        added.append([abs(m.emulated_damping - m.damping) for m in modes])
-        for mode in modes:
-            assert mode.emulated_frequency == pytest.approx(mode.frequency, rel=1e-2 / factor)
-    np.testing.assert_allclose(np.array(added[1]) / added[0], 0.1, rtol=0.2)
-
-
 def test_compensation_leaves_the_modes_as_they_are():
     """Arm and vehicle integrated together: the poles are the ideal ones at once.
 
@@ -172,25 +158,10 @@ def test_the_plain_loop_on_the_bent_beam_loses_stability_near_eight_hertz():
     assert rate == pytest.approx(np.log(radius), rel=0.1)
 
 
-def test_a_lighter_vehicle_allows_less():
-    """The arm of 94 kg on 45, 60 and 90 kg (thesis 5.4): the limit falls with the mass."""
-    limits = []
-    for mass in (45.0, 60.0, 90.0):
-        vehicle = dataclasses.replace(AXES, M=diagonal(*[mass] * 3, *[1e7] * 3))
-        limits.append(max_bandwidth(plain(vehicle, drive="prescribed")))
-    assert limits == sorted(limits)
-    assert limits[0] < 0.7 * limits[2]
-
-
 @pytest.mark.parametrize(
     ("vehicle", "bandwidth"),
-    [
-        (BENT_THESIS, 8.0),
-        (BENT_THESIS, 10.0),
-        (BENT_THESIS, 30.0),
-        (STRAIGHT_VERTICAL_THESIS, 8.0),
-    ],
-    ids=["bent-8", "bent-10", "bent-30", "straight-8"],
+    [(BENT_THESIS, 30.0), (STRAIGHT_VERTICAL_THESIS, 8.0)],
+    ids=["bent-30", "straight-8"],
 )
 def test_payload_compensation_makes_the_beams_stable(vehicle, bandwidth):
     """The straight beam's torsion, 600 times lighter than the arm, included."""
@@ -272,18 +243,6 @@ def test_noise_and_quantisation_do_not_disturb_the_judgement():
     assert transition(clean.replace(emulator=tight)).tobytes() == transition(clean).tobytes()
 
 
-def test_the_map_predicts_one_period():
-    """The linear map against a free decay of the real loop: largest eigenvalue of a run.
-
-    A stable compensated loop decays no faster than its spectral radius says.
-    """
-    system = System(mode="emulated", vehicle=DECOUPLED)
-    radius = spectral_radius(system)
-    sizes = growth(system, 640)
-    rate = np.log(sizes[-160:].max() / sizes[-480:-320].max()) / 320
-    assert rate == pytest.approx(np.log(radius), rel=0.15)
-
-
 # ------------------------------------------------------------------------ warnings
 
 
@@ -310,12 +269,6 @@ def test_the_place_where_it_is_judged_counts():
     with pytest.warns(EmulationWarning):
         Simulator(edge, warn_at=up)
     Simulator(edge, warn_at=folded)
-
-
-def test_what_was_given_as_arrays_is_judged_too():
-    """Systems that hold lists or arrays have no hash of their own."""
-    vehicle = MatrixVehicle(M=500 * np.eye(6), D=500 * np.eye(6), K=1e3 * np.eye(6))
-    Simulator(System(mode="emulated", vehicle=vehicle, effects=list(LABORATORY_ERRORS)))
 
 
 def test_what_has_no_loop_is_refused():

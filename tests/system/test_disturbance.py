@@ -20,7 +20,6 @@ from ves_gym.system.disturbance import (
     UNITS,
     Disturbance,
     disturbance,
-    log_disturbance,
     mount_acceleration,
     mount_displacement,
     mount_of,
@@ -133,27 +132,6 @@ def test_measures_are_the_largest_and_mean_of_what_was_recorded(runs):
         most_off = 0.025 if name in ("acceleration", "angular") else 0.01
         assert getattr(near, name) == pytest.approx(value, rel=most_off), name
         assert getattr(exact, name) == pytest.approx(value, rel=1e-9), name
-
-
-def test_a_log_has_the_measures_of_its_recording(runs):
-    """Its acceleration is the slope of the base's rate: 1 %."""
-    direct = runs[1].disturbance(0, tail=TAIL)
-    read = log_disturbance(runs[1].log(0), tail=TAIL)
-    for name in UNITS:
-        assert getattr(read, name) == pytest.approx(getattr(direct, name), rel=0.01), name
-
-
-def test_unevenly_sampled_records_are_measured_as_they_stand(runs):
-    run = runs[1]
-    if run.u is not None:
-        return  # estimating internal modes takes even samples
-    some = np.sort(np.random.default_rng(0).choice(len(run.t), len(run.t) // 2, False))
-    some = np.union1d(some, [0, len(run.t) - 1])
-    parts = (x[0, some] for x in (run.q, run.q_cmd, run.y, run.yd))
-    uneven = disturbance(run.system, run.t[some], *parts, duration=1.0, tail=TAIL)
-    for name in UNITS:
-        expected = getattr(run.disturbance(0, tail=TAIL), name)
-        assert getattr(uneven, name) == pytest.approx(expected, rel=0.02), name
 
 
 # -------------------------------------------------------------------- the weight

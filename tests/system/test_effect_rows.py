@@ -166,7 +166,7 @@ def test_systems_are_made_when_asked_for():
     everyone = np.arange(4)
     ours.seed(everyone, 0, everyone)
     ours.reset(everyone)
-    assert all(not rows._systems for rows, _ in ours.sim.assigned_systems._given.values())
+    assert all(not rows._systems for rows, _ in ours.sim.machines._sources.values())
     errors = [system.effects[-1].error for system in ours.sim.systems]
     np.testing.assert_array_equal(errors, ours.drawn["gravity/scale.error"][:, 0])
     theirs.set_state(ours.get_state())

@@ -17,7 +17,6 @@ from ves_gym.system.energy import (
     TAIL,
     base_energy,
     base_rate,
-    element_table,
     energies,
     log_energies,
     motion_end,
@@ -129,20 +128,6 @@ def test_base_energy_takes_the_mass_of_the_arm_where_it_is():
     assert floating.kinetic == pytest.approx(0.5 * v @ body @ v, rel=1e-12)
 
 
-def test_the_element_table_sums_to_the_strain_energy():
-    y = np.random.default_rng(0).normal(size=(4, 7, 6)) * 0.1
-    system = System(vehicle=BENT_THESIS)
-    table = element_table(system, y)
-    assert table.shape == (4, 7, 6, 6)
-    strain = base_energy(system, np.zeros((4, 7, 3)), y, 0 * y).strain
-    np.testing.assert_allclose(table.sum(axis=(-1, -2)), strain, rtol=1e-9)
-    np.testing.assert_allclose(table, np.swapaxes(table, -1, -2), rtol=1e-12)
-    one = np.zeros(6)
-    one[2] = 0.3
-    assert np.count_nonzero(element_table(SYSTEM, one)) == 1
-    assert element_table(SYSTEM, one)[2, 2] == pytest.approx(4000 * 0.09 / 2)
-
-
 # ----------------------------------------------------------------------------- logs
 
 DURATION = 1.5
@@ -215,12 +200,3 @@ def test_what_a_log_lacks_is_named(run):
     wrong = dataclasses.replace(log, meta={**log.meta, "system": {"mode": "dream"}})
     with pytest.raises(ParameterError, match=r"log metadata: system\.mode|System\.mode"):
         log_energies(wrong)
-
-
-def test_the_ledger_of_a_run_that_does_nothing_is_empty():
-    run = play_motions(
-        System(vehicle=BENT_THESIS), [Motion.straight([0.1] * 3, [0.1] * 3, 0.1)], settle=0.1
-    )
-    account = EnergyBalance.of(run.log(0))
-    assert np.abs(account.residual).max() < 1e-12
-    assert account.relative >= 0

@@ -20,7 +20,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.system.effect import Effect, TorqueEffect, joint_torque, register
+from ves_gym.system.effect import Effect, LaboratoryEffect, joint_torque, register
 from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.system import System
 
@@ -120,9 +120,9 @@ def test_an_effect_must_say_where_it_enters():
     ):
 
         @register("test/nowhere")
-        class Nowhere(TorqueEffect):
-            def law(self, q, v, tau):
-                return -v
+        class Nowhere(LaboratoryEffect):
+            def edit(self, p):
+                pass
 
 
 # ------------------------------------------------------------------ laws, one by one

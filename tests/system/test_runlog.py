@@ -163,18 +163,6 @@ def test_columns_in_another_order_windows_lines_and_quoted_names_are_read(saved:
 
 
 @needs_pyarrow
-def test_parquet_in_a_smaller_number_type_is_read_exactly(tmp_path: Path) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    log = make(optional=())
-    columns = {k: c.astype(np.float32) if k != "t" else c for k, c in log.columns().items()}
-    table = pa.table(columns).replace_schema_metadata({"ves_gym": json.dumps(META)})
-    pq.write_table(table, tmp_path / "run.parquet")
-    got = RunLog.load(tmp_path / "run.parquet")
-    np.testing.assert_array_equal(got.q, log.q.astype(np.float32).astype(float))
-
-
 # ------------------------------------------------------------------- construction
 
 
@@ -277,12 +265,6 @@ def test_bad_metadata_is_refused(meta: Any, message: str) -> None:
     assert f"metadata{message}" in str(caught.value)
 
 
-def test_numpy_floats_and_tuples_in_metadata_become_plain() -> None:
-    log = make(meta=META | {"a": (np.float64(0.5), np.str_("x"))})
-    assert log.meta["a"] == [0.5, "x"]
-    assert [type(k) for k in log.meta["a"]] == [float, str]
-
-
 # -------------------------------------------------------------------------- slice
 
 
@@ -297,11 +279,6 @@ def test_a_slice_keeps_clock_and_window_and_starts_where_it_starts() -> None:
     assert cut.meta["duration"] == pytest.approx(0.2)
     assert cut.meta["system"] == log.meta["system"]
     assert set(make(optional=()).slice(0.1, 1).meta["initial"]) == {"q", "y"}
-
-
-def test_a_slice_that_keeps_the_start_keeps_the_metadata() -> None:
-    log = make(meta=META | {"duration": 0.3})
-    assert log.slice(-1, 0.25).meta == log.meta
     assert_same(log.slice(-math.inf, math.inf), log)
 
 
@@ -336,13 +313,6 @@ def test_a_bad_cell_is_named(row: int, column: str, text: str, saved: Path) -> N
     refuses(
         saved, f"run.csv: row {row}, column {column}: expected a finite number, got {text!r}"
     )
-
-
-def test_a_number_too_large_for_a_float_is_named(saved: Path) -> None:
-    table = cells(saved)
-    table[2][table[0].index("q_3")] = "1e999"
-    put(saved, table)
-    refuses(saved, "run.csv: row 2, column q_3: expected a finite number, got inf")
 
 
 def test_time_that_stands_still_is_named(saved: Path) -> None:
@@ -381,22 +351,6 @@ def test_a_file_cut_off_inside_a_number_is_named(saved: Path) -> None:
     )
 
 
-def test_short_or_empty_files_are_refused(saved: Path) -> None:
-    header = saved.read_text().splitlines()[0]
-    first = saved.read_text().splitlines()[1]
-    for text, message in (
-        ("", "expected part of a run log, got an empty file"),
-        ("\n", "header: expected the columns t, q_cmd_1..n"),
-        (header, "expected at least 2 rows below the header, got none"),
-        (header + "\n", "expected at least 2 rows below the header, got none"),
-        (header + "\n\n\n", "row 1, column q_cmd_1: expected"),
-        (f"{header}\n{first}\n", "t: expected shape (N,) with N >= 2 samples, got (1,)"),
-        ('"t' + header[1:] + "\n", "header: expected column names"),
-    ):
-        saved.write_text(text)
-        refuses(saved, "run.csv: " + message)
-
-
 HEADER = list(make(optional=("w",)).columns())
 
 
@@ -416,10 +370,7 @@ FAULTY_HEADERS = [
     ([*HEADER, "q_3"], "column q_3: expected once, got it more than once"),
     ([*HEADER, "t"], "column t: expected once, got it more than once"),
     (header(w_6="w_7"), "column 'w_7': unknown"),
-    (header(q_1="q_01"), "column 'q_01': unknown"),
     (header(q_1="q_0"), "column 'q_0': unknown"),
-    (header(q_1="Q_1"), "column 'Q_1': unknown"),
-    (header(q_1=" q_1"), "column ' q_1': unknown"),
     (header(q_1="q_9999999"), "column 'q_9999999': unknown"),
     (header(q_1="q_999999"), "column q_cmd_4: missing; expected q_cmd_1..999999"),
 ]
@@ -569,33 +520,6 @@ def test_a_failed_save_leaves_the_folder_as_it_was(
 
 
 @needs_pyarrow
-def test_a_parquet_writer_that_dies_leaves_the_old_file(
-    tmp_path: Path, monkeypatch: Any
-) -> None:
-    import pyarrow.parquet as pq
-
-    path = tmp_path / "run.parquet"
-    make().save(path)
-    before = contents(tmp_path)
-
-    def half(table: Any, sink: Any, **options: Any) -> None:
-        sink.write(b"PAR1 half")
-        raise OSError("broken")
-
-    monkeypatch.setattr(pq, "write_table", half)
-    with pytest.raises(OSError, match="broken"):
-        make(samples=9).save(path)
-    assert contents(tmp_path) == before
-
-
-def test_save_makes_folders_and_leaves_only_its_files(tmp_path: Path) -> None:
-    path = tmp_path / "new" / "deep" / "a.b.csv"
-    make().save(path)
-    make(samples=9).save(path)
-    assert set(contents(path.parent)) == {"a.b.csv", "a.b.json"}
-    assert len(RunLog.load(path)) == 9
-
-
 # ---------------------------------------------------------------------------- fuzz
 
 

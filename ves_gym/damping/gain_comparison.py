@@ -29,7 +29,7 @@ from ves_gym.damping.tuning import WIDE, Bounds, tune
 from ves_gym.damping.virtual_manipulator import tune_virtual
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import vehicle_name
-from ves_gym.simulation.divergence import Divergence
+from ves_gym.simulation.machines import Divergence
 from ves_gym.system.system import System
 
 SCHEMA = "ves-pped/1"

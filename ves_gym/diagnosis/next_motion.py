@@ -37,7 +37,7 @@ from ves_gym.diagnosis.machines.drift import SlowPath
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
-from ves_gym.simulation.divergence import Divergence
+from ves_gym.simulation.machines import Divergence
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.recording import Recording
 from ves_gym.system.system import System

@@ -16,6 +16,11 @@ from ves_gym.system.effect import BaseEffect, parameter, register
 from ves_gym.system.system import System
 
 
+def _require_held(effect: BaseEffect, system: System) -> None:
+    fits = not isinstance(system.vehicle, Satellite)
+    effect.require(fits, "a vehicle of M, D, K, got a satellite")
+
+
 @register("base/amplitude_damping")
 @dataclass(frozen=True, kw_only=True)
 class BaseAmplitudeDamping(BaseEffect):
@@ -26,16 +31,13 @@ class BaseAmplitudeDamping(BaseEffect):
     (equivalent linearisation, derived here).
     """
 
-    modes = ("ideal", "emulated")
-    port = "admittance"
     coefficient: Vector = parameter(
         "N s^2/m^2, N m s^2", bounds=(0.0, 1e6), shape=(6,), start=500.0
     )
 
     def check(self, system: System) -> None:
         """Nothing holds a satellite."""
-        fits = not isinstance(system.vehicle, Satellite)
-        self._require(fits, "a vehicle of M, D, K, got a satellite")
+        _require_held(self, system)
 
     def base(self, base: BaseModel) -> BaseModel:
         """Drag + coefficient."""
@@ -53,13 +55,11 @@ class BaseDamping(BaseEffect):
     Of what the admittance integrates, in the laboratory (derived here).
     """
 
-    modes = ("ideal", "emulated")
-    port = "admittance"
     error: float = parameter("1", bounds=(-1.0, 10.0), start=1.0)
 
     def check(self, system: System) -> None:
         """A vehicle in free space has no damping."""
-        self._require(has(system.vehicle, "D"), "a vehicle with damping")
+        self.require(has(system.vehicle, "D"), "a vehicle with damping")
 
     def base(self, base: BaseModel) -> BaseModel:
         """D (1 + error)."""
@@ -75,13 +75,11 @@ class BaseStiffness(BaseEffect):
     the payload compensation's arm stays as described (derived here).
     """
 
-    modes = ("ideal", "emulated")
-    port = "admittance"
     error: float = parameter("1", bounds=(-0.9, 3.0), start=0.1)
 
     def check(self, system: System) -> None:
         """A vehicle in free space has no stiffness."""
-        self._require(has(system.vehicle, "K"), "a vehicle with stiffness")
+        self.require(has(system.vehicle, "K"), "a vehicle with stiffness")
 
     def base(self, base: BaseModel) -> BaseModel:
         """K (1 + error)."""
@@ -97,8 +95,6 @@ class BaseVirtualMass(BaseEffect):
     integrates (derived here).
     """
 
-    modes = ("ideal", "emulated")
-    port = "admittance"
     error: float = parameter("1", bounds=(-0.9, 3.0), start=0.1)
 
     def base(self, base: BaseModel) -> BaseModel:
@@ -117,8 +113,6 @@ class BaseExtraMode(BaseEffect):
     about that share of the mode's force points another way.
     """
 
-    modes = ("ideal", "emulated")
-    port = "admittance"
     mass: float = parameter("kg", bounds=(0.0, 500.0), start=2.0)
     frequency: float = parameter(
         "Hz",
@@ -190,16 +184,13 @@ class BaseUnknown(BaseEffect):
     energy.
     """
 
-    modes = ("ideal", "emulated")
-    port = "admittance"
     hidden = "it stands for what has no name; a diagnosis writes it where nothing else is left"
     stiffness: Vector = parameter("N/m, N m/rad", bounds=_FAR, shape=(6,), default=(0.0,) * 6)
     damping: Vector = parameter("N s/m, N m s/rad", bounds=_FAR, shape=(6,), default=(0.0,) * 6)
 
     def check(self, system: System) -> None:
         """Nothing holds a satellite."""
-        fits = not isinstance(system.vehicle, Satellite)
-        self._require(fits, "a vehicle of M, D, K, got a satellite")
+        _require_held(self, system)
 
     def base(self, base: BaseModel) -> BaseModel:
         """K and D more on the diagonal."""

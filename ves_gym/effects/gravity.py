@@ -15,54 +15,51 @@ from ves_gym.system.effect import LaboratoryEffect, parameter, register
 from ves_gym.system.system import System
 
 
-@register("gravity/delay")
-@dataclass(frozen=True, kw_only=True)
-class GravityDelay(LaboratoryEffect):
-    """The gravity estimate is of joints and pose `delay` ago."""
+class _GravityEffect(LaboratoryEffect):
+    """Deviation of the estimate, which only micro-gravity emulation subtracts."""
 
     port = "gravity"
-    delay: float = parameter("s", bounds=(0.0, 0.5), start=0.02)
 
     def check(self, system: System) -> None:
-        """Only micro-gravity emulation subtracts an estimate."""
+        """See `Effect`."""
+        super().check(system)
         operation = system.emulator_settings.operation
-        self._require(operation == "microgravity", f"operation microgravity, got {operation}")
+        self.require(operation == "microgravity", f"operation microgravity, got {operation}")
+
+
+@register("gravity/delay")
+@dataclass(frozen=True, kw_only=True)
+class GravityDelay(_GravityEffect):
+    """The gravity estimate is of joints and pose `delay` ago."""
+
+    delay: float = parameter("s", bounds=(0.0, 0.5), start=0.02)
 
     def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the machine's parameters."""
         p.gravity_delay = p.gravity_delay + self.delay
 
 
 @register("gravity/mass")
 @dataclass(frozen=True, kw_only=True)
-class GravityMass(LaboratoryEffect):
+class GravityMass(_GravityEffect):
     """The gravity estimate takes the arm for heavier by `error`; its moments are right."""
 
-    port = "gravity"
     error: float = parameter("kg", bounds=(-20.0, 20.0), start=1.0)
 
-    def check(self, system: System) -> None:
-        """Only micro-gravity emulation subtracts an estimate."""
-        operation = system.emulator_settings.operation
-        self._require(operation == "microgravity", f"operation microgravity, got {operation}")
-
     def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the machine's parameters."""
         p.gravity_mass = p.gravity_mass + self.error
 
 
 @register("gravity/moment")
 @dataclass(frozen=True, kw_only=True)
-class GravityMoment(LaboratoryEffect):
+class GravityMoment(_GravityEffect):
     """Errors of the minimal moment parameters, in their order (`minimal_model(arm).names`)."""
 
-    port = "gravity"
+    free_length = ("error",)
     error: Vector = parameter("kg m", bounds=(-20.0, 20.0), null=0.0, shape=(None,), start=0.1)
 
     def check(self, system: System) -> None:
-        """One number per parameter of this arm; only micro-gravity subtracts an estimate."""
-        operation = system.emulator_settings.operation
-        self._require(operation == "microgravity", f"operation microgravity, got {operation}")
+        """One number per parameter of this arm."""
+        super().check(system)
         arm, size = system.arm, minimal_model(system.arm).size
         if len(self.error) != size:
             raise ParameterError(
@@ -80,66 +77,45 @@ class GravityMoment(LaboratoryEffect):
         yield placed(cls, "", numbers, lambda x: {"error": tuple(x.tolist())}, sparse=True)
 
     def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the machine's parameters."""
         p.gravity_P = p.gravity_P + np.array(self.error)
 
 
 @register("gravity/scale")
 @dataclass(frozen=True, kw_only=True)
-class GravityScale(LaboratoryEffect):
+class GravityScale(_GravityEffect):
     """The gravity estimate is too large by the fraction `error`, force and moment alike."""
 
-    port = "gravity"
     error: float = parameter("1", bounds=(-0.2, 0.2), start=0.01)
 
-    def check(self, system: System) -> None:
-        """Only micro-gravity emulation subtracts an estimate."""
-        operation = system.emulator_settings.operation
-        self._require(operation == "microgravity", f"operation microgravity, got {operation}")
-
     def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the machine's parameters."""
         p.gravity_mass = p.gravity_mass * (1 + self.error)
         p.gravity_P = p.gravity_P * (1 + self.error)
 
 
 @register("gravity/tilt")
 @dataclass(frozen=True, kw_only=True)
-class GravityTilt(LaboratoryEffect):
+class GravityTilt(_GravityEffect):
     """The pose given to the gravity estimate is turned by `angles` about x, y and z."""
 
-    port = "gravity"
     angles: Vector = parameter("rad", bounds=(-0.1, 0.1), shape=(3,), start=0.01)
 
-    def check(self, system: System) -> None:
-        """Only micro-gravity emulation subtracts an estimate."""
-        operation = system.emulator_settings.operation
-        self._require(operation == "microgravity", f"operation microgravity, got {operation}")
-
     def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the machine's parameters."""
         p.gravity_tilt = p.gravity_tilt + np.array(self.angles)
 
 
 @register("gravity/tool")
 @dataclass(frozen=True, kw_only=True)
-class GravityTool(LaboratoryEffect):
+class GravityTool(_GravityEffect):
     """The gravity estimate lacks a body on the last link; negative: it has one too many.
 
     Mass and minimal moment parameters follow from the body's mass and first moment (derived
     here). The arm itself is as described: the tool is there, and the estimate was made without.
     """
 
-    port = "gravity"
     mass: float = parameter("kg", bounds=(-20.0, 20.0), start=1.0)
     moment: Vector = parameter(  # mass x centre, in the last link's frame
         "kg m", bounds=(-10.0, 10.0), shape=(3,), start=0.1
     )
-
-    def check(self, system: System) -> None:
-        """Only micro-gravity emulation subtracts an estimate."""
-        operation = system.emulator_settings.operation
-        self._require(operation == "microgravity", f"operation microgravity, got {operation}")
 
     @classmethod
     def candidates(cls, scope: Scope) -> Iterator[Candidate]:
@@ -157,7 +133,6 @@ class GravityTool(LaboratoryEffect):
         )
 
     def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the machine's parameters."""
         n = p.arm.n
         combination = minimal_model(p.arm).combination
         by_moment, by_mass = combination[:, 3 * n : 3 * n + 3], combination[:, -1]

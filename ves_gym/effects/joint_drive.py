@@ -1,4 +1,4 @@
-"""Motors and gears of the joints, and what is measured of them."""
+"""Motors and gears of the joints, their commands, and what is measured of them."""
 
 from __future__ import annotations
 
@@ -27,14 +27,8 @@ class JointDriveGain(TorqueEffect):
     shows the torque told.
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
+    needs_motor = True
     error: Vector = parameter("1", bounds=(-0.5, 0.5), shape=(None,), start=0.05)
-
-    def check(self, system: System) -> None:
-        """One number per joint, on motors."""
-        self._require_per_joint(system, "error")
-        self._require_motor(system)
 
     def law(self, q: Array, v: Array, tau: Array) -> Any:
         """error tau."""
@@ -50,8 +44,7 @@ class JointTorqueLimit(TorqueEffect):
     The log shows the torque told (derived here).
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
+    needs_motor = True
     sets_in = True
     fraction: Vector = parameter(
         "1",
@@ -59,11 +52,6 @@ class JointTorqueLimit(TorqueEffect):
         shape=(None,),
         start=tuple((1 - np.geomspace(0.9, 0.05, 16)).tolist()),
     )
-
-    def check(self, system: System) -> None:
-        """One number per joint, on motors."""
-        self._require_per_joint(system, "fraction")
-        self._require_motor(system)
 
     def law(self, q: Array, v: Array, tau: Array) -> Any:
         """Return the part of tau above (1 - fraction) tau_max, taken away."""
@@ -81,13 +69,7 @@ class JointTorqueOffset(TorqueEffect):
     way (derived here).
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
     torque: Vector = parameter("N m", bounds=(-50.0, 50.0), shape=(None,), start=1.0)
-
-    def check(self, system: System) -> None:
-        """One number per joint."""
-        self._require_per_joint(system, "torque")
 
     def law(self, q: Array, v: Array, tau: Array) -> Any:
         """Return the torque, whatever the state."""
@@ -115,8 +97,6 @@ class JointRipple(TorqueEffect):
     a second one as a form that the first may have in part.
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
     forms = (partial(_overtone, 0.0), partial(_overtone, np.pi / 2))
     amplitude: Vector = parameter("N m", bounds=(0.0, 20.0), shape=(None,))
     cycles: Vector = parameter(
@@ -127,10 +107,6 @@ class JointRipple(TorqueEffect):
         start=tuple(np.arange(2.0, 130.0, 2.5).tolist()),
     )
     phase: Vector = parameter("rad", bounds=(-7.0, 7.0), null=None, shape=(None,))
-
-    def check(self, system: System) -> None:
-        """One number per joint."""
-        self._require_per_joint(system, "amplitude", "cycles", "phase")
 
     @classmethod
     def candidates(cls, scope: Scope) -> Iterator[Candidate]:
@@ -169,15 +145,13 @@ class JointRotorInertia(ArmEffect):
     1986); of a single link on a resting base the two look alike.
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
+    needs_motor = True
     shows = ("joint",)
     added: Vector = parameter("kg m^2", bounds=(-0.8, 20.0), shape=(None,), start=0.3)
 
     def check(self, system: System) -> None:
-        """One number per joint, on motors, and none that leaves less than no rotor."""
-        self._require_per_joint(system, "added")
-        self._require_motor(system)
+        """None that leaves less than no rotor."""
+        super().check(system)
         for i, (link, added) in enumerate(zip(system.arm.links, self.added, strict=True)):
             if link.rotor_inertia + added < 0:
                 raise ParameterError(
@@ -225,8 +199,6 @@ class JointElasticity(ArmEffect):
     Automation 12(3), 1996). A diagnosis takes it as a form that the gear may have in part.
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
     forms = (_hardened,)
     compliance: Vector = parameter(
         "rad/(N m)", bounds=(0.0, 1e-3), shape=(None,), start=(1e-4, 3e-4, 3e-5)
@@ -236,8 +208,8 @@ class JointElasticity(ArmEffect):
     )
 
     def check(self, system: System) -> None:
-        """One number per joint; a rotor where there is compliance."""
-        self._require_per_joint(system, "compliance", "damping")
+        """A rotor where there is compliance."""
+        super().check(system)
         self._require_rotors(system, self.compliance)
 
     def arm(self, arm: Arm) -> Arm:
@@ -290,8 +262,6 @@ class JointBacklash(ArmEffect):
     side. A joint of gap 0 stays as it is.
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
     sets_in = True
     forms = (_softer, _thinner)
     gap: Vector = parameter(
@@ -316,8 +286,8 @@ class JointBacklash(ArmEffect):
             yield replace(candidate, make=make)
 
     def check(self, system: System) -> None:
-        """One number per joint; a rotor where there is a gap."""
-        self._require_per_joint(system, "gap")
+        """A rotor where there is a gap."""
+        super().check(system)
         self._require_rotors(system, self.gap)
 
     def arm(self, arm: Arm) -> Arm:
@@ -344,17 +314,11 @@ class JointMeasurementDelay(DelayEffect):
     Rates and angles are linear between two physics steps (derived here).
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
+    needs_motor = True  # a joint that follows its command exactly needs no measurement
     shows = ("joint", "wrench")
     delay: float = parameter("s", bounds=(0.0, 0.1), start=5e-3)
 
-    def check(self, system: System) -> None:
-        """A joint that follows its command exactly needs no measurement."""
-        self._require_motor(system)
-
     def wire(self, delays: Delays) -> None:
-        """Add to the delay of all simulations."""
         delays.measurement = delays.measurement + self.delay
 
 
@@ -367,18 +331,27 @@ class JointVelocityLag(DelayEffect):
     time constants (derived here).
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
+    needs_motor = True
     shows = ("servo", "velocity")
     time_constant: Vector = parameter(
         "s", bounds=(0.0, 1.0), shape=(None,), start=(0.02, 0.005, 0.2)
     )
 
-    def check(self, system: System) -> None:
-        """One number per joint; a joint that follows its command needs no measurement."""
-        self._require_per_joint(system, "time_constant")
-        self._require_motor(system)
+    def wire(self, delays: Delays) -> None:
+        delays.lag = delays.lag + np.array(self.time_constant)
+
+
+@register("command/delay")
+@dataclass(frozen=True, kw_only=True)
+class CommandDelay(DelayEffect):
+    """The drives get the joint commands `delay` later than they are sent.
+
+    Between two physics steps commands are linear; before the first one they are that one.
+    The log shows the command sent, and the torque by what has arrived (derived here).
+    """
+
+    shows = ("servo",)
+    delay: float = parameter("s", bounds=(0.0, 0.1), start=5e-3)
 
     def wire(self, delays: Delays) -> None:
-        """Add to the lag of all simulations."""
-        delays.lag = delays.lag + np.array(self.time_constant)
+        delays.command = delays.command + self.delay

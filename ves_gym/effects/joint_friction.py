@@ -11,7 +11,6 @@ import numpy as np
 from ves_gym._util.params import Array, Vector
 from ves_gym.system.candidate import Candidate, Number, Scope, at_joint, number_of, placed
 from ves_gym.system.effect import TorqueEffect, parameter, register
-from ves_gym.system.system import System
 
 CREEP = 1e-2  # rad/s over which friction builds up from rest
 
@@ -21,15 +20,9 @@ CREEP = 1e-2  # rad/s over which friction builds up from rest
 class JointCoulomb(TorqueEffect):
     """Friction of constant size against the motion; smooth at rest, so a joint creeps."""
 
-    modes = ("ideal", "emulated")
-    port = "joint"
     builds_up = True
     creep = CREEP
     torque: Vector = parameter("N m", bounds=(0.0, 50.0), shape=(None,), start=2.0)
-
-    def check(self, system: System) -> None:
-        """One number per joint."""
-        self._require_per_joint(system, "torque")
 
     def law(self, q: Array, v: Array, tau: Array) -> Any:
         """Return -torque tanh(v / CREEP)."""
@@ -47,16 +40,10 @@ class JointAsymmetry(TorqueEffect):
     Automatica 30(7), 1994; even part: derived here).
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
     builds_up = True
     creep = CREEP
     coulomb: Vector = parameter("N m", bounds=(-20.0, 20.0), shape=(None,), start=1.0)
     viscous: Vector = parameter("N m s/rad", bounds=(-50.0, 50.0), shape=(None,), start=0.5)
-
-    def check(self, system: System) -> None:
-        """One number per joint."""
-        self._require_per_joint(system, "coulomb", "viscous")
 
     def law(self, q: Array, v: Array, tau: Array) -> Any:
         """-coulomb |tanh(v / CREEP)| - viscous |v|."""
@@ -84,17 +71,11 @@ class JointLoadFriction(TorqueEffect):
     diagnosis takes that as a form that the friction may have in part.
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
+    needs_motor = True
     builds_up = True
     forms = (_pressed,)
     creep = CREEP
     coefficient: Vector = parameter("1", bounds=(0.0, 0.5), shape=(None,), start=0.1)
-
-    def check(self, system: System) -> None:
-        """One number per joint, on motors."""
-        self._require_per_joint(system, "coefficient")
-        self._require_motor(system)
 
     def law(self, q: Array, v: Array, tau: Array) -> Any:
         """-coefficient |tau| tanh(v / CREEP)."""
@@ -125,8 +106,6 @@ class JointStribeck(TorqueEffect):
     Automatica 30(7), 1994).
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
     builds_up = True
     within = "joint/coulomb"
     coulomb: Vector = parameter("N m", bounds=(0.0, 50.0), shape=(None,), start=2.0)
@@ -139,10 +118,6 @@ class JointStribeck(TorqueEffect):
     def creep(self) -> float:
         """Rate over which it builds up from rest [rad/s]."""
         return _OF_FADE * self.fade_speed
-
-    def check(self, system: System) -> None:
-        """One number per joint."""
-        self._require_per_joint(system, "coulomb", "stiction")
 
     @classmethod
     def candidates(cls, scope: Scope) -> Iterator[Candidate]:
@@ -182,14 +157,8 @@ class JointViscous(TorqueEffect):
     may have in part.
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
     forms = (_cubed,)
     damping: Vector = parameter("N m s/rad", bounds=(0.0, 100.0), shape=(None,), start=3.0)
-
-    def check(self, system: System) -> None:
-        """One number per joint."""
-        self._require_per_joint(system, "damping")
 
     def law(self, q: Array, v: Array, tau: Array) -> Any:
         """-damping v."""

@@ -41,9 +41,9 @@ class JointUnknown(TorqueEffect):
     range that it was fitted on the torque goes on as at its ends.
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
     places = "whole"
+    needs_motor = True
+    free_length = ("surface",)
     hidden = "it stands for what has no name; a diagnosis writes it where nothing else is left"
     middle: Vector = parameter("rad", bounds=(-100.0, 100.0), null=None, shape=(None,))
     reach: Vector = parameter("rad", bounds=(1e-3, 100.0), null=None, shape=(None,))
@@ -68,15 +68,14 @@ class JointUnknown(TorqueEffect):
         return str(units[name])
 
     def check(self, system: System) -> None:
-        """One number per joint, of the surface one per joint and product it has, on motors."""
-        self._require_per_joint(system, "middle", "reach", *WEIGHTS)
+        """Of the surface one number per joint and product it has."""
+        super().check(system)
         n, most = system.arm.n, len(monomials(system.arm.n))
         if len(self.surface) % n or not 0 < len(self.surface) <= n * most:
             raise ParameterError(
                 f"{self.kind}.surface must be {n} numbers for each of the first products of"
                 f" angles, of which there are {most}, got {len(self.surface)} numbers"
             )
-        self._require_motor(system)
 
     def law(self, q: Array, v: Array, tau: Array) -> Any:
         """Sum of the weights, each times its term."""
@@ -119,9 +118,9 @@ class JointCurves(TorqueEffect):
     knots, one knot after the other, or empty.
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
     places = "whole"
+    needs_motor = True
+    free_length = tuple(KNOTS)
     hidden = "it stands for what has no name; a diagnosis writes it where nothing else is left"
     middle: Vector = parameter("rad", bounds=(-100.0, 100.0), null=None, shape=(None,))
     reach: Vector = parameter("rad", bounds=(1e-3, 100.0), null=None, shape=(None,))
@@ -131,8 +130,8 @@ class JointCurves(TorqueEffect):
     over_rate: Vector = parameter("N m", bounds=_FAR, shape=(None,), default=())
 
     def check(self, system: System) -> None:
-        """One number per joint for each knot, on motors."""
-        self._require_per_joint(system, "middle", "reach", "fastest")
+        """One number per joint for each knot."""
+        super().check(system)
         n = system.arm.n
         for name in KNOTS:
             if len(getattr(self, name)) % n:
@@ -140,7 +139,6 @@ class JointCurves(TorqueEffect):
                     f"{self.kind}.{name} must be {n} numbers, one per joint, for each knot, or"
                     f" empty, got {len(getattr(self, name))} numbers"
                 )
-        self._require_motor(system)
 
     def law(self, q: Array, v: Array, tau: Array) -> Any:
         """Sum of the three curves; the second against the way the joint turns."""
@@ -181,19 +179,13 @@ class JointMemory(DelayEffect):
     hold, the level times b / 2 at most.
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
     shows = ("joint",)
+    needs_motor = True
     hidden = "it stands for what has no name; a diagnosis writes it where nothing else is left"
     lasting: Vector = parameter("N m", bounds=_FARTHER, shape=(None,))
     rested_fast: Vector = parameter("N m", bounds=_FARTHER, shape=(None,))  # T of 0.5 s
     rested: Vector = parameter("N m", bounds=_FARTHER, shape=(None,))  # 1.5 s
     rested_slow: Vector = parameter("N m", bounds=_FARTHER, shape=(None,))  # 5 s
-
-    def check(self, system: System) -> None:
-        """One number per joint in each, on motors."""
-        self._require_per_joint(system, *LEVELS)
-        self._require_motor(system)
 
     @property
     def levels(self) -> Array:
@@ -201,5 +193,4 @@ class JointMemory(DelayEffect):
         return np.stack([np.asarray(getattr(self, name), float) for name in LEVELS], axis=1)
 
     def wire(self, delays: Delays) -> None:
-        """Add to the friction of all simulations."""
         delays.friction = delays.friction + self.levels

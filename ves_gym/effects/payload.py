@@ -55,8 +55,6 @@ class PayloadMass(ArmEffect):
     extent along each direction, as forms that it may have in part.
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
     forms = (
         *(partial(_farther, axis) for axis in range(3)),
         *(partial(_longer, along) for along in _DIRECTIONS),
@@ -107,8 +105,6 @@ class PayloadBody(ArmEffect):
     it. Forces are linear in the ten numbers (derived here).
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
     within = "payload/mass"
     mass: float = parameter("kg", bounds=(0.0, 50.0))
     moment: Vector = parameter("kg m", bounds=(-20.0, 20.0), shape=(3,))  # mass x centre
@@ -201,8 +197,6 @@ class PayloadCom(ArmEffect):
     In the link's axes; mass and inertia about the centre as described (derived here).
     """
 
-    modes = ("ideal", "emulated")
-    port = "joint"
     offset: Vector = parameter(
         "m", bounds=(-0.3, 0.3), shape=(3,), start=0.02, search=(-0.2, 0.2)
     )
@@ -227,8 +221,7 @@ class PayloadInertia(LaboratoryEffect):
 
     def check(self, system: System) -> None:
         """Only a compensated loop has a model of the arm's inertia."""
-        self._require(system.emulator_settings.payload_compensation, "payload_compensation")
+        self.require(system.emulator_settings.payload_compensation, "payload_compensation")
 
     def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the machine's parameters."""
         p.payload_scale = p.payload_scale + self.error

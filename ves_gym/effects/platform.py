@@ -28,7 +28,6 @@ class PlatformBandwidth(LaboratoryEffect):
     error: float = parameter("1", bounds=(-0.9, 10.0), start=(0.2, -0.4, 1.5))
 
     def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the machine's parameters."""
         p.bandwidth = p.bandwidth + self.error
 
 
@@ -48,10 +47,9 @@ class PlatformDamping(LaboratoryEffect):
         """Legs need a gain that brakes them."""
         servo = system.emulator_settings.platform
         brakes = isinstance(servo, PoseServo) or servo.K2 > 0
-        self._require(brakes, "a pose servo, or legs of K2 > 0")
+        self.require(brakes, "a pose servo, or legs of K2 > 0")
 
     def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the machine's parameters."""
         p.damping = p.damping + self.error
 
 
@@ -68,7 +66,6 @@ class PlatformDelay(LaboratoryEffect):
     delay: float = parameter("s", bounds=(0.0, 0.2), start=5e-3)
 
     def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the machine's parameters."""
         p.platform_delay = p.platform_delay + self.delay
 
 

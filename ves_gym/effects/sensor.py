@@ -40,7 +40,6 @@ class SensorBias(LaboratoryEffect):
         yield placed(cls, "", numbers, halves, sparse=True)
 
     def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the machine's parameters."""
         p.sensor.bias = p.sensor.bias + np.array([*self.force, *self.moment])
 
 
@@ -55,7 +54,6 @@ class SensorCalibration(LaboratoryEffect):
     error: Matrix = parameter("1", bounds=(-0.5, 0.5), shape=(6, 6), start=0.02)
 
     def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the machine's parameters."""
         p.sensor.matrix = p.sensor.matrix + np.array(self.error)
 
 
@@ -82,7 +80,6 @@ class SensorDrift(LaboratoryEffect):
             raise ParameterError(f"effects {self.kind} must share one time, got {stated}")
 
     def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the machine's parameters."""
         if self.is_null:
             return
         added = np.array([*self.force, *self.moment])
@@ -99,7 +96,6 @@ class SensorLag(LaboratoryEffect):
     error: float = parameter("1", bounds=(-0.9, 10.0), start=(-0.3, 1.0))
 
     def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the machine's parameters."""
         p.sensor.cutoff = p.sensor.cutoff * (1 + self.error)
 
 
@@ -115,7 +111,6 @@ class SensorNoise(LaboratoryEffect):
     moment: Vector = parameter("N m", bounds=(0.0, 10.0), shape=(3,))
 
     def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the machine's parameters."""
         added = np.array([*self.force, *self.moment])
         p.sensor.noise = np.sqrt(p.sensor.noise**2 + added**2)
 
@@ -129,7 +124,6 @@ class SensorRotation(LaboratoryEffect):
     angles: Vector = parameter("rad", bounds=(-0.1, 0.1), shape=(3,), start=0.01)
 
     def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the machine's parameters."""
         x, y, z = np.array(self.angles)
         o = np.zeros_like(x)
         turn = [[o, z, -y], [-z, o, x], [y, -x, o]]  # -angles x, of force and moment

@@ -105,7 +105,7 @@ class BaseControl:
             wrench = asked[:, motors:].copy()
             wrench[:, 3:] += np.cross(_centre(vehicle), wrench[:, :3])  # about the platform
         torque = asked[:, :motors] if motors else None
-        acts.command(wrench, torque, sim.wheel_speed, sim.backend)
+        acts.command(wrench, torque)
 
     def _motors(self, system: System) -> int:
         wheels = getattr(system.vehicle, "wheels", None)

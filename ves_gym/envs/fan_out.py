@@ -9,7 +9,6 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.envs.batch import Batch
-from ves_gym.simulation.fan_out import fan_out as fan_out_simulation
 
 
 def fan_out(model: Batch, source: Batch, i: int) -> None:
@@ -37,7 +36,7 @@ def fan_out(model: Batch, source: Batch, i: int) -> None:
         scene, episodes, drawn = kept
         parts = _rows(scene, i, model.n), _rows(episodes, i, model.n), _rows(drawn, i, model.n)
         recorded = None if model.recorder is None else model.recorder.get_state()
-        model.set_state((task, parts, fan_out_simulation(snapshot, i, model.n), recorded))
+        model.set_state((task, parts, snapshot.fanned_out(i, model.n), recorded))
         return
     for name, ours, theirs in (
         ("task", model.task.kind, source.task.kind),

@@ -33,8 +33,8 @@ from ves_gym.mechanics.vehicle import SERVICER_FLEXIBLE, Satellite
 from ves_gym.system.system import System
 
 if TYPE_CHECKING:
-    from ves_gym.simulation.capture import PayloadState
     from ves_gym.simulation.simulator import Simulator
+    from ves_gym.simulation.tool_contact import PayloadState
 
 _TRIES = 32  # candidate meetings per episode; the first that is clear and dexterous counts
 _JOINTS = 6  # fewer cannot take a fixture as it turns

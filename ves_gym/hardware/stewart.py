@@ -6,7 +6,6 @@ axes parallel. The thesis does not print the dimensions of the VES II; `VES` is 
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -22,8 +21,6 @@ from ves_gym._util.params import (
     ParameterError,
     finite,
     freeze_arrays,
-    from_plain,
-    read_table,
     require_positive,
     unit,
 )
@@ -347,12 +344,6 @@ def _least_squares(J: Array, b: Array) -> Array:
     """x (..., 6) of J x = b."""
     turned = np.swapaxes(J, -1, -2)
     return solve(turned @ J, matvec(turned, b))
-
-
-def read_stewart(path: str | os.PathLike[str]) -> Stewart:
-    """A platform from a .toml or .json file."""
-    platform: Stewart = from_plain(Stewart, read_table(path), os.fspath(path))
-    return platform
 
 
 VES = Stewart.hexagonal(

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.spatial import matvec, numbers
+from ves_gym.mechanics.spatial import cross, matvec, numbers
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 _SMALL = 1e-4  # rad: below it two terms of a sine's series are exact to rounding
@@ -48,7 +48,7 @@ def conjugate(q: npt.ArrayLike) -> Array:
 
 def normalised(q: npt.ArrayLike) -> Array:
     """Return the quaternion of unit length that points the same way (..., 4)."""
-    value = np.asarray(q, float)
+    value = numbers(q)
     out: Array = value / np.sqrt(np.sum(value * value, axis=-1, keepdims=True))
     return out
 
@@ -96,7 +96,7 @@ def rotate(q: npt.ArrayLike, vector: npt.ArrayLike) -> Array:
 
 def exp(turn: npt.ArrayLike) -> Array:
     """(..., 3) rotation vector, axis times angle [rad] -> (..., 4) unit quaternion."""
-    value = np.asarray(turn, float)
+    value = numbers(turn)
     angle = np.sqrt(np.sum(value * value, axis=-1, keepdims=True))
     small = angle < _SMALL
     safe = np.where(small, 1.0, angle)
@@ -187,18 +187,22 @@ def torque_free_step(
     Returns:
         Attitude (..., 4) and angular velocity (..., 3) at the end.
     """
-    start, spin, J = np.asarray(q, float), np.asarray(w, float), np.asarray(inertia, float)
+    start, spin, J = numbers(q), numbers(w), numbers(inertia)
     momentum = matvec(J, spin)  # in the axes at the start, where it stays
-    inverse = np.linalg.inv(J)
+    adjugate = np.stack([cross(J[..., k - 2], J[..., k - 1]) for k in range(3)], axis=-2)
+    inverse = adjugate / np.sum(J[..., 0] * adjugate[..., 0, :], axis=-1)[..., None, None]
 
     def spin_at(turn: Array) -> Array:
-        return matvec(inverse, rotate(conjugate(exp(turn)), momentum))
+        back = conjugate(exp(turn))
+        about, scalar = back[..., 1:], back[..., :1]
+        aside = 2 * cross(about, momentum)
+        return matvec(inverse, momentum + scalar * aside + cross(about, aside))
 
     def slope(turn: Array) -> Array:
         """Rate of the rotation vector: w plus commutators, enough of them for order four."""
         rate = spin_at(turn)
-        once = np.cross(turn, rate)
-        return rate + once / 2 + np.cross(turn, once) / 12
+        once = cross(turn, rate)
+        return rate + once / 2 + cross(turn, once) / 12
 
     first = spin
     second = slope(time / 2 * first)

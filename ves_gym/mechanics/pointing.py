@@ -86,17 +86,50 @@ def allocated(jets: tuple[Jet, ...], wrench: Array) -> Array:
     Returns:
         (n, k) [N].
     """
-    from scipy.optimize import nnls  # heavy, and most systems have no jets
-
-    k, scale = len(jets), np.r_[np.ones(3), np.full(3, 1 / _LEVER)]
     most = np.array([jet.thrust for jet in jets])
-    rows = np.vstack([scale[:, None] * wrench_matrix(jets), _THRIFT * np.eye(k)])
-    out = np.zeros((len(wrench), k))
-    for i, request in enumerate(wrench):
-        if request.any():
-            out[i] = nnls(rows, np.r_[scale * request, np.zeros(k)])[0]
+    pairs = _pairs(jets)
+    if pairs is not None:  # what opposite jets give together has any sign
+        out = np.maximum(matvec(pairs, wrench), 0.0)
+    else:
+        out = np.array([_nearest(jets, request) for request in wrench]).reshape(-1, len(jets))
     over = np.max(out / most, axis=1, initial=1.0)
     return np.asarray(out / over[:, None], dtype=np.float64)
+
+
+def _scaled(jets: tuple[Jet, ...]) -> tuple[Array, Array]:
+    """(6 + k, k) rows of the least squares, and scales (6,) of a wrench."""
+    scale = np.r_[np.ones(3), np.full(3, 1 / _LEVER)]
+    return np.vstack([scale[:, None] * wrench_matrix(jets), _THRIFT * np.eye(len(jets))]), scale
+
+
+def _nearest(jets: tuple[Jet, ...], wrench: Array) -> Array:
+    """Forces (k,) >= 0 whose wrench is nearest to one (6,)."""
+    from scipy.optimize import nnls  # heavy, and most systems have no jets
+
+    rows, scale = _scaled(jets)
+    if not wrench.any():
+        return np.zeros(len(jets))
+    out: Array = nnls(rows, np.r_[scale * wrench, np.zeros(len(jets))])[0]
+    return out
+
+
+@lru_cache(maxsize=64)
+def _pairs(jets: tuple[Jet, ...]) -> Array | None:
+    """(k, 6) matrix whose product with a wrench, where positive, is what the jets give.
+
+    None where a jet has no other that gives the opposite wrench. Where all have, no two of a
+    pair fire at once, and the least squares are those of signed forces, one for each pair.
+    """
+    W = wrench_matrix(jets)
+    opposite = np.abs(W[:, :, None] + W[:, None, :]).max(axis=0) < 1e-12  # m, of unit forces
+    if not (opposite.sum(axis=1) == 1).all():
+        return None
+    first = np.flatnonzero(opposite.argmax(axis=1) > np.arange(len(jets)))
+    rows, scale = _scaled(tuple(jets[i] for i in first))
+    out = np.zeros((len(jets), 6))
+    out[first] = np.linalg.pinv(rows)[:, :6] * scale
+    out[opposite.argmax(axis=1)[first]] = -out[first]
+    return out
 
 
 @lru_cache(maxsize=64)

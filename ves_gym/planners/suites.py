@@ -13,7 +13,7 @@ import numpy as np
 from ves_gym._util.params import Array, ParameterError, Vector
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.effects.base import BaseDamping, BaseStiffness
-from ves_gym.effects.command import CommandDelay
+from ves_gym.effects.joint_drive import CommandDelay
 from ves_gym.effects.joint_friction import JointCoulomb, JointViscous
 from ves_gym.effects.payload import PayloadMass
 from ves_gym.mechanics.arm import Arm

@@ -48,3 +48,10 @@ def numbers(value: npt.ArrayLike, expected: str) -> Array:
     if array.dtype.kind not in "fiu":
         raise ParameterError(f"{expected} {value!r}")
     return array.astype(np.float64)
+
+
+def repeated(values: Array, count: int) -> Array:
+    """(n, count, k) view of values (n, k): `np.broadcast_to` would take a tenth of a step."""
+    start = np.ascontiguousarray(values)
+    (n, k), (row, column) = start.shape, start.strides
+    return np.ndarray((n, count, k), np.float64, start, 0, (row, 0, column))

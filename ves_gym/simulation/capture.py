@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,12 +31,12 @@ from ves_gym.mechanics.latch import (
     tool_motion,
 )
 from ves_gym.mechanics.payload import Payload, angle_between, numbers_of, with_body
-from ves_gym.mechanics.spatial import matvec, quadratic, rate_matrix, rotation, twist
+from ves_gym.mechanics.spatial import matvec, quadratic, rate_matrix, rotation
 from ves_gym.simulation.arguments import simulation_ids
+from ves_gym.simulation.machines import ControlPeriod, Machines, Part
+from ves_gym.simulation.state import State
+from ves_gym.simulation.tool_contact import PayloadState, ToolContact
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
-
-if TYPE_CHECKING:
-    from ves_gym.simulation.simulator import Simulator
 
 _TURN = 3.2e-3  # rad, the most that a free body turns in a step: 1e-13 rad of error
 
@@ -72,70 +73,107 @@ class Capture:
         }
 
 
-class PayloadState(NamedTuple):
-    """Pose and motion of the payloads' origins. Leading axis = simulation."""
-
-    position: Array  # (n, 3) in space [m]
-    attitude: Array  # (n, 4) unit quaternion, own axes to inertial axes
-    velocity: Array  # (n, 3) of the centre of mass [m/s]
-    spin: Array  # (n, 3) in its own axes [rad/s]
-
-
-class Cargo:
+class PayloadHandler(Part):
     """The payload of every simulation of a `Simulator`, as `Simulator.payload`.
 
     Arrays (n, ...): `mass`, `com` and `inertia` in the payload's own axes, which an episode may
     change (`change`); `carried`; the pose in the last link's frame while it is carried.
+
+    Args:
+        machines: whose tools have the latches.
+        contact: of the tools, None without one.
+        modes: gives u and u' of the bases, None of bases without.
     """
 
-    _ARRAYS = (
+    name = "payload"
+    periodic = False
+    arrays = (
         "carried", "mass", "com", "inertia", "position", "attitude", "velocity", "spin",
-        "place", "turn",
+        "place", "turn", "history",
     )  # fmt: skip
+    _FREE = arrays[1:8]  # what `change` may set
 
-    def __init__(self, sim: Simulator) -> None:
-        sim.system.arm.require_rigid("a payload")
-        sim.system.arm.require_rigid("a latch at the tool")
-        self.sim, self.engine, n = sim, sim.backend, sim.n
-        self.events: list[Capture] = []
-        self._still = sim.system.mode == "emulated"  # a stand holds it
+    def __init__(
+        self,
+        machines: Machines,
+        contact: ToolContact | None,
+        modes: Callable[[], tuple[Array, Array] | None],
+    ) -> None:
+        system, n = machines.system, machines.n
+        system.arm.require_rigid("a payload")
+        system.arm.require_rigid("a latch at the tool")
+        self.machines, self._modes = machines, modes
+        self._still = system.mode == "emulated"  # a stand holds it
         self.carried = np.zeros(n, bool)
         self.mass, self.com = np.zeros(n), np.zeros((n, 3))
         self.inertia, self.spin = np.zeros((n, 3, 3)), np.zeros((n, 3))
         self.position, self.velocity = np.zeros((n, 3)), np.zeros((n, 3))
         self.attitude = np.zeros((n, 4))
         self.place, self.turn = np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1))
+        self.history = np.full(n, None)  # a tuple of captures for each simulation
+        self._forget(np.arange(n))
         self.described: list[Payload] = []
-        contact = sim.system.contact
         # where the tool can touch it, the engine moves it
-        self._touch = sim.touch if contact is not None and contact.on == "payload" else None
-        self.assigned(np.arange(n))
+        touchable = system.contact is not None and system.contact.on == "payload"
+        self._contact = contact if touchable else None
+        self._assigned(np.arange(n))
 
     # ------------------------------------------------------------------ state
 
-    def assigned(self, ids: Index) -> None:
-        """Take over the payloads of systems just assigned; what is carried stays carried."""
-        systems = self.sim.systems
-        self.described = [_payload(system) for system in systems]
-        for i in ids.tolist():
-            self.mass[i], self.com[i], self.inertia[i] = numbers_of(self.described[i].inertial)
-        self._refit(ids[self.carried[ids]])
-        if self._touch is not None:
-            self._touch.describe(self)
+    @property
+    def events(self) -> list[Capture]:
+        """Latches that closed and opened since the resets, in the order of their times."""
+        every = [replace(e, simulation=i) for i, es in enumerate(self.history) for e in es]
+        return sorted(every, key=lambda event: event.time)
 
-    def reset(self, ids: Index) -> None:
-        """Put payloads free at their described starts, with their described numbers."""
-        held = ids[self.carried[ids]]
-        self.carried[ids] = False
-        self._refit(held)
-        for i in ids.tolist():
-            payload = self.described[i]
+    def prepare(
+        self, machines: Machines, ids: Index, systems: Sequence[System]
+    ) -> Callable[[], None]:
+        """See `Part`. What is carried stays carried."""
+        return lambda: self._assigned(ids)
+
+    def _assigned(self, ids: Index) -> None:
+        self.described = [_payload(system) for system in self.machines.systems]
+        payloads = [self.described[i] for i in ids.tolist()]
+        for i, payload in zip(ids.tolist(), payloads, strict=True):
             self.mass[i], self.com[i], self.inertia[i] = numbers_of(payload.inertial)
-            self.position[i], self.velocity[i] = payload.position, payload.velocity
-            self.attitude[i], self.spin[i] = from_angles(payload.angles), payload.spin
-        gone = set(ids.tolist())
-        self.events = [event for event in self.events if event.simulation not in gone]
+        self._distance = np.array([payload.latch_distance for payload in self.described])
+        self._angle = np.array([payload.latch_angle or np.inf for payload in self.described])
+        self._grip = np.array([payload.grip.position for payload in self.described])
+        self._grip_axes = np.array([payload.grip.rotation for payload in self.described])
+        self._refit(ids[self.carried[ids]])
+        self._describe()
+
+    def reset(self, machines: Machines, ids: Index, start: State) -> None:
+        """See `Part`. Payloads are free at their described starts, with described numbers."""
+        released = ids[self.carried[ids]]
+        self.carried[ids] = False
+        self._refit(released)
+        of: dict[int, list[int]] = {}  # simulations by their payload
+        for i in ids.tolist():
+            of.setdefault(id(self.described[i]), []).append(i)
+        for alike in of.values():
+            payload = self.described[alike[0]]
+            numbers = numbers_of(payload.inertial)
+            self.mass[alike], self.com[alike], self.inertia[alike] = numbers
+            self.position[alike], self.velocity[alike] = payload.position, payload.velocity
+            self.attitude[alike], self.spin[alike] = from_angles(payload.angles), payload.spin
+        self._forget(ids)
         self._put(ids)
+
+    def _forget(self, ids: Index) -> None:
+        for i in ids.tolist():
+            self.history[i] = ()
+
+    def before(self, machines: Machines, period: ControlPeriod) -> None:
+        """See `Part`. The engine works in other frames now."""
+        if self._contact is not None and period.recentred is not None:
+            ids = period.recentred
+            self._contact.put(ids, self._rows(ids), self.com[ids])
+
+    def after(self, machines: Machines, period: ControlPeriod) -> None:
+        """See `Part`."""
+        self.advance(period.steps * machines.system.physics_dt, period.running)
 
     def change(self, ids: Index, **values: npt.ArrayLike) -> None:
         """Set numbers of free payloads: an episode's mass, say, or where they start.
@@ -154,8 +192,8 @@ class Cargo:
             raise ParameterError(f"payload of simulation {i} is carried: release it first")
         new = {}
         for name, value in values.items():
-            if name not in self._ARRAYS[1:8]:
-                known = ", ".join(self._ARRAYS[1:8])
+            if name not in self._FREE:
+                known = ", ".join(self._FREE)
                 raise ParameterError(f"a payload has {known}, got {name!r}")
             shape = (len(ids), *getattr(self, name).shape[1:])
             array = np.asarray(value, float)
@@ -178,8 +216,7 @@ class Cargo:
         """Place and motion of the payloads, free or carried."""
         held = np.flatnonzero(self.carried)
         if not len(held):
-            parts = self.position, self.attitude, self.velocity, self.spin
-            return PayloadState(*(part.copy() for part in parts))
+            return PayloadState(*(part.copy() for part in self._free))
         position, attitude = self.position.copy(), self.attitude.copy()
         velocity, spin = self.velocity.copy(), self.spin.copy()
         turn, origin, twist = self._carried(held, self._tool(held))
@@ -188,20 +225,17 @@ class Cargo:
         spin[held] = matvec(np.swapaxes(turn, -1, -2), twist[:, 3:])
         return PayloadState(position, attitude, velocity, spin)
 
-    def get_state(self) -> Any:
-        """Everything needed to continue from here."""
-        return {k: getattr(self, k).copy() for k in self._ARRAYS}, list(self.events)
+    @property
+    def _free(self) -> PayloadState:
+        """State of payloads as free ones have it, in place."""
+        return PayloadState(self.position, self.attitude, self.velocity, self.spin)
 
-    def set_state(self, state: Any) -> None:
-        """Return to what `get_state` gave."""
-        arrays, events = state
-        changed = np.flatnonzero(self.carried | arrays["carried"])
-        for name, array in arrays.items():
-            getattr(self, name)[:] = array
-        self.events = list(events)
+    def set_state(self, state: Mapping[str, Array]) -> None:
+        """See `Part`."""
+        changed = np.flatnonzero(self.carried | state["carried"])
+        super().set_state(state)
         self._refit(changed)
-        if self._touch is not None:  # the engine's state has where they are
-            self._touch.describe(self)
+        self._describe()  # the engine's state has where they are
 
     def advance(self, time: float, ids: Index | None) -> None:
         """Let free payloads fly on: straight, and turning as torque-free bodies do.
@@ -220,8 +254,11 @@ class Cargo:
         rows = np.flatnonzero(free)
         if not len(rows):
             return
-        if self._touch is not None:
-            self._touch.take(self, rows)
+        if self._contact is not None:
+            for own, moved in zip(
+                self._free, self._contact.bodies(rows, self.com), strict=True
+            ):
+                own[rows] = moved
             return
         com = self.position[rows] + rotate(self.attitude[rows], self.com[rows])
         com += time * self.velocity[rows]
@@ -234,47 +271,45 @@ class Cargo:
             self.attitude[alike], self.spin[alike] = q, w
         self.position[rows] = com - rotate(self.attitude[rows], self.com[rows])
 
-    def reframed(self, ids: Index) -> None:
-        """Follow the engine, which works in other frames now."""
-        if self._touch is not None:
-            self._touch.put(self, ids)
+    def _describe(self) -> None:
+        """Tell the engine mass properties, and whether the bodies can be touched."""
+        if self._contact is not None:
+            ids, engine = np.arange(self.machines.n), self._contact.engine
+            engine.set_body(ids, self.mass, self.com, self.inertia)
+            engine.set_touching(ids, ~self.carried)
 
     def _put(self, ids: Index) -> None:
         """Have the engine's bodies where the payloads are, if it moves them."""
-        if self._touch is not None and len(ids):
-            self._touch.describe(self)
-            self._touch.put(self, ids)
+        if self._contact is not None and len(ids):
+            self._describe()
+            self._contact.put(ids, self._rows(ids), self.com[ids])
 
     # ------------------------------------------------------------------ latch
 
     def gap(self, ids: npt.ArrayLike | None = None) -> tuple[Array, Array]:
         """Return how far the tool is from the fixture (k,) [m], and the turn missing [rad]."""
-        index = simulation_ids(ids, self.sim.n)
+        index = simulation_ids(ids, self.machines.n)
         _, distance, angle = self._gap(index, self._tool(index))
         return distance, angle
 
     def closes(self, ids: Index) -> Mask:
         """Return (k,) whether the latches reach the fixtures."""
         distance, angle = self.gap(ids)
-        payloads = [self.described[i] for i in ids.tolist()]
-        far = np.array([payload.latch_distance for payload in payloads])
-        turned = np.array([payload.latch_angle or np.inf for payload in payloads])
-        within: Mask = (distance <= far) & (angle <= turned)
+        within: Mask = (distance <= self._distance[ids]) & (angle <= self._angle[ids])
         return within
 
     def fixture(self) -> tuple[Array, Array]:
         """Return place [m] and velocity [m/s] (n, 3) of the grapple fixtures in space."""
         state = self.state
         turn = to_matrix(state.attitude)
-        grips = np.array([payload.grip.position for payload in self.described])
         spin = matvec(turn, state.spin)
-        arm = matvec(turn, grips - self.com)
+        arm = matvec(turn, self._grip - self.com)
         velocity: Array = state.velocity + np.cross(spin, arm)
-        return state.position + matvec(turn, grips), velocity
+        return state.position + matvec(turn, self._grip), velocity
 
     def relative(self, ids: npt.ArrayLike | None = None) -> Array:
         """Return the twist (k, 6) of the tool against the fixture, inertial axes."""
-        index = simulation_ids(ids, self.sim.n)
+        index = simulation_ids(ids, self.machines.n)
         tool = self._tool(index)
         _, motion, com = self._bodies(index)
         return tool.twist - matvec(to_point(com, tool.place), motion)
@@ -293,7 +328,7 @@ class Cargo:
             ParameterError: one is carried already, or out of the latch's reach; none is
                 grasped then.
         """
-        sim, index = self.sim, simulation_ids(ids, self.sim.n)
+        machines, index = self.machines, simulation_ids(ids, self.machines.n)
         if not len(index):
             return []
         self._require(index, carried=False)
@@ -308,26 +343,26 @@ class Cargo:
                 f" {distance[k]:.4g} m{_degrees(float(angle[k]))} away"
             )
         out = self._impulse(index, motion, rates, closed)
-        state = sim.state
+        state = machines.state
         kind = "grasp" if closed is None else "touch"
         time, v, yd = state.time[index], state.v[index], state.yd[index]
         _, twist, _ = self._bodies(index)
-        modes = sim.base_modes
+        modes = self._modes()
         ud = np.zeros((len(index), 0)) if modes is None else modes[1][index]
-        events = [
-            Capture(
-                i, float(time[k]), kind,
-                tuple(out.impulse[k].tolist()), float(out.lost[k]),
-                tuple(out.relative[k].tolist()),
-                tuple(tuple(part[k].tolist()) for part in (yd, v, twist, ud)),
+        for k, i in enumerate(index.tolist()):
+            before = tuple(tuple(part[k].tolist()) for part in (yd, v, twist, ud))
+            impulse, relative = (
+                tuple(part[k].tolist()) for part in (out.impulse, out.relative)
             )
-            for k, i in enumerate(index.tolist())
-        ]  # fmt: skip
-        _, z, _ = sim.backend.read()  # whose angles may be in a frame of their own
+            event = Capture(
+                i, float(time[k]), kind, impulse, float(out.lost[k]), relative, before
+            )
+            self.history[i] = (*self.history[i], event)
+        _, z, _ = machines.backend.read()  # whose angles may be in a frame of their own
         turned = np.linalg.solve(rate_matrix(z[index, :6]), out.rates[:, :6, None])[..., 0]
-        size = 6 + sim.joints
+        size = 6 + machines.joints
         zd = np.concatenate([turned, out.rates[:, 6:size]], axis=1)
-        self.engine.set_rates(index, zd, out.rates[:, size:])
+        machines.backend.set_rates(index, zd, out.rates[:, size:])
         if closed is None:
             link = motion.turn
             self.turn[index] = np.swapaxes(link, -1, -2) @ turn
@@ -335,15 +370,13 @@ class Cargo:
             self.place[index] = matvec(np.swapaxes(link, -1, -2), self.position[index] - tool)
             self.carried[index] = True
             self._refit(index)
-            if self._touch is not None:
-                self._touch.describe(self)
+            self._describe()
         elif not self._still:
             self.velocity[index] = out.twist[:, :3]
             self.spin[index] = rotate(conjugate(self.attitude[index]), out.twist[:, 3:])
             self._put(index)
-        sim.last_state = sim.state
-        self.events += events
-        return events
+        machines.changed()
+        return [self.history[i][-1] for i in index.tolist()]
 
     def release(self, ids: npt.ArrayLike | None = None) -> list[Capture]:
         """Open the latch: no impulse; the payload flies on as it moves.
@@ -351,11 +384,11 @@ class Cargo:
         Raises:
             ParameterError: a payload that is not carried; none is released then.
         """
-        index = simulation_ids(ids, self.sim.n)
+        index = simulation_ids(ids, self.machines.n)
         if not len(index):
             return []
         self._require(index, carried=True)
-        state, time = self.state, self.sim.state.time
+        state, time = self.state, self.machines.state.time
         for name in ("position", "attitude", "velocity", "spin"):
             getattr(self, name)[index] = getattr(state, name)[index]
         if self._still:
@@ -364,7 +397,8 @@ class Cargo:
         self._refit(index)
         self._put(index)
         events = [Capture(i, float(time[i]), "release") for i in index.tolist()]
-        self.events += events
+        for event in events:
+            self.history[event.simulation] = (*self.history[event.simulation], event)
         return events
 
     # ----------------------------------------------------------------- ledger
@@ -372,16 +406,16 @@ class Cargo:
     @property
     def momentum(self) -> Array:
         """(n, 6) of arm, base and payload about the inertial origin [kg m/s, kg m^2/s]."""
-        motion, rates = self._motion(np.arange(self.sim.n))
-        M, twist, com = self._bodies(np.arange(self.sim.n))
-        own = momentum_of(motion.mass, rates, self.sim.state.y)
+        motion, rates = self._motion(np.arange(self.machines.n))
+        M, twist, com = self._bodies(np.arange(self.machines.n))
+        own = momentum_of(motion.mass, rates, self.machines.state.y)
         return own + body_momentum(M, twist, com)
 
     @property
     def energy(self) -> tuple[Array, Array]:
         """Kinetic energy (n,) of arm with base, and of the payload [J]."""
-        motion, rates = self._motion(np.arange(self.sim.n))
-        M, twist, _ = self._bodies(np.arange(self.sim.n))
+        motion, rates = self._motion(np.arange(self.machines.n))
+        M, twist, _ = self._bodies(np.arange(self.machines.n))
         return quadratic(motion.mass, rates), quadratic(M, twist)
 
     def _bodies(self, ids: Index) -> tuple[Array, Array, Array]:
@@ -407,68 +441,57 @@ class Cargo:
 
     def _motion(self, ids: Index) -> tuple[ToolMotion, Array]:
         """Tool and rates (k, N) of some simulations, of arm and base as they really are."""
-        sim, state = self.sim, self.sim.state
-        at, rate = sim.internal_state
-        _, z, zd = sim.backend.read()
-        base = twist(z[:, :6], zd[:, :6])  # in its own axes: whatever frame the angles are in
-        parts: list[Any] = [None] * len(ids)
-        for system, rows in self._alike(ids):
-            arm, which = system.arm, ids[rows]
-            some = slice(0, len(arm.geared) + len(system.base.carried))
+        state, base = self.machines.state, self.machines.base_twist
+        at, rate = self.machines.backend.internal_state()
+
+        def moved(system: System, which: Index) -> tuple[Array, ...]:
+            some = slice(0, len(system.arm.geared) + len(system.base.carried))
             inertia = PRESCRIBED_INERTIA if system.drive == "prescribed" else 0.0
-            motion = tool_motion(
-                arm, system.base, state.y[which], state.q[which], at[which, some], inertia
-            )
-            joined = (base[which], state.v[which], rate[which, some])
-            rates = np.concatenate(joined, axis=1)
-            if len(rows) == len(ids):
-                return motion, rates
-            for k, row in enumerate(rows.tolist()):
-                parts[row] = (*(part[k] for part in motion), rates[k])
-        place, turn, J, mass, rates = (np.stack(k) for k in zip(*parts, strict=True))
-        return ToolMotion(place, turn, J, mass), rates
+            where = state.y[which], state.q[which], at[which, some]
+            motion = tool_motion(system.arm, system.base, *where, inertia)
+            joined = base[which], state.v[which], rate[which, some]
+            return (*motion, np.concatenate(joined, axis=1))
+
+        *parts, rates = self._of_systems(ids, moved)
+        return ToolMotion(*parts), rates
 
     def _tool(self, ids: Index) -> ToolState:
         """Tools of some simulations in space, inertial axes, without any mass matrix."""
-        sim, state = self.sim, self.sim.state
-        at, rate = sim.internal_state
-        _, z, zd = sim.backend.read()
-        base = twist(z[:, :6], zd[:, :6])  # in its own axes: whatever frame the angles are in
-        parts: list[Any] = [None] * len(ids)
-        for system, rows in self._alike(ids):
-            arm, which = system.arm, ids[rows]
-            q, v, geared = state.q[which], state.v[which], list(arm.geared)
+        state, base = self.machines.state, self.machines.base_twist
+        at, rate = self.machines.backend.internal_state()
+
+        def moved(system: System, which: Index) -> tuple[Array, ...]:
+            q, v, geared = state.q[which], state.v[which], list(system.arm.geared)
             q[:, geared] += at[which, : len(geared)]  # the links turn further than the rotors
             v[:, geared] += rate[which, : len(geared)]
-            tool = tool_state(arm, q, v, base[which])
+            tool = tool_state(system.arm, q, v, base[which])
             R = rotation(state.y[which])
             linear, angular = matvec(R, tool.twist[:, :3]), matvec(R, tool.twist[:, 3:])
             place = state.y[which, :3] + matvec(R, tool.place)
-            motion = np.concatenate([linear, angular], axis=1)
-            found = ToolState(place, R @ tool.turn, motion)
-            if len(rows) == len(ids):
-                return found
-            for k, row in enumerate(rows.tolist()):
-                parts[row] = tuple(part[k] for part in found)
-        return ToolState(*(np.stack(k) for k in zip(*parts, strict=True)))
+            return place, R @ tool.turn, np.concatenate([linear, angular], axis=1)
 
-    def _alike(self, ids: Index) -> list[tuple[System, Index]]:
-        """Systems as they really are, with the rows of ids that share arm and vehicle."""
-        groups: dict[tuple[int, int], tuple[System, list[int]]] = {}
-        for row, i in enumerate(ids.tolist()):
-            actual = self.sim.assigned_systems.bodies(i).actual
-            key = id(actual.arm), id(actual.vehicle)
-            groups.setdefault(key, (actual, []))[1].append(row)
-        return [(system, np.array(rows)) for system, rows in groups.values()]
+        return ToolState(*self._of_systems(ids, moved))
+
+    def _of_systems(
+        self, ids: Index, values: Callable[[System, Index], tuple[Array, ...]]
+    ) -> list[Array]:
+        """Arrays (k, ...) of simulations, asked of those alike in arm and vehicle together."""
+        groups = self.machines.alike(ids)
+        if len(groups) == 1:
+            return list(values(groups[0][0], ids))
+        found = [(rows, values(system, ids[rows])) for system, rows in groups]
+        out = [np.empty((len(ids), *part.shape[1:])) for part in found[0][1]]
+        for rows, parts in found:
+            for full, part in zip(out, parts, strict=True):
+                full[rows] = part
+        return out
 
     def _gap(self, ids: Index, tool: ToolState) -> tuple[Array, Array, Array]:
         """Payloads' axes in space (k, 3, 3), distance of the tool (k,), and angle (k,)."""
-        grips = [self.described[i].grip for i in ids.tolist()]
-        place = np.array([grip.position for grip in grips])
         state = self._rows(ids)
         turn = to_matrix(state.attitude)
-        fixture = state.position + matvec(turn, place)
-        axes = turn @ np.array([grip.rotation for grip in grips])
+        fixture = state.position + matvec(turn, self._grip[ids])
+        axes = turn @ self._grip_axes[ids]
         distance: Array = np.linalg.norm(fixture - tool.place, axis=1)
         return turn, distance, angle_between(axes, tool.turn)
 
@@ -482,7 +505,7 @@ class Cargo:
 
     def _carried(self, ids: Index, tool: ToolState) -> tuple[Array, Array, Array]:
         """Axes (k, 3, 3), origins (k, 3) and twists of the centres of mass (k, 6) in space."""
-        link = tool.turn @ self.sim.system.arm.tool_rotation.T
+        link = tool.turn @ self.machines.system.arm.tool_rotation.T
         turn = link @ self.turn[ids]
         origin = tool.place + matvec(link, self.place[ids])
         com = origin + matvec(turn, self.com[ids])
@@ -496,7 +519,7 @@ class Cargo:
             return
         k = len(ids)
         mass, com, inertia = np.zeros(k), np.zeros((k, 3)), np.zeros((k, 3, 3))
-        for system, rows in self._alike(ids):
+        for system, rows in self.machines.alike(ids):
             numbers = numbers_of(system.arm.links[-1].inertial)
             mass[rows], com[rows], inertia[rows] = numbers
         held = self.carried[ids]
@@ -505,7 +528,7 @@ class Cargo:
         mass[held], com[held], inertia[held] = with_body(
             mass[held], com[held], inertia[held], *body, self.place[which], self.turn[which]
         )
-        self.engine.set_last_link(ids, mass, com, inertia)
+        self.machines.backend.set_last_link(ids, mass, com, inertia)
 
 
 def _payload(system: System) -> Payload:

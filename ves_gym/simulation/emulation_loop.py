@@ -7,8 +7,7 @@ commands there and the wrench back.
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,22 +15,24 @@ import numpy as np
 from ves_gym._util.params import Array, Index, Mask, Rows
 from ves_gym.engine.kernel.maps import weight_function
 from ves_gym.hardware.admittance import Nonlinear
-from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.base_model import BaseModel, carried
 from ves_gym.simulation.blocks.compiled_loop import CompiledLoop
 from ves_gym.simulation.blocks.memory import NamedArrays
 from ves_gym.simulation.blocks.platform import Safety
 from ves_gym.simulation.loop_numbers import BODIES, LoopNumbers
-from ves_gym.simulation.loop_reports import Event, Readings
 from ves_gym.simulation.loop_wiring import LoopParts, Needs
+from ves_gym.simulation.machines import ControlPeriod, Machines, Part
+from ves_gym.simulation.state import Event, Readings, State
 from ves_gym.system.deviations import LoopParameters
+from ves_gym.system.effect import LaboratoryEffect
+from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.emulator_settings import require_carried
 from ves_gym.system.system import System
 
 _AHEAD = 16  # periods whose noise a generator draws at once: a call costs as much as 18 numbers
 
 
-class EmulationLoop:
+class EmulationLoop(Part):
     """n emulators at work on one system.
 
     Args:
@@ -41,6 +42,9 @@ class EmulationLoop:
         admittance: g(X, W) in place of the system's vehicle.
         compiled: run the blocks as compiled code where they can be traced.
     """
+
+    name = "emulation_loop"
+    arrays = ("time", "noise", "next_noise", "history")
 
     def __init__(
         self,
@@ -63,10 +67,11 @@ class EmulationLoop:
         self._weights = weight_function(system.actual.arm)
         self._compiled = compiled
         self.table: Array | None = None  # (n, m, 6): replaces the estimate, row by row
-        self.events: list[Event] = []
+        self.history = np.full(n, None)  # a tuple of safety stops for each simulation
+        self._forget(np.arange(n))
         self.time = np.zeros(n)  # s since the reset
-        self._noise = np.zeros((n, _AHEAD, 18))  # of the coming periods
-        self._next = np.full(n, _AHEAD)  # place of the next in it; beyond: none is drawn
+        self.noise = np.zeros((n, _AHEAD, 18))  # of the coming periods
+        self.next_noise = np.full(n, _AHEAD)  # place in it; beyond: none is drawn
         self._needs = self._asked()
         self._build()
         self._load()
@@ -117,15 +122,10 @@ class EmulationLoop:
         """Parameters of every block, by name, a row per simulation."""
         return self.numbers.p
 
-    def prepare(self, ids: Index, systems: Sequence[System]) -> Callable[[], None]:
-        """Check systems of their own for some simulations; the result installs them.
-
-        Memory stays: until the next reset it is that of the system before.
-
-        Args:
-            ids: (k,) which.
-            systems: k of them.
-        """
+    def prepare(
+        self, machines: Machines, ids: Index, systems: Sequence[System]
+    ) -> Callable[[], None]:
+        """See `Part`. Until the next reset the memory is that of the system before."""
         assignment = self.numbers.assignment(ids, systems)
 
         def install() -> None:
@@ -135,30 +135,22 @@ class EmulationLoop:
 
         return install
 
-    def described(self, arm: Arm) -> LoopParameters:
-        """Return a row of parameters before any effect.
+    def prepare_effects(
+        self, machines: Machines, ids: Index, rows: EffectRows, bases: BaseModel | None
+    ) -> Callable[[], None]:
+        """See `Part`. Memory stays."""
+        p = None
+        if rows.varied(LaboratoryEffect):
+            p = rows.loop_parameters(rows.before(self.numbers.described(self.system.arm)))
 
-        Args:
-            arm: the arm.
-        """
-        return self.numbers.described(arm)
+        def install() -> None:
+            changed = set() if p is None else self._put(ids, p)
+            if bases is not None:
+                self.numbers.put_bases(ids, self._rows(ids), bases)
+                changed |= BODIES
+            self._derive(self._rows(ids), changed)
 
-    def install(
-        self, ids: Index, p: LoopParameters | None, bases: BaseModel | None = None
-    ) -> None:
-        """Put parameters in place, with all that follows from them; memory stays.
-
-        Args:
-            ids: (m,) which simulations.
-            p: of m simulations; None: as they are.
-            bases: M, D, K (m, 6, 6) and drag (m, 6) of their vehicles; None: as they are.
-        """
-        changed = set() if p is None else self._put(ids, p)
-        rows = self._rows(ids)
-        if bases is not None:
-            self.numbers.put_bases(ids, rows, bases)
-            changed |= BODIES
-        self._derive(rows, changed)
+        return install
 
     def _put(self, ids: Index, p: LoopParameters) -> set[str]:
         """Replace parameters of some simulations; names of those that have changed."""
@@ -187,15 +179,9 @@ class EmulationLoop:
 
     # ------------------------------------------------------------------ state
 
-    def reset(self, ids: Index, q: Array, y: Array, yd: Array, kp: Array, kd: Array) -> None:
-        """Put platforms at a pose, moving, sensors at rest under the arm's weight.
-
-        Args:
-            ids: (m,) which.
-            q: (m, joints) angles [rad].
-            y, yd: (m, 6) pose [m, rad] and its rate.
-            kp, kd: (m, joints) gains of the joint servo.
-        """
+    def reset(self, machines: Machines, ids: Index, start: State) -> None:
+        """See `Part`. Platforms stand or move; sensors rest under the arm's weight."""
+        q, y, yd, kp, kd = start.q, start.y, start.yd, machines.kp[ids], machines.kd[ids]
         rows = self._rows(ids)
         u = {"q": q, "X": np.concatenate([y, yd], axis=-1), "kp": kp, "kd": kd}
         u["true_weight"] = self._true_weight(q, y, rows)
@@ -211,10 +197,8 @@ class EmulationLoop:
             couplings = {key: system.actual.base.coupling for key, system in apart.items()}
             coupling = np.stack([couplings[id(system)] for system in systems])
             u |= {"attached": carried(coupling, y), "attached_rate": carried(coupling, yd)}
-        if self.events:
-            begun = set(ids.tolist())
-            self.events = [e for e in self.events if e.simulation not in begun]
-        self.time[rows], self._next[rows] = 0.0, _AHEAD
+        self._forget(ids)
+        self.time[rows], self.next_noise[rows] = 0.0, _AHEAD
         for block in self.wiring.blocks:
             x, outputs = block.start(self._of(block.name, rows), u)
             u |= outputs
@@ -244,20 +228,46 @@ class EmulationLoop:
                 self.generators[i].standard_normal(out=row)
         return out
 
-    def get_state(self) -> Any:
-        """Everything needed to continue exactly from here; picklable."""
-        parts = (self.time, self.events, self.table, self._noise, self._next)
-        others = copy.deepcopy(parts)
-        return self.memory.copied(self._carried), others
+    def get_state(self) -> dict[str, Array]:
+        """See `Part`."""
+        table = {} if self.table is None else {"table": self.table.copy()}
+        return super().get_state() | self.memory.copied(self._carried) | table
 
-    def set_state(self, state: Any) -> None:
-        """Return to a state handed out by `get_state`."""
-        memory, others = state
-        self.time, self.events, self.table, self._noise, self._next = copy.deepcopy(others)
-        self._rewire()
-        self.memory.take_over(memory, self._carried)
+    def set_state(self, state: Mapping[str, Array]) -> None:
+        """See `Part`."""
+        super().set_state(state)
+        self.use_table(state.get("table"))
+        self.memory.take_over(state, self._carried)
+
+    @property
+    def events(self) -> list[Event]:
+        """Safety stops since the resets, in the order of their times."""
+        every = [e._replace(simulation=i) for i, es in enumerate(self.history) for e in es]
+        return sorted(every, key=lambda event: event.time)
+
+    def _forget(self, ids: Index) -> None:
+        for i in ids.tolist():
+            self.history[i] = ()
+
+    def _note(self, i: int, reason: str) -> None:
+        event = Event(i, float(self.time[i]), reason)
+        self.history[i] = (*self.history[i], event)
 
     # ------------------------------------------------------------------- tick
+
+    def before(self, machines: Machines, period: ControlPeriod) -> None:
+        """See `Part`."""
+        _, z, zd = machines.backend.read()
+        q, _ = machines.measured_of(z[:, 6:], zd[:, 6:])
+        gains = machines.kp, machines.kd
+        platform = None if period.platform is None else np.split(period.platform, 2, axis=-1)
+        period.acceleration = self.command(q, *gains, z[:, :6], zd[:, :6], platform)
+
+    def after(self, machines: Machines, period: ControlPeriod) -> None:
+        """See `Part`."""
+        assert period.wrench is not None
+        _, z, zd = machines.backend.read()
+        self.sense(period.wrench, machines.measured_of(z[:, 6:], zd[:, 6:])[0])
 
     def command(
         self,
@@ -266,7 +276,7 @@ class EmulationLoop:
         kd: Array,
         y_engine: Array,
         yd_engine: Array,
-        platform: tuple[Array, Array] | None = None,
+        platform: Sequence[Array] | None = None,
     ) -> Array:
         """From the present readings to what the engine's platform is given next.
 
@@ -304,8 +314,7 @@ class EmulationLoop:
         assert isinstance(safety, Safety)
         for i in ids.tolist():
             sent, command = (memory[k][i] for k in ("command_sent", "command"))
-            reason = safety.reason(sent, command, reading[i])
-            self.events.append(Event(i, float(self.time[i]), reason))
+            self._note(i, safety.reason(sent, command, reading[i]))
 
     def sense(self, wrench: Array, q: Array) -> None:
         """Take in one period's true wrench; read the sensors.
@@ -324,11 +333,11 @@ class EmulationLoop:
 
     def draws(self) -> Array:
         """(n, 18) standard normal numbers that the sensors take in a period."""
-        spent = np.flatnonzero(self._next == _AHEAD)
+        spent = np.flatnonzero(self.next_noise == _AHEAD)
         if len(spent):
-            self._noise[spent], self._next[spent] = self._drawn(spent, _AHEAD, 18), 0
-        out: Array = self._noise[np.arange(self.n), self._next]
-        self._next += 1
+            self.noise[spent], self.next_noise[spent] = self._drawn(spent, _AHEAD, 18), 0
+        out: Array = self.noise[np.arange(self.n), self.next_noise]
+        self.next_noise += 1
         return out
 
     @property
@@ -344,8 +353,7 @@ class EmulationLoop:
                 platforms are frozen of which no event tells; None: there are none.
         """
         if reading is not None:
-            earlier = {event.simulation for event in self.events}
-            new = [i for i in np.flatnonzero(self.frozen).tolist() if i not in earlier]
+            new = [i for i in np.flatnonzero(self.frozen).tolist() if not self.history[i]]
             self._report(np.array(new, np.intp), reading)
         self.time = self.time + self.dt
 
@@ -441,7 +449,7 @@ class EmulationLoop:
         new = ids[~self.frozen[ids]]
         self.memory.put(new, "frozen", np.ones(len(new)))
         for i in new.tolist():
-            self.events.append(Event(i, float(self.time[i]), reason))
+            self._note(i, reason)
 
     # ---------------------------------------------------------------- helpers
 

@@ -17,9 +17,9 @@ import scipy
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
-from ves_gym.simulation.loop_reports import Event
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.recording import Recording
+from ves_gym.simulation.state import Event
 from ves_gym.system.system import System
 
 

@@ -7,35 +7,46 @@ command, angles and rates are linear.
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from ves_gym._util.params import Array, Index
-from ves_gym.engine.backends.base import Backend
-from ves_gym.system.deviations import Delays
+from ves_gym.mechanics.base_model import BaseModel
+from ves_gym.simulation.machines import Machines, Part
+from ves_gym.simulation.state import State
+from ves_gym.system.deviations import Delays, advanced, fresh, friction
 from ves_gym.system.effect import DelayEffect
-from ves_gym.system.rest_friction import advanced, fresh, friction
+from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import System
 
 _WHOLE = 1e-9  # of a physics step: a delay as near as that to whole steps is whole
 
 
-class JointDelays:
-    """n lines at work. Ask `busy` before use: without a delay there is nothing to do."""
+class JointDelays(Part):
+    """n lines at work, in place of the engine's own steps and evaluation.
 
-    def __init__(self, system: System, n: int) -> None:
+    Args:
+        machines: whose drives and controllers they join.
+    """
+
+    name = "joint_delays"
+    arrays = ("fresh", "command_history", "measurement_history", "bristle", "age")
+    periodic = False
+
+    def __init__(self, machines: Machines) -> None:
+        system, n = machines.system, machines.n
+        self.machines, self.backend = machines, machines.backend
         self.dt, self.joints, self.n = system.physics_dt, system.arm.n, n
-        self.delays = Delays.of(system, n)
-        self._fresh = np.ones(n, bool)  # no command since the reset
+        self.delays = system.delays(n)
+        self.fresh = np.ones(n, bool)  # no command since the reset
         # commands at both ends of past steps
         self.command_history = np.zeros((n, 0, 2, self.joints))
         # angles, rates as seen through the low-pass, and rates, at past nodes
         self.measurement_history = np.zeros((n, 0, 3, self.joints))
-        self._bristle, self._age = fresh((n, self.joints))
+        self.bristle, self.age = fresh((n, self.joints))
         self._fit()
+        machines.measured_of = self.measured
 
     def _whole_and_part(self, delay: Array) -> tuple[Index, Array]:
         """Whole physics steps of a delay, and the part of one that is left."""
@@ -44,11 +55,6 @@ class JointDelays:
         steps = np.where(np.abs(steps - near) < _WHOLE, near, steps)
         steps_back = np.floor(steps).astype(np.intp)
         return steps_back, steps - steps_back
-
-    @property
-    def busy(self) -> bool:
-        """True if there is any delay, or a friction that remembers."""
-        return self.commands_late or self.measurements_late or self.rubs
 
     @property
     def rubs(self) -> bool:
@@ -81,14 +87,22 @@ class JointDelays:
                 )
                 setattr(self, name, np.concatenate([older, history], axis=1))
 
-    def assign(self, ids: Index, delays: Sequence[Delays], q: Array, v: Array) -> None:
-        """Give simulations delays of their own.
+    def prepare(
+        self, machines: Machines, ids: Index, systems: Sequence[System]
+    ) -> Callable[[], None]:
+        """See `Part`."""
+        return lambda: self._assign(ids, [system.delays() for system in systems])
 
-        Args:
-            ids: (k,) which.
-            delays: of k simulations in all, one after the other.
-            q, v: (n, joints) angles and rates of all simulations.
-        """
+    def prepare_effects(
+        self, machines: Machines, ids: Index, rows: EffectRows, bases: BaseModel | None
+    ) -> Callable[[], None]:
+        """See `Part`."""
+        if not rows.varied(DelayEffect):
+            return super().prepare_effects(machines, ids, rows, bases)
+        return lambda: self._assign(ids, [rows.delays()])
+
+    def _assign(self, ids: Index, delays: Sequence[Delays]) -> None:
+        """Give simulations delays of their own, of all ids one after the other."""
         at = 0
         for part in delays:
             self.delays.put(ids[at : at + len(part.command)], part)
@@ -96,20 +110,17 @@ class JointDelays:
         first = not self.command_history.shape[1], not self.measurement_history.shape[1]
         self._fit()
         if first[0]:
-            self._fresh[:] = True
+            self.fresh[:] = True
         if first[1]:
+            q, v = self.machines.state[3:]
             self.measurement_history[:] = np.stack([q, v, v], axis=1)[:, None]
 
-    def reset(self, ids: Index, q: Array, v: Array) -> None:
-        """Start with a constant past; the first command stands for those before it.
-
-        Args:
-            ids: (m,) which.
-            q, v: (m, joints) angles [rad] and rates [rad/s].
-        """
-        self._fresh[ids] = True
+    def reset(self, machines: Machines, ids: Index, start: State) -> None:
+        """See `Part`. The past is constant; the first command stands for those before it."""
+        q, v = start.q, start.v
+        self.fresh[ids] = True
         self.measurement_history[ids] = np.stack([q, v, v], axis=1)[:, None]
-        self._bristle[ids], self._age[ids] = fresh(q.shape)
+        self.bristle[ids], self.age[ids] = fresh(q.shape)
 
     # ---------------------------------------------------------------- commands
 
@@ -128,15 +139,15 @@ class JointDelays:
         if not self.commands_late:
             return command
         history = np.where(
-            self._fresh[:, None, None, None], command[:, None, None], self.command_history
+            self.fresh[:, None, None, None], command[:, None, None], self.command_history
         )
         arrived = self._at(history, history.shape[1], True)
         return np.where(self.delays.command[:, None] > 0, arrived, command)
 
     def _begin(self, first: Array) -> None:
-        if self._fresh.any():
-            self.command_history[self._fresh] = first[self._fresh][:, None, None]
-            self._fresh[:] = False
+        if self.fresh.any():
+            self.command_history[self.fresh] = first[self.fresh][:, None, None]
+            self.fresh[:] = False
 
     def _at(self, segments: Array, node: int, before: bool) -> Array:
         """Command sent one delay before a node; `before` a jump at that instant, or after."""
@@ -183,7 +194,7 @@ class JointDelays:
         out = (1 - share) * nodes[rows, at] + share * nodes[rows, np.maximum(at - 1, 0)]
         return out[:, 0], out[:, 1]
 
-    def correction(self, q: Array, v: Array, kp: Array, kd: Array) -> tuple[Array, Array]:
+    def _correction(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return the torque that delayed measurements add at both ends of the next step.
 
         The engine's servo knows angle and rate themselves: kp (q - q_old) + kd (v - v_old)
@@ -192,8 +203,8 @@ class JointDelays:
 
         Args:
             q, v: (n, joints) true angles [rad] and rates [rad/s].
-            kp, kd: (n, joints) gains.
         """
+        kp, kd = self.machines.kp, self.machines.kd
         rate = 2 * v - self.measurement_history[:, -1, 2]
         further = q + self.dt / 2 * (v + rate)
         present = self._node(q, v)
@@ -208,134 +219,72 @@ class JointDelays:
             out.append(kp * (q_there - filtered[0]) + kd * (v_there - filtered[1]))
         return out[0], out[1]
 
-    def remember(self, q: Array, v: Array) -> None:
-        """Store angles and rates at the start of a step that is over.
-
-        Args:
-            q, v: (n, joints) true angles [rad] and rates [rad/s].
-        """
-        self.measurement_history = np.concatenate(
-            [self.measurement_history[:, 1:], self._node(q, v)], axis=1
-        )
-
     # ---------------------------------------------------------------- stepping
 
-    def drive(
-        self,
-        backend: Backend,
-        nodes: Array,
-        push: Array | None,
-        ids: Index | None,
-        kp: Array,
-        kd: Array,
-    ) -> None:
-        """Step the engine through commands that reach the drives late.
-
-        Args:
-            backend: the engine, in space.
-            nodes: (n, k + 1, joints) commands as sent, linear over each of k steps.
-            push: (n, 6) force on Y [N, N m], or None.
-            ids: simulations that still run, None for all.
-            kp, kd: (n, joints) the servo's gains.
-        """
+    def step_sequence(self, nodes: Array, ids: Index | None) -> None:
+        """Do what `Backend.step_sequence` does, with commands that reach the drives late."""
         if self.commands_late:
             nodes = self.arriving(nodes)
+        if not self._stepwise:
+            self.backend.step_sequence(nodes, ids)
+            return
         for j in range(nodes.shape[1] - 1):
-            start, end = self._sees(backend, nodes[:, j], nodes[:, j + 1], kp, kd)
-            backend.step(start, end, push, 1, ids)
+            self.backend.step_sequence(self._sees(nodes[:, j : j + 2]), ids)
 
-    def on_platform(
-        self,
-        backend: Backend,
-        nodes: Array,
-        base: Array,
-        ids: Index | None,
-        kp: Array,
-        kd: Array,
-    ) -> Array:
-        """Do what `Backend.step_on_platform` does, with commands that reach the drives late.
-
-        Args:
-            backend: the engine, on a platform.
-            nodes: (n, k + 1, joints) commands as sent, linear over each of k steps.
-            base: (n, k + 1, ...) motion of the platform.
-            ids: simulations that still run, None for all.
-            kp, kd: (n, joints) the servo's gains.
-
-        Returns:
-            (n, k + 1, 6) wrench at the force sensor.
-        """
+    def step_on_platform(self, nodes: Array, base: Array, ids: Index | None) -> Array:
+        """Do what `Backend.step_on_platform` does, with commands that reach the drives late."""
         if self.commands_late:
             nodes = self.arriving(nodes)
-        if not (self.measurements_late or self.rubs):
-            return backend.step_on_platform(nodes, base, ids)
+        if not self._stepwise:
+            return self.backend.step_on_platform(nodes, base, ids)
         out = []
         for j in range(nodes.shape[1] - 1):
-            ends = self._sees(backend, nodes[:, j], nodes[:, j + 1], kp, kd)
-            wrench = backend.step_on_platform(np.stack(ends, axis=1), base[:, j : j + 2], ids)
+            ends = self._sees(nodes[:, j : j + 2])
+            wrench = self.backend.step_on_platform(ends, base[:, j : j + 2], ids)
             out.append(wrench[:, :1])
         return np.concatenate([*out, wrench[:, 1:]], axis=1)
 
-    def _sees(
-        self, backend: Backend, start: Array, end: Array, kp: Array, kd: Array
-    ) -> tuple[Array, Array]:
-        """Commands at both ends of the next physics step, by a servo that sees old joints, and
-        the friction of drives that remember."""
-        if not (self.measurements_late or self.rubs):
-            return start, end
-        _, z, zd = backend.read()
+    def evaluate(self, command: Array) -> tuple[Array, Array]:
+        """Do what `Backend.evaluate` does, of what has arrived; without friction's torque."""
+        command = self.arrived(command)
+        if self.measurements_late:
+            command = command + self._correction(*self.machines.state[3:])[0]
+        friction = self.friction if self.rubs else 0.0
+        torque, acceleration = self.backend.evaluate(command + friction)
+        return torque - friction, acceleration
+
+    @property
+    def _stepwise(self) -> bool:
+        """A servo that sees old joints, or friction that remembers, acts at every step."""
+        return self.measurements_late or self.rubs
+
+    def _sees(self, ends: Array) -> Array:
+        """Commands (n, 2, joints) at both ends of the next physics step, by a servo that sees
+        old joints, and the friction of drives that remember."""
+        _, z, zd = self.backend.read()
         q, v = z[:, 6:], zd[:, 6:]
         if self.measurements_late:
-            first, last = self.correction(q, v, kp, kd)
-            self.remember(q, v)
-            start, end = start + first, end + last
+            ends = ends + np.stack(self._correction(q, v), axis=1)
+            self.measurement_history = np.concatenate(
+                [self.measurement_history[:, 1:], self._node(q, v)], axis=1
+            )
         if self.rubs:
-            self.moved(v)
-            start, end = start + self.friction, end + self.friction
-        return start, end
-
-    # ---------------------------------------------------------------- friction
+            self.bristle, self.age = advanced(self.bristle, self.age, v, self.dt)
+            ends = ends + self.friction[:, None]
+        return ends
 
     @property
     def friction(self) -> Array:
         """(n, joints) torque of contacts that remember, as they are now [N m]."""
-        return friction(self.delays.friction, self._bristle, self._age)
+        return friction(self.delays.friction, self.bristle, self.age)
 
-    def moved(self, v: Array) -> None:
-        """Take contacts a physics step on.
-
-        Args:
-            v: (n, joints) rates during it [rad/s].
-        """
-        self._bristle, self._age = advanced(self._bristle, self._age, v, self.dt)
-
-    # ------------------------------------------------------------------- state
-
-    def get_state(self) -> Any:
-        """Everything needed to continue exactly from here."""
-        return copy.deepcopy(
-            (
-                *(self._fresh, self.command_history, self.measurement_history),
-                *(self._bristle, self._age),
-            )
-        )
-
-    def set_state(self, state: Any) -> None:
-        """Return to a state handed out by `get_state`."""
-        state = copy.deepcopy(state)
-        self._fresh, self.command_history, self.measurement_history = state[:3]
-        self._bristle, self._age = state[3:]
+    def set_state(self, state: Mapping[str, Array]) -> None:
+        """See `Part`. Memory is as long as the longest delays need."""
+        for name in self.arrays:
+            setattr(self, name, state[name].copy())
 
 
-def joint_delays_of(system: System, n: int) -> JointDelays | None:
-    """Return the delays of a system at work, or None where no effect is on them.
-
-    Args:
-        system: with its effects.
-        n: simulations.
-    """
-    return (
-        JointDelays(system, n)
-        if any(isinstance(e, DelayEffect) for e in system.effects)
-        else None
-    )
+def joint_delays_of(machines: Machines) -> JointDelays | None:
+    """Return the delays of a system at work, or None where no effect is on them."""
+    delayed = any(isinstance(e, DelayEffect) for e in machines.system.effects)
+    return JointDelays(machines) if delayed else None

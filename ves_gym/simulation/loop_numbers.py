@@ -56,7 +56,9 @@ class LoopNumbers:
                 " place"
             )
         self.system, self.spec, self.given = system, system.emulator_settings, given
-        self.parameters = LoopParameters.nominal(system.arm, self.spec, n).edited(system)
+        self.parameters = LoopParameters.nominal(system.arm, self.spec, n).edited(
+            system.effects
+        )
         self.noisy = self.parameters.sensor.random()
         base = system.actual.base  # the arm's model, in what follows, is the description
         self._linear = base.body is None and not given
@@ -159,7 +161,7 @@ class LoopNumbers:
             ParameterError: systems that the simulations of one loop cannot have.
         """
         pairs = list(zip(ids.tolist(), systems, strict=True))
-        each = [self.described(k.arm).copy().edited(k) for k in systems]
+        each = [self.described(k.arm).copy().edited(k.effects) for k in systems]
         others = [
             (i, k)
             for i, k in pairs

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym.hardware.admittance import Nonlinear
-from ves_gym.hardware.leg_servo import LegServo
-from ves_gym.hardware.legs import Legs
+from ves_gym.hardware.leg_servo import Legs, LegServo
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.simulation.blocks.admittance import (
     CoupledAdmittance,

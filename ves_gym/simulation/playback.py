@@ -11,12 +11,11 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.carried import carried_wrench
-from ves_gym.mechanics.limits import middle_of_range
 from ves_gym.mechanics.motion import Motion, Samples
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix, twist, twist_rate
 from ves_gym.simulation.capture import Capture
-from ves_gym.simulation.recording import BaseWatch, Extremes, Recording, Steps
+from ves_gym.simulation.recording import Recording, Watch
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.state import State
 from ves_gym.system.runlog import RunLog
@@ -61,8 +60,8 @@ def play_motions(
         seed: of sensor noise and drift.
         backend: engine, as `Simulator` takes it.
         watch: look at joints and base between the records, too, until shortly after the
-            motion: at every physics step, in mode emulated every control period (`Extremes`,
-            `BaseWatch`, `Steps`). Changes no record.
+            motion: at every physics step, in mode emulated every control period (`Watch`).
+            Changes no record.
         progress: called with the fraction done.
 
     Raises:
@@ -93,76 +92,49 @@ def play_motions(
     follow = None if platform is None else _per_run(platform, clock, n, "platform")
     table = None if gravity is None else _tabulated(gravity, clock, n)
 
-    rows: list[tuple[Array, ...]] = []
-    hidden: list[tuple[Array, ...]] = []  # in space: what else is moved beside Y, and moves it
-    extremes = Extremes.none(n, sim.joints) if watch else None
-    base_watch = BaseWatch(system.arm, n, duration + _OVERSHOOT) if watch else None
-    middle = middle_of_range(system.arm)
+    rows: list[dict[str, Array]] = []
+    watched = Watch(system.arm, n, duration + _OVERSHOOT) if watch else None
     fine = system.substeps if emulated else 1  # steps between looks at the joints
-    close: list[tuple[float, Array, Array, Array]] = []
     if table is not None:
         sim.use_gravity(table[:, :1])
     moving = np.stack([m.at([0.0]).v[0] if m.moving else np.zeros(m.n) for m in motions])
     sim.reset(q=np.stack([m.start for m in motions]), v=moving, y=y, yd=yd)
     captures: list[Capture] = []
     for k in range(records):
+        first, last, t = k * stride, (k + 1) * stride, float(edges[k * stride])
         if k in latched:
-            captures += _latch(sim, latched[k], commands[:, k * stride])
-        state = sim.state
-        tau, ydd = sim.evaluate(commands[:, k * stride])
-        acts = sim.base_actuators
-        acted = {} if acts is None else acts.record()
-        row: tuple[Array, ...] = (*sim.measured, tau, state.y, state.yd, ydd)
-        row = (*row, *(sim.base_modes or ()), *acted.values(), *_payload_row(sim))
-        row = (*row, *_contact_row(sim))
-        if extremes is not None:
-            extremes.watch(edges[k * stride], row[0] - middle, row[1], tau)
-            if edges[k * stride] <= duration + SETTLING + 1e-9:
-                close.append((edges[k * stride], row[0], row[1], state.y))
-        if base_watch is not None:
-            base_watch.look(float(edges[k * stride]), state.y, state.yd, ydd)
-        if emulated:
-            readings = sim.readings
-            rows.append(
-                (*row, readings.wrench, readings.wrench - readings.gravity, readings.y_cmd)
+            captures += _latch(sim, latched[k], commands[:, first])
+        row = _row(sim, commands[:, first])
+        rows.append(row)
+        if watched is not None:
+            watched.weigh(t, *(row[name] for name in ("q", "v", "tau", "y", "yd", "ydd")))
+            if t <= duration + SETTLING + 1e-9:
+                watched.look(t, row["q"], row["v"], row["y"])
+        if (emulated and len(sim.events) >= n) or k + 1 == records:
+            break
+        apart = fine if watched is not None and t < duration + SETTLING else stride
+        for step in range(first, last, apart):
+            end = min(step + apart, last)
+            part = slice(step // system.substeps, end // system.substeps)
+            if table is not None:
+                sim.use_gravity(table[:, part.start + 1 : part.stop + 1])
+            sim.play(
+                commands[:, step : end + 1],
+                platform=None if follow is None else follow[:, part],
             )
-            if len(sim.events) >= n:
-                break
-        else:
-            held = () if acts is None else (acts.torque, acts.wrench)
-            hidden.append(tuple(part.copy() for part in (*sim.internal_state, *held)))
-            rows.append(row)
-        if k + 1 < records:
-            last = (k + 1) * stride
-            apart = extremes is not None and edges[k * stride] < duration + SETTLING
-            for step in range(k * stride, last, fine if apart else stride):
-                end = min(step + (fine if apart else stride), last)
-                part = slice(step // system.substeps, end // system.substeps)
-                if table is not None:
-                    sim.use_gravity(table[:, part.start + 1 : part.stop + 1])
-                sim.play(
-                    commands[:, step : end + 1],
-                    platform=None if follow is None else follow[:, part],
-                )
-                if extremes is not None and base_watch is not None and end < last:
-                    (q, v), state = sim.measured, sim.state
-                    close.append((edges[end], q, v, state.y))
-                    if edges[k * stride] < duration + _OVERSHOOT:
-                        tau, ydd = sim.evaluate(commands[:, end])
-                        extremes.watch(edges[end], q - middle, v, tau)
-                        base_watch.look(float(edges[end]), state.y, state.yd, ydd)
+            if watched is not None and end < last:
+                (q, v), state, at = sim.measured, sim.state, float(edges[end])
+                watched.look(at, q, v, state.y)
+                if t < duration + _OVERSHOOT:
+                    tau, ydd = sim.evaluate(commands[:, end])
+                    watched.weigh(at, q, v, tau, state.y, state.yd, ydd)
         if progress is not None and k % 32 == 0:
             progress(k / records)
-    modes = () if sim.base_modes is None else ("u", "ud")
-    payload = () if sim.payload is None else ("p", "pd")
-    contact = () if sim.touch is None else ("contact", "contact_energy")
-    carried = (*modes, *acted, *payload, *contact)
-    names = ("q", "v", "tau", "y", "yd", "ydd", *carried, "w", "wg", "y_cmd")
-    stacked = [np.stack(column, axis=1) for column in zip(*rows, strict=True)]
+    columns = {name: np.stack([row[name] for row in rows], axis=1) for name in rows[0]}
     if not emulated:
-        y_yd_ydd = (stacked[names.index(name)] for name in ("y", "yd", "ydd"))
-        more = (np.stack(column, axis=1) for column in zip(*hidden, strict=True))
-        stacked.append(_wrenches(system, *y_yd_ydd, *more))
+        inner = [columns.pop(name) for name in _INNER if name in columns]
+        motion = (columns[name] for name in ("y", "yd", "ydd"))
+        columns["w"] = _wrenches(system, *motion, *inner)
     end = (len(rows) - 1) * stride + 1
     return Recording(
         system=system,
@@ -171,20 +143,41 @@ def play_motions(
         t=edges[:end:stride],
         q_cmd=samples.q[:, :end:stride],
         v_cmd=samples.v[:, :end:stride],
-        **dict(zip(names, stacked, strict=False)),
+        **columns,
         captures=tuple(captures),
         events=tuple(sim.events),
         backend=sim.backend_name,
-        extremes=extremes,
-        base_watch=base_watch,
-        steps=_steps(close) if watch else None,
+        watch=watched,
     )
 
 
-def _steps(looks: Sequence[tuple[float, Array, Array, Array]]) -> Steps:
-    """Stack what was seen of all runs, instant by instant: q, v and y (n, ...)."""
-    t, q, v, y = zip(*looks, strict=True)
-    return Steps(np.array(t), *(np.stack(part, axis=1) for part in (q, v, y)))
+_INNER = ("at", "rate", "torque", "wrench")  # of `_row`, to compute `w` from
+
+
+def _row(sim: Simulator, command: Array) -> dict[str, Array]:
+    """A record of n runs, by the names of a `Recording`, and in space what `w` follows from."""
+    state, (q, v) = sim.state, sim.measured
+    tau, ydd = sim.evaluate(command)
+    out = {"q": q, "v": v, "tau": tau, "y": state.y, "yd": state.yd, "ydd": ydd}
+    modes, acts = sim.base_modes, sim.base_actuators
+    if modes is not None:
+        out |= {"u": modes[0], "ud": modes[1]}
+    if acts is not None:
+        out |= acts.record()
+    if sim.payload is not None:
+        s = sim.payload.state
+        out["p"] = np.concatenate([s.position, s.attitude], axis=1)
+        out["pd"] = np.concatenate([s.velocity, s.spin], axis=1)
+    if sim.contact is not None:
+        wrench, energy = sim.contact.measured()
+        out |= {"contact": wrench, "contact_energy": energy[:, None]}
+    if sim.emulation_loop is not None:
+        readings = sim.readings
+        w = readings.wrench
+        return out | {"w": w, "wg": w - readings.gravity, "y_cmd": readings.y_cmd}
+    forces = () if acts is None else (acts.torque, acts.wrench)
+    inner = (*sim.internal_state, *forces)
+    return out | {name: part.copy() for name, part in zip(_INNER, inner, strict=False)}
 
 
 def _latched(
@@ -214,23 +207,6 @@ def _latch(sim: Simulator, kind: str, command: Array) -> list[Capture]:
     tau, _ = sim.evaluate(command)
     rows = [tuple(row) for row in tau.tolist()]
     return [replace(event, tau=rows[event.simulation]) for event in sim.grasp()]
-
-
-def _payload_row(sim: Simulator) -> tuple[Array, ...]:
-    """Pose (n, 7) and motion (n, 6) of the payloads; nothing without them."""
-    if sim.payload is None:
-        return ()
-    s = sim.payload.state
-    pose = np.concatenate([s.position, s.attitude], axis=1)
-    return pose, np.concatenate([s.velocity, s.spin], axis=1)
-
-
-def _contact_row(sim: Simulator) -> tuple[Array, ...]:
-    """Wrench (n, 6) and energy (n, 1) of contact at the tool; nothing without it."""
-    if sim.touch is None:
-        return ()
-    wrench, energy = sim.touch.measured()
-    return wrench, energy[:, None]
 
 
 def weigh_poses(

@@ -13,7 +13,7 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.limits import LimitCheck, check_limits, limits_of, middle_of_range
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.simulation.capture import Capture
-from ves_gym.simulation.loop_reports import Event
+from ves_gym.simulation.state import Event
 from ves_gym.system.disturbance import (
     Disturbance,
     Watched,
@@ -23,32 +23,10 @@ from ves_gym.system.disturbance import (
 from ves_gym.system.energy import TAIL, Energies, energies
 from ves_gym.system.frequency_weight import FAST, FrequencyWeight
 from ves_gym.system.runlog import RunLog
+from ves_gym.system.runlog_files import QUANTITIES
 from ves_gym.system.system import System
 
 WATCHED = ("position", "velocity", "torque")
-
-
-@dataclass(frozen=True)
-class Extremes:
-    """Nearest approach of each joint to its limits, between the records as well.
-
-    Axes: kind (`WATCHED`), run, joint. Positions are from the middle of the range.
-    """
-
-    time: Array  # (3, n, joints) s
-    value: Array  # (3, n, joints) rad, rad/s, N m
-
-    @staticmethod
-    def none(n: int, joints: int) -> Extremes:
-        """Return arrays to be filled by `watch`."""
-        return Extremes(np.zeros((3, n, joints)), np.zeros((3, n, joints)))
-
-    def watch(self, t: float, position: Array, v: Array, tau: Array) -> None:
-        """Take the joints of all runs (n, joints) at time t [s] into account."""
-        value = np.stack([position, v, tau])
-        larger = np.abs(value) > np.abs(self.value)
-        self.value[larger] = value[larger]
-        self.time[larger] = t
 
 
 @dataclass(frozen=True)
@@ -61,44 +39,66 @@ class Steps:
     y: Array  # (n, N, 6)
 
 
-class BaseWatch:
-    """Accelerations of n bases between the records as well, until shortly after the motion.
+class Watch:
+    """n runs between the records as well: extremes of joints and bases, and their ways.
+
+    Axes of `time` [s] and `extreme`, the nearest approach of each joint to its limits: kind
+    (`WATCHED`), run, joint. Positions count from the middle of the range.
 
     Args:
-        arm: for its mount.
+        arm: of all runs.
         n: runs.
-        until: time up to which it looks [s].
+        until: time up to which it looks at the base [s].
     """
 
     def __init__(self, arm: Arm, n: int, until: float) -> None:
-        self.arm, self.until, self.time = arm, until, 0.0
-        self.peaks = np.zeros((n, 2))  # m/s^2, rad/s^2
-        self.squares = np.zeros((n, 2))  # their time integral
+        self.arm, self.until, self._middle = arm, until, middle_of_range(arm)
+        self.time, self.extreme = np.zeros((2, 3, n, arm.n))
+        self._before = 0.0  # s, of the last look at the base that is measured
+        self._peaks = np.zeros((n, 2))  # m/s^2, rad/s^2
+        self._squares = np.zeros((n, 2))  # their time integral
         self._last = np.zeros((n, 2))
-        self._looks: list[tuple[float, Array, Array, Array]] = []  # not yet in these
+        self._bases: list[tuple[float, Array, Array, Array]] = []  # not yet in these
+        self._ways: list[tuple[float, Array, Array, Array]] = []
 
-    def look(self, t: float, y: Array, yd: Array, ydd: Array) -> None:
-        """Take the motion of all bases (n, 6) at time t [s] into account."""
+    def look(self, t: float, q: Array, v: Array, y: Array) -> None:
+        """Take joints (n, joints) and bases (n, 6) at time t [s] into `steps`."""
+        self._ways.append((t, q, v, y))
+
+    def weigh(
+        self, t: float, q: Array, v: Array, tau: Array, y: Array, yd: Array, ydd: Array
+    ) -> None:
+        """Take joints (n, joints), torques and motions of the bases (n, 6) into account."""
+        value = np.stack([q - self._middle, v, tau])
+        larger = np.abs(value) > np.abs(self.extreme)
+        self.extreme[larger] = value[larger]
+        self.time[larger] = t
         if t <= self.until + 1e-9:
-            self._looks.append((t, y, yd, ydd))
+            self._bases.append((t, y, yd, ydd))
 
-    def of(self, i: int) -> Watched:
-        """Return what was seen of run i."""
-        if self._looks:
+    @property
+    def steps(self) -> Steps:
+        """Ways of all runs."""
+        t, *parts = zip(*self._ways, strict=True)
+        return Steps(np.array(t), *(np.stack(part, axis=1) for part in parts))
+
+    def base(self, i: int) -> Watched:
+        """Return what was seen of the base of run i."""
+        if self._bases:
             self._measure()
-        return Watched(self.time, *self.peaks[i], *self.squares[i])
+        return Watched(self._before, *self._peaks[i], *self._squares[i])
 
     def _measure(self) -> None:
         """Add all looks at once: one by one each would cost as much as a step of the engine."""
-        t, *motion = (np.array(part) for part in zip(*self._looks, strict=True))
-        self._looks.clear()
+        t, *motion = (np.array(part) for part in zip(*self._bases, strict=True))
+        self._bases.clear()
         parts = mount_acceleration(self.arm, *motion)
         now = np.stack([np.sum(part**2, axis=-1) for part in parts], axis=-1)
         before = np.concatenate([self._last[None], now[:-1]])
-        steps = np.diff(t, prepend=self.time)[:, None, None]
-        self.squares = np.add.accumulate([self.squares, *(steps / 2 * (before + now))])[-1]
-        np.maximum(self.peaks, np.sqrt(now.max(axis=0)), out=self.peaks)
-        self.time, self._last = float(t[-1]), now[-1]
+        steps = np.diff(t, prepend=self._before)[:, None, None]
+        self._squares = np.add.accumulate([self._squares, *(steps / 2 * (before + now))])[-1]
+        np.maximum(self._peaks, np.sqrt(now.max(axis=0)), out=self._peaks)
+        self._before, self._last = float(t[-1]), now[-1]
 
 
 @dataclass(frozen=True)
@@ -134,9 +134,7 @@ class Recording:
     captures: tuple[Capture, ...] = ()  # latches that closed and opened
     events: tuple[Event, ...] = ()  # safety stops; a run is meaningful up to its own
     backend: str = ""  # the engine that ran
-    extremes: Extremes | None = None  # of the joints, where they were watched
-    base_watch: BaseWatch | None = None  # of the base, likewise
-    steps: Steps | None = None  # of both, likewise
+    watch: Watch | None = None  # of joints and bases, where they were watched
 
     def internal(self, i: Any, part: Any = slice(None)) -> tuple[Array, Array] | None:
         """Return u and u' of the internal modes in run i, None of a base without.
@@ -198,7 +196,7 @@ class Recording:
             tail=tail,
             internal=self._recorded_modes(system, i),
             weight=weight,
-            watched=None if self.base_watch is None else self.base_watch.of(i),
+            watched=None if self.watch is None else self.watch.base(i),
         )
 
     def _recorded_modes(self, system: System, i: Any) -> tuple[Array, Array] | None:
@@ -224,7 +222,8 @@ class Recording:
         Args:
             i: number of the run.
         """
-        of = Steps(self.t, self.q, self.v, self.y) if self.steps is None else self.steps
+        own = Steps(self.t, self.q, self.v, self.y)
+        of = own if self.watch is None else self.watch.steps
         end = self._until_stop(i, of.t)
         return Steps(of.t[:end], of.q[i, :end], of.v[i, :end], of.y[i, :end])
 
@@ -244,8 +243,8 @@ class Recording:
         """
         arm = self.system.arm
         limits = limits_of(arm, v_max=v_max, motor=self.system.drive == "motor")
-        if self.extremes is not None:
-            times, parts = self.extremes.time[:, i], self.extremes.value[:, i]
+        if self.watch is not None:
+            times, parts = self.watch.time[:, i], self.watch.extreme[:, i]
             found = [
                 check_limits({k: limits[k]}, t[None], {k: x[None]}, arm.sliding).extremes
                 for k, t, x in zip(WATCHED, times, parts, strict=True)
@@ -283,33 +282,11 @@ class Recording:
         }
         if self.system.mode == "emulated":
             meta["events"] = stops
-        if self.extremes is not None:
+        if self.watch is not None:
             meta["limits"] = self.limit_check(i).to_dict()
         if self.system.payload is not None:
             captures = [event for event in self.captures if event.simulation == i]
             meta["captures"] = [event.to_dict() for event in captures]
-        return RunLog(
-            t=self.t[:end],
-            q_cmd=self.q_cmd[i, :end],
-            v_cmd=self.v_cmd[i, :end],
-            q=self.q[i, :end],
-            v=self.v[i, :end],
-            tau=self.tau[i, :end],
-            y=self.y[i, :end],
-            yd=self.yd[i, :end],
-            w=self.w[i, :end],
-            wg=None if self.wg is None else self.wg[i, :end],
-            y_cmd=None if self.y_cmd is None else self.y_cmd[i, :end],
-            u=None if self.u is None else self.u[i, :end],
-            ud=None if self.ud is None else self.ud[i, :end],
-            motor=None if self.motor is None else self.motor[i, :end],
-            jet=None if self.jet is None else self.jet[i, :end],
-            propellant=None if self.propellant is None else self.propellant[i, :end],
-            p=None if self.p is None else self.p[i, :end],
-            pd=None if self.pd is None else self.pd[i, :end],
-            contact=None if self.contact is None else self.contact[i, :end],
-            contact_energy=None
-            if self.contact_energy is None
-            else self.contact_energy[i, :end],
-            meta=meta,
-        )
+        parts = {name: getattr(self, name) for name in QUANTITIES}
+        rows = {name: part[i, :end] for name, part in parts.items() if part is not None}
+        return RunLog(t=self.t[:end], meta=meta, **rows)

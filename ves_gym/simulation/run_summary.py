@@ -12,7 +12,7 @@ from ves_gym._util.tables import table
 from ves_gym.mechanics.limits import LimitCheck, check_reference, limits_of
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import vehicle_name
-from ves_gym.simulation.loop_reports import Event
+from ves_gym.simulation.state import Event
 from ves_gym.system.energy import TAIL, Energies, log_energies
 from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.runlog import RunLog

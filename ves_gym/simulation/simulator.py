@@ -2,31 +2,35 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym._util.params import Array, Index, Mask, ParameterError
+from ves_gym.engine.backends.base import Backend
 from ves_gym.engine.backends.registry import make_backend
 from ves_gym.hardware.admittance import Nonlinear
 from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo
-from ves_gym.mechanics.spatial import matvec, rate_matrix
 from ves_gym.mechanics.vehicle import has_jets
-from ves_gym.simulation.arguments import broadcast, numbers, simulation_ids
-from ves_gym.simulation.assigned_systems import AssignedSystems
+from ves_gym.simulation.arguments import broadcast, numbers, repeated, simulation_ids
+from ves_gym.simulation.assigned_systems import assign, assign_effects
 from ves_gym.simulation.base_actuators import BaseActuators
-from ves_gym.simulation.capture import Capture, Cargo
-from ves_gym.simulation.charts import Charts, is_free
-from ves_gym.simulation.divergence import Divergence, describe, tumbled
+from ves_gym.simulation.capture import Capture, PayloadHandler
 from ves_gym.simulation.emulation_loop import EmulationLoop
-from ves_gym.simulation.joint_delays import joint_delays_of
+from ves_gym.simulation.joint_delays import JointDelays, joint_delays_of
 from ves_gym.simulation.loop_linearisation import warn_if_unstable
-from ves_gym.simulation.loop_reports import Event, Readings
+from ves_gym.simulation.machines import ControlPeriod, Divergence, Machines, Part
 from ves_gym.simulation.stable_step import require_stable_step
-from ves_gym.simulation.state import Snapshot, State
-from ves_gym.simulation.touch import Touch
+from ves_gym.simulation.state import (
+    Event,
+    Readings,
+    Snapshot,
+    State,
+    generator_arrays,
+    set_generators,
+)
+from ves_gym.simulation.tool_contact import ToolContact
 from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import System
 
@@ -83,40 +87,41 @@ class Simulator:
         if system.mode == "ideal" and admittance is not None:
             raise ParameterError("an admittance needs mode emulated, got mode ideal")
         self.system, self.n = system, int(n)
-        self.joints = system.arm.n
+        self.joints, self.on_divergence = system.arm.n, on_divergence
         self.backend = make_backend(backend, system.actual, self.n, threads)
-        self.assigned_systems = AssignedSystems(self)
-        self.joint_delays = joint_delays_of(system, self.n)  # None where there can be none
-        free = system.mode == "ideal" and is_free(system.actual.base)
-        self._charts = Charts(self.n) if free else None
-        self.base_actuators: BaseActuators | None = None  # wheels and jets
-        acts = has_jets(system.vehicle) or bool(system.base.carried)
-        if system.mode == "ideal" and acts:
-            self.base_actuators = BaseActuators(system, self.n)
-        self.on_divergence = on_divergence
+        self.machines = machines = Machines(system, self.n, self.backend)
         self.generators: list[np.random.Generator] = []
         self.seed(seed)
+        self.joint_delays = joint_delays_of(machines)
+        self._drives: Backend | JointDelays = self.joint_delays or self.backend
+        self.base_actuators: BaseActuators | None = None  # wheels and jets
+        if system.mode == "ideal" and (has_jets(system.vehicle) or system.base.carried):
+            self.base_actuators = BaseActuators(machines)
         self.emulation_loop: EmulationLoop | None = None
         if system.mode == "emulated":
             compiled = compiled and self.backend.name == "kernel"
             self.emulation_loop = EmulationLoop(
                 system, self.n, self.generators, admittance, compiled=compiled
             )
+        self.contact = None if self.backend.contact is None else ToolContact(machines)
+        self.payload: PayloadHandler | None = None
+        if system.payload is not None:
+            self.payload = PayloadHandler(machines, self.contact, lambda: self.base_modes)
+        optional = (
+            machines.charts if machines.charts.free else None,
+            self.joint_delays, self.emulation_loop, self.contact, self.payload,
+            self.base_actuators,
+        )  # fmt: skip
+        # in this order they act, before and after the engine
+        self.parts: tuple[Part, ...] = tuple(k for k in optional if k is not None)
+        self._by_period = any(part.periodic for part in self.parts)
+        self._shares = np.arange(system.substeps + 1)[:, None] / system.substeps
         if servo is not None and system.drive == "motor":
             servo = servo.for_arm(system.arm)
-        self.servo = servo if servo is not None else FREE
-        self._kp = np.zeros((n, self.joints))
-        self._kd = np.zeros((n, self.joints))
-        if system.drive == "motor" and servo is not None:
             self.set_gains(servo.kp, servo.kd)
+        self.servo = servo if servo is not None else FREE
         if self.emulation_loop is not None and warn_at is not None and admittance is None:
             warn_if_unstable(type(self), system, warn_at, servo)
-        self.diverged = np.zeros(n, bool)
-        self._last_state: State | None = None
-        self.touch: Touch | None = None  # contact at the tool
-        if self.backend.contact is not None:
-            self.touch = Touch(self.backend, self.n, self._charts)
-        self.payload = None if system.payload is None else Cargo(self)
         self.reset()
 
     # ------------------------------------------------------------------ state
@@ -127,19 +132,23 @@ class Simulator:
         return self.backend.name
 
     @property
+    def diverged(self) -> Mask:
+        """(n,) simulations that left the meaningful range and stay where they are."""
+        return self.machines.diverged
+
+    @property
     def last_state(self) -> State:
         """State after the last step or reset."""
-        if self._last_state is None:
-            self._last_state = self.state
-        return self._last_state
+        return self.machines.last_state
 
-    @last_state.setter
-    def last_state(self, state: State) -> None:
-        self._last_state = state
+    @property
+    def state(self) -> State:
+        """A copy of the present state."""
+        return self.machines.state
 
     def stepped_elsewhere(self) -> None:
         """The engine has been stepped by a program of its own (`KernelBackend.pieces`)."""
-        self._last_state = None
+        self.machines.changed()
 
     def note_gains(self, kp: Array, kd: Array) -> None:
         """Take note of servo gains that such a program has set.
@@ -147,7 +156,7 @@ class Simulator:
         Args:
             kp, kd: (n, joints) [N m/rad], [N m s/rad].
         """
-        self._kp[:], self._kd[:] = kp, kd
+        self.machines.kp[:], self.machines.kd[:] = kp, kd
 
     def note_divergence(self) -> None:
         """Look for simulations that such a program has left beyond the meaningful range."""
@@ -155,15 +164,6 @@ class Simulator:
         if note is not None:
             note()
         self._watch()
-
-    @property
-    def state(self) -> State:
-        """A copy of the present state."""
-        time, z, zd = self.backend.read()
-        y, yd = z[:, :6], zd[:, :6]
-        if self._charts is not None:
-            y, yd = self._charts.outside(y, yd)
-        return State(time, y, yd, z[:, 6:], zd[:, 6:])
 
     def seed(self, seed: int) -> None:
         """Restart the random generators."""
@@ -210,53 +210,35 @@ class Simulator:
                 scale = broadcast(spread[name], f"spread[{name!r}]", (len(index), width))
                 for row, i in enumerate(index):
                     full[name][row] += scale[row] * self.generators[i].standard_normal(width)
-        self.backend.write(
-            index,
-            clock,
-            np.hstack([full["y"], full["q"]]),
-            np.hstack([full["yd"], full["v"]]),
-        )
-        if self._charts is not None:
-            self._charts.reset(index)
-        self._reset_carried(index, wheel_speed)
-        if self.joint_delays is not None:
-            self.joint_delays.reset(index, full["q"], full["v"])
-        if self.emulation_loop is not None:
-            gains = self._kp[index], self._kd[index]
-            self.emulation_loop.reset(index, full["q"], full["y"], full["yd"], *gains)
-        if self.touch is not None:
-            self.touch.framed(index)
-        if self.payload is not None:
-            self.payload.reset(index)
-        self.diverged[index] = False
-        self.last_state = self.state
-        if self.base_actuators is not None:
-            self.base_actuators.reset(index, self.last_state, self.backend)
+        start = State(clock, full["y"], full["yd"], full["q"], full["v"])
+        z, zd = np.hstack([start.y, start.q]), np.hstack([start.yd, start.v])
+        self.backend.write(index, clock, z, zd)
+        self._set_wheels(index, wheel_speed)
+        machines = self.machines
+        machines.diverged[index], machines.steps = False, 0
+        for part in self.parts:
+            part.reset(machines, index, start)
+        machines.changed()
         return self.last_state
 
-    def _reset_carried(self, index: Index, wheel_speed: npt.ArrayLike) -> None:
+    def _set_wheels(self, index: Index, wheel_speed: npt.ArrayLike) -> None:
         """Set the speeds of reaction wheels, everything else that the base carries at rest."""
-        wheels = 0 if self.base_actuators is None else len(self.base_actuators.wheels)
-        if not wheels:
-            if np.any(wheel_speed):
-                raise ParameterError(
-                    "wheel_speed needs a vehicle with reaction wheels, got"
-                    f" {type(self.system.vehicle).__name__}"
-                )
-            return
-        speed = broadcast(wheel_speed, "wheel_speed", (len(index), wheels))
-        rates = np.zeros((len(index), len(self.system.base.carried)))
-        rates[:, :wheels] = speed
-        self.backend.set_carried(index, np.zeros_like(rates), rates)
+        machines = self.machines
+        if not machines.wheels and np.any(wheel_speed):
+            raise ParameterError(
+                "wheel_speed needs a vehicle with reaction wheels, got"
+                f" {type(self.system.vehicle).__name__}"
+            )
+        if machines.wheels:
+            rates = np.zeros((len(index), machines.carried))
+            shape = (len(index), machines.wheels)
+            rates[:, : machines.wheels] = broadcast(wheel_speed, "wheel_speed", shape)
+            self.backend.set_carried(index, np.zeros_like(rates), rates)
 
     @property
     def wheel_speed(self) -> Array:
         """(n, w) speeds of the reaction wheels against the satellite [rad/s]."""
-        if self.base_actuators is None:
-            return np.zeros((self.n, 0))
-        arm, wheels = self.system.actual.arm, len(self.base_actuators.wheels)
-        first = len(arm.geared) + arm.bends
-        return self.backend.internal_state()[1][:, first : first + wheels]
+        return self.machines.wheel_speed
 
     def point(self, attitude: npt.ArrayLike, ids: npt.ArrayLike | None = None) -> None:
         """Set the attitude that the satellite's pointing holds from the next period on.
@@ -278,56 +260,41 @@ class Simulator:
 
     def snapshot(self) -> Snapshot:
         """The complete state, random generators included; picklable."""
-        return Snapshot(
-            self.system.hash,
-            self.backend.name,
-            self.backend.get_state(),
-            tuple(copy.deepcopy(g.bit_generator.state) for g in self.generators),
-            (self._kp.copy(), self._kd.copy()),
-            self.diverged.copy(),
-            None if self.emulation_loop is None else self.emulation_loop.get_state(),
-            self.assigned_systems.systems,
-            None if self.joint_delays is None else self.joint_delays.get_state(),
-            None if self._charts is None else self._charts.get_state(),
-            None if self.payload is None else self.payload.get_state(),
-            None if self.base_actuators is None else self.base_actuators.get_state(),
-        )
+        machines = self.machines
+        arrays = {part.name: part.get_state() for part in (machines, *self.parts)}
+        arrays |= {
+            "engine": self.backend.get_state(),
+            "generators": generator_arrays(self.generators),
+        }
+        return Snapshot(self.system.hash, self.backend.name, self.n, machines.assigned, arrays)
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Return to a snapshot of the same system and the same n, and to what it assigned."""
-        if snapshot.system_hash != self.system.hash or len(snapshot.diverged) != self.n:
-            raise ParameterError(
-                f"snapshot is of system {snapshot.system_hash[:12]} with n ="
-                f" {len(snapshot.diverged)}, this is {self.system.hash[:12]} with n = {self.n}"
-            )
-        if snapshot.backend_name != self.backend.name:
-            raise ParameterError(
-                f"snapshot is of backend {snapshot.backend_name}, this is {self.backend.name}"
-            )
-        self.assigned_systems.restore(snapshot.assigned)
-        self.backend.set_state(snapshot.backend)
-        if self.system.drive == "motor":
-            self.set_gains(*snapshot.gains)
-        for generator, state in zip(self.generators, snapshot.generators, strict=True):
-            generator.bit_generator.state = copy.deepcopy(state)
-        if self.emulation_loop is not None:
-            self.emulation_loop.set_state(snapshot.emulation_loop)
-        if self.joint_delays is not None:
-            self.joint_delays.set_state(snapshot.joint_delays)
-        if self._charts is not None:
-            self._charts.set_state(snapshot.charts)
-        if self.payload is not None:
-            self.payload.set_state(snapshot.payload)
-        if self.base_actuators is not None:
-            self.base_actuators.set_state(snapshot.base_actuators, self.backend)
-        self.diverged = snapshot.diverged.copy()
-        self.last_state = self.state
+        """Return to a snapshot of the same system and the same n, and to what it assigned.
+
+        Raises:
+            ParameterError: a snapshot of something else; nothing has changed then.
+        """
+        theirs = (snapshot.system_hash[:12], snapshot.n, snapshot.backend_name)
+        ours = (self.system.hash[:12], self.n, self.backend.name)
+        if theirs != ours:
+            told = ("system {} with n = {} on backend {}".format(*k) for k in (theirs, ours))
+            raise ParameterError("snapshot is of {}, this is {}".format(*told))
+        machines, current, then = self.machines, self.machines.assigned, snapshot.assigned
+        ids = [
+            i for i in sorted(then.keys() | current.keys()) if then.get(i) is not current.get(i)
+        ]
+        if ids:
+            self.assign([then.get(i, self.system) for i in ids], np.array(ids))
+        self.backend.set_state(snapshot.arrays["engine"])
+        set_generators(self.generators, snapshot.arrays["generators"])
+        for part in (machines, *self.parts):
+            part.set_state(snapshot.arrays[part.name])
+        machines.changed()
 
     @property
     def systems(self) -> tuple[System, ...]:
         """The n systems in force: the simulator's own, or what `assign` has put there."""
-        assigned = self.assigned_systems.systems
-        return tuple(assigned.get(i, self.system) for i in range(self.n))
+        return self.machines.systems
 
     def assign(self, systems: Sequence[System], ids: npt.ArrayLike | None = None) -> None:
         """Give simulations systems of their own, which differ from the simulator's in numbers.
@@ -355,7 +322,7 @@ class Simulator:
             ParameterError: a system differs in more than numbers, or in a structural zero;
                 nothing has been assigned then.
         """
-        self.assigned_systems.assign(systems, simulation_ids(ids, self.n))
+        assign(self.machines, self.parts, systems, simulation_ids(ids, self.n))
 
     def assign_effects(self, rows: EffectRows, ids: npt.ArrayLike | None = None) -> None:
         """Give simulations effects with parameters of their own, as `assign` does, but at once.
@@ -370,7 +337,7 @@ class Simulator:
         Raises:
             ParameterError: as `assign`.
         """
-        self.assigned_systems.assign_effects(rows, simulation_ids(ids, self.n))
+        assign_effects(self.machines, self.parts, rows, simulation_ids(ids, self.n))
 
     def set_gains(
         self, kp: npt.ArrayLike, kd: npt.ArrayLike, ids: npt.ArrayLike | None = None
@@ -385,32 +352,31 @@ class Simulator:
             raise ParameterError("a prescribed drive has no servo gains to set")
         index = simulation_ids(ids, self.n)
         shape = (len(index), self.joints)
-        self._kp[index] = broadcast(kp, "kp", shape)
-        self._kd[index] = broadcast(kd, "kd", shape)
-        self.backend.set_gains(index, self._kp[index], self._kd[index])
+        gains = broadcast(kp, "kp", shape), broadcast(kd, "kd", shape)
+        self.machines.set_gains(index, *gains)
 
     # ----------------------------------------------------------------- payload
 
     def grasp(
         self, ids: npt.ArrayLike | None = None, *, directions: object = None
     ) -> list[Capture]:
-        """Close the latch on the payload, see `Cargo.grasp`.
+        """Close the latch on the payload, see `PayloadHandler.grasp`.
 
         Args:
             ids: which simulations, or None for all.
             directions: of the relative twist that close, None for all.
         """
-        return self._cargo().grasp(ids, directions=directions)
+        return self._handler().grasp(ids, directions=directions)
 
     def release(self, ids: npt.ArrayLike | None = None) -> list[Capture]:
-        """Open the latch, see `Cargo.release`.
+        """Open the latch, see `PayloadHandler.release`.
 
         Args:
             ids: which simulations, or None for all.
         """
-        return self._cargo().release(ids)
+        return self._handler().release(ids)
 
-    def _cargo(self) -> Cargo:
+    def _handler(self) -> PayloadHandler:
         if self.payload is None:
             raise ParameterError("the system has no payload: give System(payload=...)")
         return self.payload
@@ -442,37 +408,38 @@ class Simulator:
             platform: pose (n, 6), or pose and rate (n, 12), that the platform shall
                 follow; emulators under position control only.
         """
-        torque = broadcast(command, "command", (self.n, self.joints))
-        end = None if until is None else broadcast(until, "until", torque.shape)
-        if self.emulation_loop is not None:
-            if base_wrench is not None or wheel_torque is not None:
-                given = "wheel_torque" if base_wrench is None else "base_wrench"
-                raise ParameterError(f"{given} needs mode ideal, got mode emulated")
-            self._ride(self._nodes(torque, end), self._platform(platform, 1))
-        else:
-            if platform is not None:
-                raise ParameterError("platform needs mode emulated, got mode ideal")
-            self._recentre()
-            push = self._base_force(base_wrench, wheel_torque)
-            if self.joint_delays is not None and self.joint_delays.busy:
-                self._drive(self._nodes(torque, end), push)
-            else:
-                self.backend.step(torque, end, push, self.system.substeps, self._running())
-            if self.base_actuators is not None:
-                self.base_actuators.advanced(self.system.substeps)
-        if self.payload is not None:
-            self.payload.advance(self.system.control_dt, self._running())
-        self._watch()
-        self.last_state = self.state
+        start = broadcast(command, "command", (self.n, self.joints))
+        # a held command as a view of length k + 1: the kernel copies nothing then
+        nodes = repeated(start, self.system.substeps + 1)
+        if until is not None:
+            end = broadcast(until, "until", start.shape)
+            nodes = start[:, None] + (end - start)[:, None] * self._shares
+        follow = None if platform is None else self._platform(platform, 1)
+        asked = self._asked(base_wrench, wheel_torque)
+        self.machines.steps = 0  # whatever `play` has left of a period
+        self._run(nodes, follow, *asked)
         return self.last_state
 
-    def _nodes(self, command: Array, end: Array | None) -> Array:
-        """(n, k + 1, joints) at the physics steps of a period, held or linear to `end`."""
-        nodes = np.repeat(command[:, None], self.system.substeps + 1, axis=1)
-        if end is not None:
-            share = np.arange(self.system.substeps + 1) / self.system.substeps
-            nodes += (end - command)[:, None] * share[:, None]
-        return nodes
+    def _asked(
+        self, wrench: npt.ArrayLike | None, torque: npt.ArrayLike | None
+    ) -> tuple[Array | None, Array | None]:
+        """What jets (n, 6) and wheels (n, w) are asked for, None of nothing."""
+        if wrench is None and torque is None:
+            return None, None
+        vehicle, wheels = self.system.vehicle, self.machines.wheels
+        for name, value, possible, kind in (
+            ("wheel_torque", torque, wheels, "reaction wheels"),
+            ("base_wrench", wrench, has_jets(vehicle), "thrusters or jets"),
+        ):
+            if value is not None and self.system.mode == "emulated":
+                raise ParameterError(f"{name} needs mode ideal, got mode emulated")
+            if value is not None and not possible:
+                got = type(vehicle).__name__
+                raise ParameterError(f"{name} needs a vehicle with {kind}, got {got}")
+        return (
+            None if wrench is None else broadcast(wrench, "base_wrench", (self.n, 6)),
+            None if torque is None else broadcast(torque, "wheel_torque", (self.n, wheels)),
+        )
 
     def servo_command(self, q: Array, v: Array, tau: Array | float = 0.0) -> Array:
         """Return the command that makes the servo track a motion.
@@ -485,7 +452,7 @@ class Simulator:
             (n, ..., joints) [N m].
         """
         middle = (slice(None), *(None,) * (np.ndim(q) - 2))
-        command: Array = self._kp[middle] * q + self._kd[middle] * v + tau
+        command: Array = self.machines.kp[middle] * q + self.machines.kd[middle] * v + tau
         return command
 
     def play(self, commands: Array, platform: npt.ArrayLike | None = None) -> None:
@@ -505,56 +472,58 @@ class Simulator:
         if sent.ndim != 3 or sent.shape[1] < 2:
             raise ParameterError(f"{expected} {sent.shape}")
         nodes = broadcast(sent, "commands", (self.n, sent.shape[1], self.joints))
-        self.last_state = self.state
-        if self.emulation_loop is not None:
-            periods, remainder = divmod(nodes.shape[1] - 1, self.system.substeps)
-            if remainder:
-                raise ParameterError(
-                    f"in mode emulated commands must cover whole control periods of"
-                    f" {self.system.substeps} physics steps, got {nodes.shape[1] - 1} steps"
+        periods, remainder = divmod(nodes.shape[1] - 1, self.system.substeps)
+        if remainder and self.emulation_loop is not None:
+            raise ParameterError(
+                f"in mode emulated commands must cover whole control periods of"
+                f" {self.system.substeps} physics steps, got {nodes.shape[1] - 1} steps"
+            )
+        self._run(nodes, None if platform is None else self._platform(platform, periods))
+
+    def _run(
+        self,
+        nodes: Array,
+        platform: Array | None = None,
+        base_wrench: Array | None = None,
+        wheel_torque: Array | None = None,
+    ) -> None:
+        """Advance by commands (n, k + 1, joints), period by period where a part acts in each.
+
+        Args:
+            nodes: linear over each of k physics steps.
+            platform: (n, periods, 12) pose and rate to follow.
+            base_wrench, wheel_torque: see `step`.
+        """
+        machines, drives, substeps = self.machines, self._drives, self.system.substeps
+        _ = self.last_state  # tells a divergence what was before
+        running, done, total = machines.running, 0, nodes.shape[1] - 1
+        while done < total:
+            at = machines.steps
+            steps = min(total - done, substeps - at) if self._by_period else total - done
+            after = (at + steps) % substeps
+            period = ControlPeriod(
+                nodes[:, done : done + steps + 1],
+                running,
+                begins=at == 0,
+                ends=after == 0,
+                base_wrench=base_wrench,
+                wheel_torque=wheel_torque,
+                platform=None if platform is None else platform[:, done // substeps],
+            )
+            for part in self.parts:
+                part.before(machines, period)
+            if period.acceleration is None:
+                drives.step_sequence(period.commands, running)
+            else:
+                period.wrench = drives.step_on_platform(
+                    period.commands, period.acceleration, running
                 )
-            self._ride(nodes, self._platform(platform, periods))
-        elif self._charts is None:
-            self._play(nodes)
-        else:  # looked at every control period, as in `step`
-            first, last, acts = 0, nodes.shape[1] - 1, self.base_actuators
-            while first < last:
-                steps = min(self.system.substeps, last - first)
-                if acts is None or acts.due:
-                    self._recentre()
-                if acts is not None:
-                    steps = min(acts.steps_left, last - first)
-                    if acts.due:
-                        acts.prepare(self.state, self.wheel_speed, self.backend)
-                    acts.advanced(steps)
-                self._play(nodes[:, first : first + steps + 1])
-                first += steps
+            for part in self.parts:
+                part.after(machines, period)
+            machines.steps = after
+            done += steps
         self._watch()
-
-    def _play(self, nodes: Array) -> None:
-        """In space, through commands linear over each step."""
-        if self.joint_delays is not None and self.joint_delays.busy:
-            self._drive(nodes, None)
-        else:
-            self.backend.step_sequence(nodes, self._running())
-        if self.payload is not None:
-            time = (nodes.shape[1] - 1) * self.system.physics_dt
-            self.payload.advance(time, self._running())
-
-    def _drive(self, nodes: Array, push: Array | None) -> None:
-        """In space, with delays between joint controller and drives."""
-        assert self.joint_delays is not None
-        gains = self._kp, self._kd
-        self.joint_delays.drive(self.backend, nodes, push, self._running(), *gains)
-
-    def _recentre(self) -> None:
-        """Keep the engine's angles of free bodies away from where they end."""
-        if self._charts is not None:
-            moved = self._charts.recentre(self.backend, np.flatnonzero(self.diverged))
-            if self.touch is not None and len(moved):
-                self.touch.framed(moved)
-                if self.payload is not None:
-                    self.payload.reframed(moved)
+        machines.changed()
 
     @property
     def base_modes(self) -> tuple[Array, Array] | None:
@@ -598,36 +567,13 @@ class Simulator:
     def measured(self) -> tuple[Array, Array]:
         """Joint angles and rates (n, joints) as controller and log see them."""
         state = self.state
-        return self._seen(state.q, state.v)
+        return self.machines.measured_of(state.q, state.v)
 
-    def _seen(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Angles and rates (n, joints) as measured, where delays are between."""
-        return (q, v) if self.joint_delays is None else self.joint_delays.measured(q, v)
-
-    def _ride(self, nodes: Array, platform: Array | None) -> None:
-        """Control period by control period: laboratory -> engine -> laboratory."""
-        lab, k = self.emulation_loop, self.system.substeps
-        assert lab is not None
-        ids = self._running()
-        for i in range((nodes.shape[1] - 1) // k):
-            _, z, zd = self.backend.read()
-            angles, _ = self._seen(z[:, 6:], zd[:, 6:])
-            prescribed = None if platform is None else (platform[:, i, :6], platform[:, i, 6:])
-            gains = self._kp, self._kd
-            base = lab.command(angles, *gains, z[:, :6], zd[:, :6], prescribed)
-            sent = nodes[:, i * k : (i + 1) * k + 1]
-            if self.joint_delays is not None and self.joint_delays.busy:
-                wrench = self.joint_delays.on_platform(self.backend, sent, base, ids, *gains)
-            else:
-                wrench = self.backend.step_on_platform(sent, base, ids)
-            _, z, zd = self.backend.read()
-            lab.sense(wrench, self._seen(z[:, 6:], zd[:, 6:])[0])
-
-    def _platform(self, platform: npt.ArrayLike | None, periods: int) -> Array | None:
-        assert self.emulation_loop is not None
+    def _platform(self, platform: npt.ArrayLike, periods: int) -> Array:
+        """(n, periods, 12) pose and rate that the platform shall follow."""
+        if self.emulation_loop is None:
+            raise ParameterError("platform needs mode emulated, got mode ideal")
         operation = self.emulation_loop.spec.operation
-        if platform is None:
-            return None
         if operation != "position":
             raise ParameterError(
                 f"platform needs an emulator under position control, got {operation}"
@@ -652,7 +598,7 @@ class Simulator:
     @property
     def events(self) -> list[Event]:
         """Safety stops since the resets: platforms that froze, when and why."""
-        return [] if self.emulation_loop is None else list(self.emulation_loop.events)
+        return [] if self.emulation_loop is None else self.emulation_loop.events
 
     def use_gravity(self, table: npt.ArrayLike | None) -> None:
         """Take the gravity wrench from a table (n, m, 6) instead of the model.
@@ -686,42 +632,24 @@ class Simulator:
         The torque is what the drives are told by what has arrived there, the acceleration
         what there really is.
         """
-        at_drives = broadcast(command, "command", (self.n, self.joints))
-        friction: Array | float = 0.0
-        if self.joint_delays is not None and self.joint_delays.busy:
-            at_drives = self.joint_delays.arrived(at_drives)
-            if self.joint_delays.measurements_late:
-                q, v = self.state.q, self.state.v
-                at_drives = (
-                    at_drives + self.joint_delays.correction(q, v, self._kp, self._kd)[0]
-                )
-            if self.joint_delays.rubs:
-                friction = self.joint_delays.friction
-        if self.base_actuators is not None and self.base_actuators.due:
-            self.base_actuators.look(self.state, self.wheel_speed, self.backend)
-        torque, acceleration = self.backend.evaluate(at_drives + friction)
-        torque = torque - friction
-        ydd = acceleration[:, :6]
-        if self._charts is not None:
-            _, z, zd = self.backend.read()
-            ydd = self._charts.acceleration(z[:, :6], zd[:, :6], ydd)
-        return torque, ydd
+        sent = broadcast(command, "command", (self.n, self.joints))
+        for part in self.parts:
+            part.before_evaluation(self.machines)
+        torque, acceleration = self._drives.evaluate(sent)
+        return torque, self.machines.acceleration(acceleration[:, :6])
 
     # ----------------------------------------------------------------- helpers
-
-    def _running(self) -> Index | None:
-        return np.flatnonzero(~self.diverged) if self.diverged.any() else None
 
     def _watch(self) -> None:
         new = self.backend.faults()
         if self.system.base.body is not None:
-            new |= tumbled(self.system, self.backend)
+            new |= self.machines.tumbled
         if not new.any():
             return
         new &= ~self.diverged
         if not new.any():
             return
-        self.diverged |= new
+        self.machines.diverged |= new
         if self.on_divergence == "raise":
             raise Divergence(
                 self.describe_divergence(int(np.flatnonzero(new)[0])), np.flatnonzero(new)
@@ -729,32 +657,4 @@ class Simulator:
 
     def describe_divergence(self, i: int) -> str:
         """One line naming simulation, time and the worst coordinate while it was finite."""
-        return describe(i, self.system, self.backend, self.last_state)
-
-    def _base_force(
-        self, wrench: npt.ArrayLike | None, torque: npt.ArrayLike | None
-    ) -> Array | None:
-        """Tell jets and wheels; the jets' force on Y where the engine has none that turn."""
-        acts, jets, motors = self.base_actuators, None, None
-        kind = type(self.system.vehicle).__name__
-        if wrench is not None:
-            if not has_jets(self.system.vehicle):
-                raise ParameterError(
-                    f"base_wrench needs a vehicle with thrusters or jets, got {kind}"
-                )
-            jets = broadcast(wrench, "base_wrench", (self.n, 6))
-        if torque is not None:
-            if acts is None or not acts.wheels:
-                raise ParameterError(
-                    f"wheel_torque needs a vehicle with reaction wheels, got {kind}"
-                )
-            motors = broadcast(torque, "wheel_torque", (self.n, len(acts.wheels)))
-        if acts is not None:
-            if jets is not None or motors is not None:
-                acts.command(jets, motors, self.wheel_speed, self.backend)
-            elif acts.due:
-                acts.prepare(self.state, self.wheel_speed, self.backend)
-            return None
-        if jets is None:
-            return None
-        return matvec(np.swapaxes(rate_matrix(self.state.y), -1, -2), jets)
+        return self.machines.describe_divergence(i)

@@ -1,15 +1,19 @@
-"""State of n simulations, and the snapshot that holds all that goes on from there."""
+"""State of n simulations, what is reported of them, and the snapshot that holds it all."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from ves_gym._util.params import Array, Mask
+import numpy as np
+
+from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.attitude import from_angles
 from ves_gym.mechanics.spatial import twist
 from ves_gym.system.system import System
+
+Tree = Mapping[str, Mapping[str, Array]]  # component -> name -> array (n, ...)
 
 
 class State(NamedTuple):
@@ -32,19 +36,75 @@ class State(NamedTuple):
         return twist(self.y, self.yd)[:, 3:]
 
 
+class Event(NamedTuple):
+    """A safety check that froze the platform (thesis 2.4.2)."""
+
+    simulation: int
+    time: float  # s
+    reason: str
+
+    def __str__(self) -> str:
+        return f"platform frozen at t = {self.time:.4f} s: {self.reason}"
+
+
+class Readings(NamedTuple):
+    """Signals of the controller at one instant. Leading axis n."""
+
+    wrench: Array  # (n, 6) sensor reading, platform frame [N, N m]
+    gravity: Array  # (n, 6) estimate of its static part
+    y: Array  # (n, 6) measured pose
+    y_cmd: Array  # (n, 6) commanded pose
+
+
 @dataclass(frozen=True)
 class Snapshot:
-    """Everything needed to continue exactly from here (`Simulator.snapshot`)."""
+    """Everything needed to continue exactly from here (`Simulator.snapshot`); picklable."""
 
     system_hash: str
     backend_name: str
-    backend: object
-    generators: tuple[Any, ...]
-    gains: tuple[Array, Array]  # kp, kd
-    diverged: Mask
-    emulation_loop: Any = None
-    assigned: Mapping[int, System] = field(default_factory=dict)
-    joint_delays: Any = None
-    charts: Any = None
-    payload: Any = None
-    base_actuators: Any = None
+    n: int
+    assigned: Mapping[int, System]
+    arrays: Tree
+
+    def fanned_out(self, i: int, n: int) -> Snapshot:
+        """Return the snapshot of n simulations that all are where simulation i was.
+
+        Whatever was assigned to it and its random generator are copied too: under the same
+        commands all n go on alike, noise included.
+
+        Raises:
+            ParameterError: no such simulation.
+        """
+        if not 0 <= i < self.n:
+            raise ParameterError(f"fan_out needs a simulation of 0 to {self.n - 1}, got {i}")
+        arrays = {
+            part: {name: np.repeat(values[i : i + 1], n, axis=0) for name, values in of.items()}
+            for part, of in self.arrays.items()
+        }
+        system = self.assigned.get(i)
+        assigned = {} if system is None else dict.fromkeys(range(n), system)
+        return replace(self, n=n, assigned=assigned, arrays=arrays)
+
+
+def generator_arrays(generators: Sequence[np.random.Generator]) -> dict[str, Any]:
+    """Return the states of PCG64 generators as an array (n, 6) of unsigned numbers."""
+    out = np.zeros((len(generators), 6), np.uint64)
+    for row, generator in zip(out, generators, strict=True):
+        pcg: Any = generator.bit_generator.state
+        words = [divmod(pcg["state"][name], 2**64) for name in ("state", "inc")]
+        row[:] = [*words[0], *words[1], pcg["has_uint32"], pcg["uinteger"]]
+    return {"pcg64": out}
+
+
+def set_generators(
+    generators: Sequence[np.random.Generator], arrays: Mapping[str, Array]
+) -> None:
+    """Return generators to states of `generator_arrays`."""
+    for row, generator in zip(arrays["pcg64"].tolist(), generators, strict=True):
+        state, inc = (row[k] * 2**64 + row[k + 1] for k in (0, 2))
+        generator.bit_generator.state = {
+            "bit_generator": "PCG64",
+            "state": {"state": state, "inc": inc},
+            "has_uint32": row[4],
+            "uinteger": row[5],
+        }

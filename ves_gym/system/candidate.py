@@ -13,17 +13,14 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.spatial import AXES, WRENCH
 
-if TYPE_CHECKING:
-    from ves_gym.system.effect import Effect
-    from ves_gym.system.system import System
-
+EffectClass = type[Any]  # of a `ves_gym.system.effect.Effect`, which asks for its candidates
 PLACES = ("joint", "axis", "row", "whole")
 _XYZ = AXES[:3]
 _NAMED = (3, 6)  # counts of coordinates that have names; others have numbers
@@ -110,13 +107,13 @@ class Scope:
     """A machine as far as it is known before its data are looked at."""
 
     joints: int
-    system: System | None = None  # as described, where it is one
+    system: Any = None  # as described, where it is one
     stretch: float = 0.25  # part of its stroke that a leg of the platform is told to go
     travel: tuple[float, ...] = ()  # rad, that each joint covers in the runs; (): not known
 
 
 def placed(
-    cls: type[Effect],
+    cls: EffectClass,
     slot: str,
     numbers: Sequence[Number],
     fields: Fields,
@@ -151,7 +148,7 @@ def placed(
     )
 
 
-def number_of(cls: type[Effect], field: str, name: str = "", unit: str = "") -> Number:
+def number_of(cls: EffectClass, field: str, name: str = "", unit: str = "") -> Number:
     """Return a free number for a parameter, or for one entry of it, as it is declared.
 
     Of a parameter whose null value is not zero it is the difference from that.
@@ -184,7 +181,7 @@ def at_joint(joint: int, n: int, value: float, elsewhere: float = 0.0) -> tuple[
     return tuple(float(value) if k == joint else float(elsewhere) for k in range(n))
 
 
-def derived(cls: type[Effect], scope: Scope) -> Iterator[Candidate]:
+def derived(cls: EffectClass, scope: Scope) -> Iterator[Candidate]:
     """Yield the candidates of an effect as its parameters and its class declare them.
 
     Args:
@@ -208,16 +205,16 @@ def derived(cls: type[Effect], scope: Scope) -> Iterator[Candidate]:
 Shapes = dict[str, tuple[int | None, ...]]  # of the free parameters
 
 
-def _metadata(cls: type[Effect]) -> dict[str, Any]:
+def _metadata(cls: EffectClass) -> dict[str, Any]:
     """Name -> what `parameter` says of it."""
-    return {f.name: f.metadata for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    return {f.name: f.metadata for f in dataclasses.fields(cls)}
 
 
-def _free(cls: type[Effect]) -> Shapes:
+def _free(cls: EffectClass) -> Shapes:
     """Shapes of parameters that a fit chooses: what has a null value, a start or no default."""
     return {
         f.name: f.metadata["shape"]
-        for f in dataclasses.fields(cls)  # type: ignore[arg-type]
+        for f in dataclasses.fields(cls)
         if f.metadata["null"] is not None
         or f.metadata.get("start") is not None
         or f.default is dataclasses.MISSING
@@ -245,14 +242,14 @@ def _places(shapes: Sequence[tuple[int | None, ...]]) -> str:
     return "axis" if (6,) in shapes else "whole"
 
 
-def _axes(cls: type[Effect], size: int) -> tuple[str, ...]:
+def _axes(cls: EffectClass, size: int) -> tuple[str, ...]:
     """Names of coordinates: of the sensor's signals, of a pose, or by number."""
     six = WRENCH if cls.port in ("wrench", "gravity") else AXES
     named = dict(zip(_NAMED, (_XYZ, six), strict=True))
     return named.get(size, tuple(str(k + 1) for k in range(size)))
 
 
-def _at_joints(cls: type[Effect], free: Shapes, scope: Scope) -> Iterator[Candidate]:
+def _at_joints(cls: EffectClass, free: Shapes, scope: Scope) -> Iterator[Candidate]:
     """One candidate per joint: entries of (n,), and numbers that all joints share."""
     numbers = [number_of(cls, name) for name in free if free[name] in ((), (None,))]
     vectors = [x for x, shape in zip(numbers, free.values(), strict=False) if shape]
@@ -275,7 +272,7 @@ def _at_joints(cls: type[Effect], free: Shapes, scope: Scope) -> Iterator[Candid
         yield placed(cls, f"joint {joint + 1}", numbers, fields)
 
 
-def _along_axes(cls: type[Effect], free: Shapes, scope: Scope) -> Iterator[Candidate]:
+def _along_axes(cls: EffectClass, free: Shapes, scope: Scope) -> Iterator[Candidate]:
     """One candidate per axis, one number each: of (k,), or of a force and a moment (3,)."""
     sizes = [shape[0] or 0 for shape in free.values() if len(shape) == 1]
     single, both = len(free) == 1 and len(sizes) == 1, len(free) == 2 and sizes == [3, 3]
@@ -298,7 +295,7 @@ def _along_axes(cls: type[Effect], free: Shapes, scope: Scope) -> Iterator[Candi
         at += size
 
 
-def _by_rows(cls: type[Effect], free: Shapes, scope: Scope) -> Iterator[Candidate]:
+def _by_rows(cls: EffectClass, free: Shapes, scope: Scope) -> Iterator[Candidate]:
     """One candidate per row of a matrix; entries about zero cost nothing."""
     ((name, shape),) = free.items()
     rows, columns = (k or 0 for k in shape)
@@ -313,7 +310,7 @@ def _by_rows(cls: type[Effect], free: Shapes, scope: Scope) -> Iterator[Candidat
         yield placed(cls, slot, numbers, fields, sparse=True)
 
 
-def _as_a_whole(cls: type[Effect], free: Shapes, scope: Scope) -> Iterator[Candidate]:
+def _as_a_whole(cls: EffectClass, free: Shapes, scope: Scope) -> Iterator[Candidate]:
     """One candidate for all; the coordinates of one vector that are about zero cost nothing."""
     numbers: list[Number] = []
     sizes = []
@@ -337,7 +334,7 @@ def _as_a_whole(cls: type[Effect], free: Shapes, scope: Scope) -> Iterator[Candi
     yield placed(cls, "", numbers, fields, sparse=vector)
 
 
-def _only(k: int, size: int, value: float, cls: type[Effect], name: str) -> tuple[float, ...]:
+def _only(k: int, size: int, value: float, cls: EffectClass, name: str) -> tuple[float, ...]:
     """Return a parameter (size,) of which one entry differs from null by `value`."""
     null = _metadata(cls)[name]["null"] or 0.0
     return at_joint(k, size, null + value, null)

@@ -6,9 +6,9 @@ drives. Effects add to them; the simulation reads them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,12 +16,74 @@ from ves_gym._util.params import Array, Index, ParameterError, Rows
 from ves_gym.hardware.force_sensor import SensorErrors
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.gravity import GravityModel
-from ves_gym.system.effect import DelayEffect, LaboratoryEffect
 from ves_gym.system.emulator_settings import EmulatorSettings
-from ves_gym.system.rest_friction import RESTING
 
-if TYPE_CHECKING:
-    from ves_gym.system.system import System
+# States of a joint's contact: how far its bristles are bent, and for how long it has rested.
+# Bristles follow the way travelled (Dahl, 1968); friction grows with the time of rest
+# (Rabinowicz, Proc. Phys. Soc. 71, 1958; Armstrong-Helouvry et al., Automatica 30(7), 1994),
+# which a short way forgets. Both are exact for a rate that stays as it is over a step.
+BENT = 1e-3  # rad over which bristles bend
+FORGOTTEN = 1e-2  # rad of travel after which a rest is forgotten
+RESTING = (0.5, 1.5, 5.0)  # s: times over which friction grows at rest
+
+
+def fresh(shape: tuple[int, ...]) -> tuple[Array, Array]:
+    """Return the states of contacts that have rested for long: bristles (...), ages (..., K).
+
+    Args:
+        shape: of the contacts.
+    """
+    return np.zeros(shape), np.ones((*shape, len(RESTING)))
+
+
+def advanced(bristle: Array, age: Array, v: Array, dt: float) -> tuple[Array, Array]:
+    """Return the states a step later.
+
+    Args:
+        bristle: (...) between -1 and 1.
+        age: (..., K) between 0 and 1.
+        v: (...) rate during the step [rad/s].
+        dt: of the step [s].
+    """
+    way, pace = np.sign(v), np.abs(v)
+    bristle = way * pace_part(pace * dt / BENT) + bristle * np.exp(-pace * dt / BENT)
+    grows = 1 / np.array(RESTING)
+    rate = grows + pace[..., None] / FORGOTTEN
+    age = grows / rate * pace_part(rate * dt) + age * np.exp(-rate * dt)
+    return bristle, age
+
+
+def pace_part(x: Array) -> Array:
+    """Return 1 - exp(-x): the part of the way to where a state goes."""
+    return np.asarray(-np.expm1(-x))
+
+
+def friction(levels: Array, bristle: Array, age: Array) -> Array:
+    """Return the torque (...) on the joints [N m]; it never pushes a bristle further.
+
+    Args:
+        levels: (..., 1 + K) lasting, and per time of rest [N m].
+        bristle: (...).
+        age: (..., K).
+    """
+    level = levels[..., 0] + np.sum(levels[..., 1:] * age, axis=-1)
+    return np.asarray(-bristle * np.maximum(level, 0.0))
+
+
+def contacts(v: Array, dt: float) -> tuple[Array, Array]:
+    """Return bristles (..., T, n) and ages (..., T, n, K) along measured rates.
+
+    Args:
+        v: (..., T, n) rad/s.
+        dt: between samples [s].
+    """
+    x = fresh((*v.shape[:-2], v.shape[-1]))
+    bristles, ages = [], []
+    for k in range(v.shape[-2]):
+        x = advanced(*x, v[..., k, :], dt)
+        bristles.append(x[0])
+        ages.append(x[1])
+    return np.stack(bristles, axis=-2), np.stack(ages, axis=-3)
 
 
 @dataclass
@@ -66,11 +128,6 @@ class LoopParameters:
             platform_speed=np.zeros(n),
         )
 
-    @staticmethod
-    def of(system: System) -> LoopParameters:
-        """Parameters of one simulation of a system, its effects in them."""
-        return LoopParameters.nominal(system.arm, system.emulator_settings, 1).edited(system)
-
     @property
     def as_stated(self) -> bool:
         """True if every platform is as described."""
@@ -79,15 +136,14 @@ class LoopParameters:
             part.any() for part in (*parts, self.platform_travel, self.platform_speed)
         )
 
-    def edited(self, system: System) -> LoopParameters:
-        """The same, with the effects of a system added.
+    def edited(self, effects: Iterable[Any]) -> LoopParameters:
+        """The same, with effects added.
 
         Raises:
             ParameterError: relative changes that add up to -1 or less.
         """
-        for effect in system.effects:
-            if isinstance(effect, LaboratoryEffect):
-                effect.edit(self)
+        for effect in effects:
+            effect.edit(self)
         return self.checked()
 
     def checked(self) -> LoopParameters:
@@ -189,20 +245,16 @@ class Delays:
     friction: Array
 
     @staticmethod
-    def of(system: System, n: int = 1) -> Delays:
-        """Return the delays of a system.
+    def none(n: int, joints: int) -> Delays:
+        """Return no delays of n simulations."""
+        friction = np.zeros((n, joints, 1 + len(RESTING)))
+        return Delays(np.zeros(n), np.zeros(n), np.zeros((n, joints)), friction)
 
-        Args:
-            system: with its effects.
-            n: simulations.
-        """
-        out = Delays(
-            np.zeros(n), np.zeros(n), np.zeros((n, system.arm.n)), no_friction(n, system)
-        )
-        for effect in system.effects:
-            if isinstance(effect, DelayEffect):
-                effect.wire(out)
-        return out
+    def edited(self, effects: Iterable[Any]) -> Delays:
+        """The same, with effects added."""
+        for effect in effects:
+            effect.wire(self)
+        return self
 
     def put(self, ids: Index, other: Delays) -> None:
         """Replace rows.
@@ -213,8 +265,3 @@ class Delays:
         """
         for field in fields(self):
             getattr(self, field.name)[ids] = getattr(other, field.name)
-
-
-def no_friction(n: int, system: System) -> Array:
-    """Return (n, joints, 1 + K) levels of no friction."""
-    return np.zeros((n, system.arm.n, 1 + len(RESTING)))

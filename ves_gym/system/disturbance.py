@@ -18,18 +18,13 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.spatial import matvec, rotation, twist, twist_rate
-from ves_gym.system.bending import Internal
 from ves_gym.system.energy import (
     TAIL,
+    Internal,
     base_energy,
-    base_rate,
     internal_motion,
-    internal_of,
-    motion_end,
-    system_of,
 )
 from ves_gym.system.frequency_weight import FAST, FrequencyWeight
-from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
 _FINEST = 2.5e-3  # s between points at which peaks are looked for, at most
@@ -223,36 +218,6 @@ def disturbance(
         rotation_peak=float(turned.max()),
         attitude_end=float(turned[end]),
         E_weighted=mean(energy.total, fine[coarse]),
-    )
-
-
-def log_disturbance(
-    log: RunLog,
-    *,
-    duration: float | None = None,
-    tail: float = TAIL,
-    weight: FrequencyWeight = FAST,
-) -> Disturbance:
-    """Return the disturbance measures of a run log, with the system named in its metadata.
-
-    Args:
-        log: the run; its acceleration is the slope of the base's rate.
-        duration: of the motion [s]; default the log's own.
-        tail: time after it that counts [s].
-        weight: filter of `E_weighted`.
-    """
-    system = system_of(log)
-    return disturbance(
-        system,
-        log.t,
-        log.q,
-        log.q_cmd,
-        log.y,
-        base_rate(log),
-        duration=motion_end(log) if duration is None else duration,
-        tail=tail,
-        internal=internal_of(system, log),
-        weight=weight,
     )
 
 

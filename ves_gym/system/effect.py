@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from ves_gym.mechanics.arm import Arm
     from ves_gym.mechanics.vehicle import BaseModel
     from ves_gym.system.deviations import Delays, LoopParameters
-    from ves_gym.system.system import System
+
+System = Any  # a `ves_gym.system.system.System`: it is made of effects
 
 
 class Registry(UserDict[str, "type[Effect]"]):
@@ -68,6 +69,9 @@ class Effect:
     modes: ClassVar[tuple[str, ...]] = ("emulated",)
     port: ClassVar[str]  # one of PORTS
 
+    needs_motor: ClassVar[bool] = False  # it is nothing in a joint that follows its command
+    # parameters of any length; others of such a shape have one number per joint
+    free_length: ClassVar[tuple[str, ...]] = ()
     shows: ClassVar[tuple[str, ...]] = ()  # ports at which logs show it; none: at its own
     places: ClassVar[str] = ""  # joint, axis, row or whole; "": by the shapes of parameters
     sets_in: ClassVar[bool] = False  # it does nothing up to some size, and is no factor above
@@ -100,7 +104,35 @@ class Effect:
             object.__setattr__(self, field.name, nested_tuples(array.astype(float)))
 
     def check(self, system: System) -> None:
-        """Raise ParameterError if the effect would do nothing in this system, or not fit it."""
+        """Raise ParameterError if the effect would do nothing in this system, or not fit it.
+
+        Args:
+            system: a `System` that is to have the effect.
+        """
+        n = system.arm.n
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]
+            per_joint = None in field.metadata["shape"] and field.name not in self.free_length
+            if per_joint and len(getattr(self, field.name)) != n:
+                raise ParameterError(
+                    f"{self.kind}.{field.name} must be {n} numbers, one per joint, got"
+                    f" {len(getattr(self, field.name))}"
+                )
+        if self.needs_motor:  # a joint that follows its command has no torque of its own
+            self.require(system.drive == "motor", f"drive motor, got drive {system.drive}")
+
+    def edit(self, p: LoopParameters) -> None:
+        """Add the deviation to the emulation loop's parameters."""
+
+    def wire(self, delays: Delays) -> None:
+        """Add to the delays between joint controller and drives."""
+
+    def arm(self, arm: Arm) -> Arm:
+        """Return the arm that is really there, from the described one."""
+        return arm
+
+    def base(self, base: BaseModel) -> BaseModel:
+        """Return the vehicle that is really there, from the described one."""
+        return base
 
     @classmethod
     def candidates(cls, scope: Scope) -> Iterator[Candidate]:
@@ -111,19 +143,10 @@ class Effect:
         """
         yield from derived(cls, scope)
 
-    def _require(self, fits: bool, what: str) -> None:
+    def require(self, fits: bool, what: str) -> None:
+        """Raise ParameterError unless the effect does something: it needs `what`."""
         if not fits:
             raise ParameterError(f"effect {self.kind} would do nothing: it needs {what}")
-
-    def _require_per_joint(self, system: System, *names: str) -> None:
-        """One number per joint in each of the named parameters."""
-        n = system.arm.n
-        for name in names:
-            if len(getattr(self, name)) != n:
-                raise ParameterError(
-                    f"{self.kind}.{name} must be {n} numbers, one per joint, got"
-                    f" {len(getattr(self, name))}"
-                )
 
     def _require_rotors(self, system: System, values: Sequence[float]) -> None:
         """A rotor behind every gear that gives way: where a joint's value is not zero."""
@@ -133,10 +156,6 @@ class Effect:
                     f"{self.kind} at joint {joint} of {system.arm.name} needs its"
                     " rotor_inertia > 0 kg m^2: a gear that gives way turns against the rotor"
                 )
-
-    def _require_motor(self, system: System) -> None:
-        """A joint that follows its command exactly has no torque of its own."""
-        self._require(system.drive == "motor", f"drive motor, got drive {system.drive}")
 
     @property
     def is_null(self) -> bool:
@@ -181,6 +200,8 @@ class TorqueEffect(Effect, ABC):
     into the kernel and its derivatives (`engine.kernel.symbolic`).
     """
 
+    modes: ClassVar[tuple[str, ...]] = ("ideal", "emulated")
+    port: ClassVar[str] = "joint"
     shows: ClassVar[tuple[str, ...]] = ("joint",)
     tau_max: Any  # in `law`: (n,) torque limits of the arm as described [N m]
 
@@ -205,6 +226,8 @@ class TorqueEffect(Effect, ABC):
 class ArmEffect(Effect, ABC):
     """Difference of the arm from its description."""
 
+    modes: ClassVar[tuple[str, ...]] = ("ideal", "emulated")
+    port: ClassVar[str] = "joint"
     shows: ClassVar[tuple[str, ...]] = ("joint", "wrench")
 
     @abstractmethod
@@ -220,6 +243,8 @@ class BaseEffect(Effect, ABC):
     axis last.
     """
 
+    modes: ClassVar[tuple[str, ...]] = ("ideal", "emulated")
+    port: ClassVar[str] = "admittance"
     shows: ClassVar[tuple[str, ...]] = ("admittance", "base")
 
     @abstractmethod
@@ -230,6 +255,8 @@ class BaseEffect(Effect, ABC):
 class DelayEffect(Effect, ABC):
     """Delay between joint controller and drives."""
 
+    modes: ClassVar[tuple[str, ...]] = ("ideal", "emulated")
+    port: ClassVar[str] = "joint"
     shows: ClassVar[tuple[str, ...]] = ("joint", "wrench", "servo", "velocity")
 
     @abstractmethod

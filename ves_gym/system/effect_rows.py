@@ -15,7 +15,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.base_model import BaseModel
-from ves_gym.system.deviations import Delays, LoopParameters, axis_to_end, no_friction
+from ves_gym.system.deviations import Delays, LoopParameters, axis_to_end
 from ves_gym.system.effect import (
     ArmEffect,
     BaseEffect,
@@ -168,7 +168,7 @@ class EffectRows:
     def delays(self) -> Delays:
         """Delays (k, ...) between joint controller and drives."""
         k, joints = len(self), self.template.arm.n
-        none = np.moveaxis(no_friction(k, self.template), 0, -1)
+        none = np.moveaxis(Delays.none(k, joints).friction, 0, -1)
         out = Delays(np.zeros(k), np.zeros(k), np.zeros((joints, k)), none)
         for i in range(len(self.template.effects)):
             effect = self._turned(i)
@@ -193,13 +193,13 @@ class EffectRows:
         try:
             if self.varied(LaboratoryEffect) and start is not None:
                 ours = self.loop_parameters(self.before(start))
-                rows = [start.copy().edited(system) for system in systems]
+                rows = [start.copy().edited(system.effects) for system in systems]
                 if not _same(ours, LoopParameters.stacked(rows)):
                     return False
             if self.varied(BaseEffect) and not _same_bases(self.bases(), systems):
                 return False
             if self.varied(DelayEffect):
-                delays = [Delays.of(system) for system in systems]
+                delays = [system.delays() for system in systems]
                 for field in dataclasses.fields(Delays):
                     alone = np.concatenate([getattr(d, field.name) for d in delays])
                     if getattr(self.delays(), field.name).tobytes() != alone.tobytes():
@@ -221,7 +221,3 @@ def _same_bases(ours: BaseModel, systems: list[System]) -> bool:
     theirs = [np.array([getattr(base, name) for base in bases]) for name in ("M", "D", "K")]
     pairs = zip((ours.M, ours.D, ours.K, ours.drag), (*theirs, np.array(drags)), strict=True)
     return all(a is not None and a.tobytes() == b.tobytes() for a, b in pairs)
-
-
-# the system of a simulation, or the row that it is made of when it is asked for
-Given = System | tuple[EffectRows, int]

@@ -19,17 +19,83 @@ import scipy
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.carried import ReactionWheel, carried_energy
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.spatial import quadratic, twist
 from ves_gym.mechanics.vehicle import BaseModel
-from ves_gym.system.bending import (
-    Internal,
-    in_flexures,
-    moving_inertia,
-    moving_rates,
-    own_modes,
-)
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
+
+# u and u' (..., p + m): deflections of the arm's p flexures first [rad], then what the vehicle
+# carries, then its internal modes
+Internal = tuple[Array, Array]
+
+
+def own_modes(system: System, internal: Internal | None) -> Internal | None:
+    """Return u and u' of what the vehicle has beside its pose, None where it has nothing.
+
+    Args:
+        system: arm and vehicle.
+        internal: u and u' (..., p + m) of flexures and modes; None: not known.
+
+    Raises:
+        ParameterError: the arm bends, and its deflections are not given.
+    """
+    p = system.arm.bends
+    if p and (internal is None or internal[0].shape[-1] < p):
+        raise ParameterError(
+            f"the energy of an arm that bends at {p} flexures needs their motion (columns u and"
+            " ud of a simulation's log)"
+        )
+    if internal is None or not system.base.hidden:
+        return None
+    return internal[0][..., p:], internal[1][..., p:]
+
+
+def moving_inertia(system: System, q: Array, internal: Internal | None) -> Array:
+    """Inertia over base twist, deflections and joint rates (..., 6 + p + n, 6 + p + n).
+
+    Args:
+        system: arm and vehicle; a satellite is not in it.
+        q: (..., n) joint angles [rad].
+        internal: begins with the deflections where the arm bends.
+    """
+    p = system.arm.bends
+    if not p or internal is None:
+        return inertia(system.arm, q)
+    return expand(system.arm).inertia(q, internal[0][..., :p])
+
+
+def moving_rates(system: System, twist: Array, internal: Internal | None) -> Array:
+    """(..., 6 + p) base twist, and the rates of the deflections where the arm bends.
+
+    Args:
+        system: arm and vehicle.
+        twist: (..., 6) of the base.
+        internal: u and u'.
+    """
+    p = system.arm.bends
+    if not p or internal is None:
+        return twist
+    return np.concatenate([twist, internal[1][..., :p]], axis=-1)
+
+
+def in_flexures(
+    system: System, internal: Internal | None
+) -> tuple[Array | float, Array | float]:
+    """Strain energy of the flexures and the power that they lose (...) [J], [W].
+
+    Args:
+        system: arm and vehicle.
+        internal: u and u'.
+    """
+    p = system.arm.bends
+    if not p or internal is None:
+        return 0.0, 0.0
+    chain = expand(system.arm)
+    d, rate = internal[0][..., :p], internal[1][..., :p]
+    return quadratic(np.diag(chain.stiffness), d), 2 * quadratic(np.diag(chain.damping), rate)
+
 
 TAIL = 10.0  # s after the motion that E_mean covers
 SETTLED = 0.05  # of the peak
@@ -181,21 +247,6 @@ def internal_motion(base: BaseModel, t: Array, y: Array, yd: Array) -> Internal:
         out.append(x)
     stacked = np.stack(out, axis=-2)
     return stacked[..., :m], stacked[..., m:]
-
-
-def element_table(system: System, y: npt.ArrayLike) -> Array:
-    """Return E_ij = 1/2 k_ij dx_i dx_j of thesis 4.2 [J]; the sum is the strain energy.
-
-    Args:
-        system: with a vehicle of constant K.
-        y: (..., 6) pose [m, rad].
-
-    Returns:
-        (..., 6, 6).
-    """
-    pose = np.asarray(y, float)
-    table: Array = 0.5 * system.base.K * pose[..., :, None] * pose[..., None, :]
-    return table
 
 
 def port_energy(

@@ -1,29 +1,36 @@
-"""Balance of energy over a run: work of the drives against what base and arm hold."""
+"""Accounts of a run: work of the drives against what base and arm hold, and momentum."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym._util.views import Viewable
-from ves_gym.mechanics.spatial import quadratic, twist
-from ves_gym.system.actuator_work import actuator_work
-from ves_gym.system.bending import (
+from ves_gym.mechanics.attitude import conjugate, rotate, to_matrix
+from ves_gym.mechanics.carried import carried_inertia
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.kinematics import tool_frame, tool_twists
+from ves_gym.mechanics.spatial import matvec, quadratic, rotation, twist
+from ves_gym.system.effect import joint_torque
+from ves_gym.system.energy import (
     Internal,
     in_flexures,
+    interface_energies,
+    internal_of,
     moving_inertia,
     moving_rates,
     own_modes,
+    port_energy,
+    system_of,
 )
-from ves_gym.system.captures import payload_energy, segments
-from ves_gym.system.contacts import contact_energies
-from ves_gym.system.effect import joint_torque
-from ves_gym.system.energy import interface_energies, internal_of, port_energy, system_of
 from ves_gym.system.runlog import RunLog
+from ves_gym.system.runlog_files import QUANTITIES
 from ves_gym.system.system import System
 
 
@@ -223,4 +230,206 @@ def _drive_work(system: System, log: RunLog) -> Array:
     clipped = (log.tau[1:] + log.tau[:-1]) / 2 * np.diff(q, axis=0)
     work = np.where(limited[1:] | limited[:-1], clipped, pushed - damped)
     out: Array = np.r_[0.0, np.cumsum(work.sum(axis=-1))]
+    return out
+
+
+def actuator_work(log: RunLog, system: System) -> Array:
+    """Return the work of wheels' motors and jets since the first sample, (N,) [J].
+
+    Both are held through a control period. So a motor's is its torque times the angle that the
+    wheel turns, exactly, where records are no further apart than that; a jet's is the integral
+    of wrench times twist, by Simpson's rule within each period.
+
+    Args:
+        log: with `u`, `motor` and `jet` of such a satellite.
+        system: that it is of.
+    """
+    out = np.zeros(len(log.t))
+    if log.motor is not None and log.u is not None:
+        first = system.arm.bends
+        turned = np.diff(log.u[:, first : first + log.motor.shape[1]], axis=0)
+        out[1:] += np.cumsum(np.sum(log.motor[:-1] * turned, axis=1))
+    if log.jet is not None and log.yd is not None:
+        moving = twist(log.y, log.yd)
+        step = (log.t[-1] - log.t[0]) / (len(log.t) - 1)
+        each = max(1, round(system.control_dt / step))
+        for first in range(0, len(log.t) - 1, each):
+            part = slice(first, min(first + each, len(log.t) - 1) + 1)
+            power = moving[part] @ log.jet[first]
+            work = scipy.integrate.cumulative_simpson(power, x=log.t[part], initial=0.0)
+            out[part.start + 1 :] += work[-1]
+            out[part.start + 1 : part.stop] += work[1:] - work[-1]
+    return out
+
+
+def payload_energy(system: System, log: RunLog) -> Array:
+    """Return the kinetic energy of the payload at each sample (N,) [J]; 0 without one.
+
+    Args:
+        system: with the payload's mass properties.
+        log: with the column pd.
+    """
+    if system.payload is None or log.pd is None:
+        return np.zeros(len(log))
+    body = system.payload.inertial
+    velocity, spin = log.pd[:, :3], log.pd[:, 3:]
+    turning = np.sum(spin * matvec(np.array(body.inertia), spin), axis=1)
+    out: Array = 0.5 * (body.mass * np.sum(velocity**2, axis=1) + turning)
+    return out
+
+
+def segments(log: RunLog) -> list[tuple[RunLog, float]]:
+    """Return the pieces of a log between captures, with the energy lost at their starts [J].
+
+    A sample at which a latch closes holds the rates after it; the piece before it ends there
+    too, with the rates before it, which the metadata hold.
+
+    Args:
+        log: with the entry `captures`.
+
+    Raises:
+        ParameterError: a capture between two samples, or without its rates.
+    """
+    edges: list[tuple[int, dict[str, Any] | None]] = [(0, None)]
+    for capture in log.meta["captures"]:
+        k = int(np.argmin(np.abs(log.t - capture["time"])))
+        if abs(log.t[k] - capture["time"]) > 1e-9:
+            raise ParameterError(f"a capture at {capture['time']:g} s is no sample of the log")
+        edges.append((k, capture))
+    meta = {k: v for k, v in log.meta.items() if k != "captures"}
+    out, lost = [], 0.0
+    ends = [*edges[1:], (len(log) - 1, None)]
+    for (first, _), (last, capture) in zip(edges, ends, strict=True):
+        if last > first:
+            rows = {name: getattr(log, name) for name in QUANTITIES}
+            cut = {k: a[first : last + 1].copy() for k, a in rows.items() if a is not None}
+            if capture is not None and capture["kind"] != "release":
+                _set_before(cut, capture)
+            out.append((replace(log, t=log.t[first : last + 1], meta=meta, **cut), lost))
+            lost = 0.0
+        lost += 0.0 if capture is None else capture["lost"]
+    return out
+
+
+def _set_before(cut: dict[str, Array], capture: dict[str, Any]) -> None:
+    """Put the rates before a capture into the last row."""
+    before = capture["before"]
+    twist = np.array(before["payload"])
+    cut["yd"][-1], cut["v"][-1], cut["tau"][-1] = before["yd"], before["v"], before["tau"]
+    if "ud" in cut:
+        cut["ud"][-1] = before["ud"]
+    spin = rotate(conjugate(cut["p"][-1, 3:]), twist[3:])
+    cut["pd"][-1] = np.r_[twist[:3], spin]
+
+
+def contact_energies(log: RunLog, system: System) -> tuple[Array, Array]:
+    """Return what contact has stored and what it has dissipated since the first sample [J].
+
+    What it takes from the bodies is the integral of force times relative velocity. The force
+    jumps where a contact begins, between two samples. So on a payload its impulse from sample
+    to sample is taken from the payload's momentum, exactly; elsewhere the trapezoid rule has
+    to do.
+
+    Args:
+        log: with `contact` and `contact_energy`.
+        system: that it is of.
+
+    Returns:
+        (N,) each; the second one grows, but for the error of the quadrature.
+    """
+    assert log.contact is not None and log.contact_energy is not None
+    place, moving = _tool(log, system)
+    if system.contact is not None and system.contact.on == "payload":
+        touching: Mask = np.asarray(log.contact.any(axis=1))
+        steps = np.where(
+            touching[1:] | touching[:-1], _from_payload(log, system, place, moving), 0
+        )
+        taken = np.r_[0.0, np.cumsum(steps)]
+    else:
+        power = -np.sum(log.contact * moving, axis=1)
+        taken = scipy.integrate.cumulative_trapezoid(power, x=log.t, initial=0.0)
+    stored = log.contact_energy[:, 0] - log.contact_energy[0, 0]
+    return stored, np.asarray(taken - stored, np.float64)
+
+
+def _tool(log: RunLog, system: System) -> tuple[Array, Array]:
+    """Place (N, 3) and twist (N, 6) of the tool in inertial axes; against the base where that
+    is touched."""
+    assert system.contact is not None and log.v is not None and log.yd is not None
+    place, _ = tool_frame(system.arm, log.q)
+    R, base = rotation(log.y), twist(log.y, log.yd)
+    out = matvec(tool_twists(system.arm, log.q), log.v)
+    if system.contact.on != "base":
+        out += base
+        out[:, :3] += np.cross(base[:, 3:], place)
+    out = np.concatenate([matvec(R, out[:, :3]), matvec(R, out[:, 3:])], axis=1)
+    return log.y[:, :3] + matvec(R, place), out
+
+
+def _from_payload(log: RunLog, system: System, place: Array, moving: Array) -> Array:
+    """(N - 1,) energy that tool and payload lose to their contact from sample to sample [J]."""
+    assert system.payload is not None and log.p is not None and log.pd is not None
+    body, velocity = system.payload.inertial, log.pd[:, :3]
+    com = log.p[:, :3] + rotate(log.p[:, 3:], np.array(body.com))
+    turn = to_matrix(log.p[:, 3:])
+    spin = matvec(turn, log.pd[:, 3:])
+    momentum = matvec(turn, matvec(np.array(body.inertia), log.pd[:, 3:]))
+    force, moment = body.mass * np.diff(velocity, axis=0), np.diff(momentum, axis=0)
+
+    def mean(values: Array) -> Array:
+        return (values[1:] + values[:-1]) / 2
+
+    at_tool = moment + np.cross(mean(com - place), force)
+    against = mean(velocity - moving[:, :3]), mean(spin), mean(moving[:, 3:])
+    out: Array = np.sum(force * against[0] + moment * against[1] - at_tool * against[2], axis=1)
+    return -out
+
+
+def momentum(
+    system: System,
+    q: npt.ArrayLike,
+    v: npt.ArrayLike,
+    y: npt.ArrayLike,
+    yd: npt.ArrayLike,
+    internal: Internal | None = None,
+) -> Array:
+    """Return linear and angular momentum in inertial axes, the latter about their origin.
+
+    The rotors of the arm's joints turn with their joints only and carry none (docs/physics.md).
+
+    Args:
+        system: arm and satellite.
+        q, v: (..., n) joint angles [rad] and rates [rad/s].
+        y, yd: (..., 6) pose of the base and its rate.
+        internal: coordinates and rates (..., k) of wheels and appendages.
+
+    Returns:
+        (..., 6) [kg m/s, kg m^2/s].
+
+    Raises:
+        ParameterError: the vehicle is no body in free space, or `internal` is missing.
+    """
+    base = system.base
+    system.arm.require_rigid("momentum")
+    if base.body is None:
+        raise ParameterError(
+            f"momentum needs a satellite, got a vehicle of kind {system.vehicle.kind}"
+        )
+    if base.m:
+        raise ParameterError(
+            f"momentum needs bodies on the satellite, got {base.m} of its `extra` masses, whose"
+            " place beside their way is not known: describe them as appendages"
+        )
+    pose, rates = np.asarray(y, float), np.asarray(v, float)
+    moving, H = twist(pose, yd), inertia(system.arm, q)
+    carried = matvec(H[..., :6, :6] + base.body.spatial(), moving)
+    carried = carried + matvec(H[..., :6, 6:], rates)
+    if base.carried:
+        if internal is None:
+            raise ParameterError("momentum needs the motion of wheels and appendages")
+        locked, across, _ = carried_inertia(base.carried, internal[0])
+        carried = carried + matvec(locked, moving) + matvec(across, internal[1])
+    R = rotation(pose)
+    linear, angular = matvec(R, carried[..., :3]), matvec(R, carried[..., 3:])
+    out: Array = np.concatenate([linear, angular + np.cross(pose[..., :3], linear)], axis=-1)
     return out

@@ -35,6 +35,7 @@ from ves_gym.mechanics.vehicle import (
     get_vehicle,
     vehicle_name,
 )
+from ves_gym.system.deviations import Delays, LoopParameters
 from ves_gym.system.effect import EFFECTS, ArmEffect, BaseEffect, Effect
 from ves_gym.system.emulator_settings import NOMINAL, EmulatorSettings
 
@@ -171,16 +172,23 @@ class System:
     def _actual(self) -> System:
         arm, base = self.arm, self.base
         for effect in self.effects:
-            if isinstance(effect, ArmEffect):
-                arm = effect.arm(arm)
-            elif isinstance(effect, BaseEffect):
-                base = effect.base(base)
+            arm, base = effect.arm(arm), effect.base(base)
         others = tuple(e for e in self.effects if not isinstance(e, (ArmEffect, BaseEffect)))
         others += _friction(arm)
         arm = arm.without_friction()
         if base is self.base:
             return self.replace(arm=arm, effects=others)
         return self.replace(arm=arm, vehicle=altered(self.vehicle, base), effects=others)
+
+    @property
+    def loop_parameters(self) -> LoopParameters:
+        """(1, ...) of the emulation loop, the effects in them."""
+        nominal = LoopParameters.nominal(self.arm, self.emulator_settings, 1)
+        return nominal.edited(self.effects)
+
+    def delays(self, n: int = 1) -> Delays:
+        """Return the delays (n, ...) between joint controller and drives, by the effects."""
+        return Delays.none(n, self.arm.n).edited(self.effects)
 
     @cached_property
     def hash(self) -> str:

@@ -12,8 +12,7 @@ from ves_gym.diagnosis.machines.between_samples import _driven, between_samples
 from ves_gym.diagnosis.machines.platform_response import Platforms
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.effects import SensorLag
-from ves_gym.hardware.leg_servo import FILTERED, leg_clock
-from ves_gym.hardware.legs import Legs
+from ves_gym.hardware.leg_servo import FILTERED, Legs, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS

@@ -15,7 +15,7 @@ from ves_gym.effects import EFFECTS
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.blocks.block import Block
 from ves_gym.system.effect import LaboratoryEffect
-from ves_gym.system.effect_rows import BODIES
+from ves_gym.system.effect_rows import BODIES, EffectRows
 from ves_gym.system.system import System
 
 ACTING = [
@@ -90,10 +90,8 @@ def test_other_blocks_are_left_alone(machine, monkeypatch):
             return type(block).parameters(block, p, bodies)
 
         monkeypatch.setattr(block, "parameters", parameters)
-    effects = list(system.effects)
-    effects[place] = changed(effects[place])
-    row = loop.described(system.arm).copy().edited(system.replace(effects=tuple(effects)))
-    loop.install(IDS, row.repeated(len(IDS)))
+    bias = {(place, name): np.full((len(IDS), 3), 0.3) for name in ("force", "moment")}
+    machine.assign_effects(EffectRows(system, bias, at_once=True), IDS)
     assert asked == ["force_sensor"]
     machine.assign([system] * N)
 

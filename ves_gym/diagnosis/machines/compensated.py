@@ -171,7 +171,7 @@ def _signals(
     memory = _memory(run)
     if "inertia" not in memory:
         memory["inertia"] = inertia(described.arm, taken.q)
-    H = (1 + LoopParameters.of(system).payload_scale[0]) * memory["inertia"]
+    H = (1 + system.loop_parameters.payload_scale[0]) * memory["inertia"]
     gains = run.meta["controller"] if _moving(described) else {"kp": (), "kd": ()}
     return {"inertia": H, **{k: np.array([gains[k]], float) for k in ("kp", "kd")}}
 
@@ -189,7 +189,7 @@ def _inverse(
     X = np.concatenate([at[:, :6], rates[:, :6]], axis=-1)
     N, none = len(X), np.zeros((len(X), 6))
     numbers = block.parameters(
-        LoopParameters.of(system), Bodies.of(system, False, False, np.empty(0))
+        system.loop_parameters, Bodies.of(system, False, False, np.empty(0))
     )
     signals = _signals(run, taken, system, described)
     coupled = np.zeros((N, 2 * k))

@@ -35,7 +35,7 @@ def platform_gap(run: Run, systems: Sequence[System], described: System) -> Arra
     copies, length = run["y"].shape[:-2], run.length
     k, m = int(np.prod(copies, dtype=int)), len(systems)
     settings = described.emulator_settings
-    nominals = [LoopParameters.nominal(s.arm, settings, k).edited(s) for s in systems]
+    nominals = [LoopParameters.nominal(s.arm, settings, k).edited(s.effects) for s in systems]
     p = LoopParameters.stacked(nominals)
     y, command, begin = _start(run, p, described, m)
     out = y - platform_response(described, p, command, y[:, 0], begin)
@@ -76,7 +76,7 @@ def path_of(run: Run, described: System) -> Kinematics:
     Args:
         run, described: see `ridden`.
     """
-    p = LoopParameters.of(described)
+    p = described.loop_parameters
     first = Run(
         run.name,
         run.dt,

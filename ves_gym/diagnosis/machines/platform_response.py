@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from ves_gym._util.params import Array
-from ves_gym.hardware.legs import Legs
+from ves_gym.hardware.leg_servo import Legs
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.simulation.blocks.block import Block, LoopShape
 from ves_gym.simulation.blocks.compiled_loop import CompiledLoop

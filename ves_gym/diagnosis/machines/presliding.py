@@ -18,8 +18,8 @@ from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.machines.recursions import follow
 from ves_gym.effects import JointMemory
+from ves_gym.system.deviations import contacts, friction
 from ves_gym.system.effect import Effect
-from ves_gym.system.rest_friction import contacts, friction
 
 _SLIDES = 3.0  # times the rate over which a law builds up from rest: there it has
 _NOISE = 3.0  # standard deviations of a rate's noise, about which it is no motion

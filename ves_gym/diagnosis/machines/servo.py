@@ -12,7 +12,6 @@ from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.machines.rates import low_passed
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inverse_dynamics
-from ves_gym.system.deviations import Delays
 from ves_gym.system.system import System
 
 
@@ -36,7 +35,7 @@ def servo_gap(
         np.asarray(gains[name], float) * (1 + np.asarray(error))
         for name, error in zip(("kp", "kd"), off or (0.0, 0.0), strict=True)
     )
-    delays = Delays.of(system)
+    delays = system.delays()
     command = differentiated(run["q_cmd"], run.dt, run.band, ahead=-float(delays.command[0]))
     q, v, _ = run.angles
     v = low_passed(v + swing, delays.lag[0], run.dt)

@@ -71,7 +71,7 @@ from ves_gym.mechanics.body_numbers import numbers_of_body
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
 from ves_gym.mechanics.spatial import AXES
 from ves_gym.mechanics.vehicle import InternalModes
-from ves_gym.system.deviations import Delays, LoopParameters
+from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import BaseEffect, Effect, TorqueEffect, joint_torque
 from ves_gym.system.system import System
 
@@ -292,7 +292,7 @@ class SystemMachine:
         system = self.system
         if system.mode != "emulated":
             return self._inner_starts(run)
-        sensor = LoopParameters.of(system).sensor
+        sensor = system.loop_parameters.sensor
         return tuple(
             Nuisance(
                 f"drift of {WRENCH[path.channel]} in {run.name}",
@@ -491,7 +491,7 @@ class SystemMachine:
     @cached_property
     def _platform(self) -> tuple[float, float]:
         """How much faster, and more damped, the platform described is than stated."""
-        return _platform_of(LoopParameters.of(self.system))
+        return _platform_of(self.system.loop_parameters)
 
     def _load(self, run: Run, system: System) -> Load:
         """Torque that the motors must give (..., T, n), and wrench of the arm (..., T, 6)."""
@@ -513,7 +513,7 @@ class SystemMachine:
 
     def _told_load(self, run: Run, system: System, arm: Arm) -> tuple[Any, ...]:
         """Return all that a load depends on beside run and arm, last whether gears give."""
-        delays = Delays.of(system)
+        delays = system.delays()
         geared = any(link.gear is not None for link in arm.links)
         command_delay: tuple[Any, ...] = ()  # what tells the torques that wind gears up
         if geared and not run.by_log:
@@ -590,7 +590,7 @@ class SystemMachine:
 
     def _servo(self, run: Run, model: SystemVariant) -> Array:
         """Motor torque less what the controller asks for (..., T, n)."""
-        delays = Delays.of(model.system)
+        delays = model.system.delays()
         key = float(delays.command[0]), tuple(delays.lag[0].tolist()), model.gains
 
         def gap() -> Array:
@@ -601,14 +601,14 @@ class SystemMachine:
 
     def _velocity(self, run: Run, system: System) -> Array:
         """Rate logged less the rate of the angle logged (..., T, n) [rad/s]."""
-        logged, lag = run["v"], Delays.of(system).lag[0]
+        logged, lag = run["v"], system.delays().lag[0]
         rate = run.angles.v + self._between(run).rate
         return np.asarray(logged - low_passed(rate, lag, run.dt, logged[..., 0, :]))
 
     def _sensed(self, system: System, wrench: Array, run: Run) -> Array:
         """Return the sensor's reading of a wrench (..., T, 6)."""
         spec = system.emulator_settings.sensor
-        loop = LoopParameters.of(system)
+        loop = system.loop_parameters
         p, swing = loop.sensor, self._reading_between(run, system, loop)
         filtered = butterworth(wrench, float(p.cutoff[0]), run.dt) + swing
         to_signal = (np.eye(6) + p.matrix[0]) @ spec.frame
@@ -626,7 +626,7 @@ class SystemMachine:
     def _gravity(self, run: Run, system: System) -> Array:
         """Estimate subtracted by the machine less the stated estimate, (..., T, 6)."""
         q, y = run.angles.x, run.base.x
-        p = LoopParameters.of(system)
+        p = system.loop_parameters
         late = float(p.gravity_delay[0])
         if late:
             q, y = (

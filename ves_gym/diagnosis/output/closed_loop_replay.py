@@ -17,7 +17,7 @@ from ves_gym.diagnosis.machines.base import WRENCH
 from ves_gym.mechanics.motion import Samples
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.spatial import AXES
-from ves_gym.simulation.divergence import Divergence
+from ves_gym.simulation.machines import Divergence
 from ves_gym.simulation.playback import base_wrench
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Protocol
 
 from ves_gym._util.params import Array, Index, Mask
@@ -24,7 +24,7 @@ class Backend(Protocol):
 
     name: str  # as in `registry.BACKENDS`
     n: int
-    contact: Toucher | None  # of the tool, where the system and the engine have it
+    contact: ContactEngine | None  # of the tool, where the system and the engine have it
 
     def read(self) -> tuple[Array, Array, Array]:
         """Time (n,) [s], z (n, 6 + joints), zd (n, 6 + joints)."""
@@ -165,14 +165,14 @@ class Backend(Protocol):
     def faults(self) -> Mask:
         """(n,) bool: simulations whose state is no longer meaningful."""
 
-    def get_state(self) -> object:
-        """Everything needed to continue exactly from here."""
+    def get_state(self) -> dict[str, Array]:
+        """Arrays (n, ...) by name: everything needed to continue exactly from here."""
 
-    def set_state(self, state: object) -> None:
+    def set_state(self, state: Mapping[str, Array]) -> None:
         """Return to a state handed out by `get_state`."""
 
 
-class Toucher(Protocol):
+class ContactEngine(Protocol):
     """The body that the tool touches in n simulations. Poses in the engine's frame of space."""
 
     def target(self, com: Array) -> tuple[Array, Array, Array, Array]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import Any, ClassVar
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
 from ves_gym._util.params import Array, Index, Mask
-from ves_gym.engine.backends.base import Toucher
+from ves_gym.engine.backends.base import ContactEngine
 from ves_gym.engine.batch_parameters import ParameterRows, bodies_of
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.system.effect_rows import EffectRows
@@ -23,7 +23,7 @@ class CompiledBackend(ABC):
     vehicle) and the rates of both; see `trace.Equations`.
     """
 
-    contact: Toucher | None = None
+    contact: ContactEngine | None = None
     state_names: ClassVar[tuple[str, ...]]  # the arrays that a simulation's state lies in
     _fault: Mask
 
@@ -151,11 +151,11 @@ class CompiledBackend(ABC):
         """See `Backend`."""
         return self._fault.copy()
 
-    def get_state(self) -> object:
+    def get_state(self) -> dict[str, Array]:
         """See `Backend`."""
-        return tuple(getattr(self, name).copy() for name in self.state_names)
+        return {name.strip("_"): getattr(self, name).copy() for name in self.state_names}
 
-    def set_state(self, state: Any) -> None:
+    def set_state(self, state: Mapping[str, Array]) -> None:
         """See `Backend`."""
-        for name, part in zip(self.state_names, state, strict=True):
-            getattr(self, name)[:] = part
+        for name in self.state_names:
+            getattr(self, name)[:] = state[name.strip("_")]

@@ -8,7 +8,7 @@ device, one simulation after the other.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -240,15 +240,14 @@ class GpuKernelBackend(CompiledBackend):
         bad: Mask = self.simulations.fault.numpy() != 0
         return bad
 
-    def get_state(self) -> object:
+    def get_state(self) -> dict[str, Array]:
         fault = self.simulations.fault.numpy().copy()
-        return self._states_now, fault, super().get_state()
+        return super().get_state() | {"x": self._states_now, "fault": fault}
 
-    def set_state(self, state: Any) -> None:
-        x, fault, others = state
-        self._put(x)
-        self.simulations.fault.assign(fault)
-        super().set_state(others)
+    def set_state(self, state: Mapping[str, Array]) -> None:
+        super().set_state(state)
+        self._put(state["x"])
+        self.simulations.fault.assign(state["fault"])
 
 
 class GpuKernelSingleBackend(GpuKernelBackend):

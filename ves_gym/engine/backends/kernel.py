@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
@@ -24,6 +24,7 @@ from ves_gym.engine.kernel.numbers import structure
 from ves_gym.engine.kernel.trace import equations
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
+_SHORT = 64  # steps of a sequence whose memory is kept for the next
 _ALONE = 8  # blocks below which a second thread costs more than it brings
 
 
@@ -49,7 +50,7 @@ class KernelBackend(CompiledBackend):
     """
 
     name = "kernel"
-    state_names = ("_x", "_u", "_start", "_ticks", "_fault")
+    state_names = ("_start", "_ticks", "_fault")
 
     def __init__(self, system: System, n: int, threads: int) -> None:
         super().__init__(system, n)
@@ -275,9 +276,19 @@ class KernelBackend(CompiledBackend):
 
     def step_sequence(self, commands: Array, ids: Index | None) -> None:
         k = commands.shape[1] - 1
+        if not commands.strides[1]:  # one command, held
+            self.step(commands[:, 0], None, None, k, ids)
+            return
         base = np.zeros((self.n, k + 1, 6))
-        u = lanes(np.concatenate([base, commands], axis=-1).reshape(self.n, -1))
-        self._guarded(ids, self.pieces(u, k + 1, k), k)
+        nodes = np.concatenate([base, commands], axis=-1).reshape(self.n, -1)
+        if k <= _SHORT:
+            ramp = self._ramp(k)
+            u, pieces = ramp.u, ramp.pieces
+            fill(u, nodes)
+        else:
+            u = lanes(nodes)
+            pieces = self.pieces(u, k + 1, k)
+        self._guarded(ids, pieces, k)
         self._u[:] = u[:, k * self._nu :]
 
     def step_on_platform(self, commands: Array, base: Array, ids: Index | None) -> Array:
@@ -302,3 +313,12 @@ class KernelBackend(CompiledBackend):
         if self.prescribed:
             torque = torque - PRESCRIBED_INERTIA * zdd[:, 6:]
         return torque, zdd
+
+    def get_state(self) -> dict[str, Array]:
+        lanes_of = {"x": unlane(self._x, self.n), "u": unlane(self._u, self.n)}
+        return super().get_state() | lanes_of
+
+    def set_state(self, state: Mapping[str, Array]) -> None:
+        super().set_state(state)
+        fill(self._x, state["x"])
+        fill(self._u, state["u"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from ves_gym._util.mujoco_loader import mujoco  # before its submodules
 from mujoco.batch import MODEL_FIELDS, Batch
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError
-from ves_gym.engine.backends.base import Toucher
+from ves_gym.engine.backends.base import ContactEngine
 from ves_gym.engine.backends.mujoco_contact import ContactBatch
 from ves_gym.engine.batch_parameters import Laws, bodies_of
 from ves_gym.engine.mjcf import (
@@ -176,7 +176,7 @@ class MujocoBackend:
         self._bias: Array | None = None
         self._sensed = self.batch.bind("sensordata") if emulated else None
         contact = self.system.contact
-        self.contact: Toucher | None = None
+        self.contact: ContactEngine | None = None
         if contact is not None:
             self.contact = ContactBatch(contact, model, self.batch)
 
@@ -358,14 +358,14 @@ class MujocoBackend:
         bad: Mask = ~finite | (self.batch.warning[:, _BAD, 1] > 0).any(1)
         return bad
 
-    def get_state(self) -> Any:
-        bias = None if self._bias is None else self._bias.copy()
-        return self.batch.state.copy(), self.batch.warning.copy(), bias
+    def get_state(self) -> dict[str, Array]:
+        bias = {} if self._bias is None else {"bias": self._bias.copy()}
+        return {"state": self.batch.state.copy(), "warning": self.batch.warning.copy()} | bias
 
-    def set_state(self, state: Any) -> None:
-        rows, warnings, bias = state
-        self.batch.state[:] = rows
-        self.batch.warning[:] = warnings
-        if bias is not None:
+    def set_state(self, state: Mapping[str, Array]) -> None:
+        self.batch.state[:] = state["state"]
+        self.batch.warning[:] = state["warning"]
+        if "bias" in state:
+            bias = state["bias"]
             kp, kd = -bias[:, self._drives, 1], -bias[:, self._drives, 2]
             self.set_gains(np.arange(self.n), kp, kd)

@@ -21,7 +21,7 @@ _APART = -1e6  # m, margin of pairs that shall not touch
 
 
 class ContactBatch:
-    """See `Toucher`. Poses are in the engine's frame of space.
+    """See `ContactEngine`. Poses are in the engine's frame of space.
 
     Args:
         contact: law and shapes.

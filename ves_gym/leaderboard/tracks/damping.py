@@ -24,7 +24,7 @@ from ves_gym.leaderboard.seeds import Seeds
 from ves_gym.leaderboard.tracks.base import Answers, Progress, no_progress
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import get_vehicle
-from ves_gym.simulation.divergence import Divergence
+from ves_gym.simulation.machines import Divergence
 from ves_gym.system.system import System
 
 TUNERS = ("high", "thesis", *OBJECTIVES, *(f"{k}-full" for k in OBJECTIVES))

@@ -28,7 +28,7 @@ from ves_gym.planners.execution_check import executed_violation, solve_with_rese
 from ves_gym.planners.query import Plan, Planner, Query, first_violation, solve
 from ves_gym.planners.registry import PLANNERS
 from ves_gym.planners.suites import reach100
-from ves_gym.simulation.divergence import Divergence
+from ves_gym.simulation.machines import Divergence
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.energy import TAIL, Energies
 from ves_gym.system.energy_balance import EnergyBalance

@@ -8,7 +8,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.engine.batch_parameters import Bodies
-from ves_gym.hardware.legs import Legs
+from ves_gym.hardware.leg_servo import Legs
 from ves_gym.hardware.platform import PoseServo, second_order
 from ves_gym.hardware.stewart import Stewart
 from ves_gym.simulation.blocks.block import Block, LoopShape, Memory, Values
