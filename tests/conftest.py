@@ -75,7 +75,7 @@ def empty_store(tmp_path, monkeypatch):
     from ves_gym.engine.kernel import build
 
     monkeypatch.setenv("VES_GYM_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(build, "_made", {})
+    monkeypatch.setattr(build, "_functions", {})
     return tmp_path / "cache"
 
 

@@ -143,16 +143,6 @@ def test_a_batch_is_its_members():
     assert linearise_ideal(System(vehicle=BENT_THESIS), q[:0, 0]).A.shape == (0, 18, 18)
 
 
-def test_without_a_compiler_it_is_interpreted(request):
-    q = np.random.default_rng(4).uniform(-2, 2, (3, 3))
-    compiled = linearise_ideal(System(vehicle=BENT_THESIS), q, servo=HIGH_GAINS)
-
-    request.getfixturevalue("no_compiler")
-    slow = linearise_ideal(System(vehicle=BENT_THESIS), q, servo=HIGH_GAINS)
-    np.testing.assert_allclose(slow.A, compiled.A, atol=1e-10)
-    assert linearise_ideal(System(vehicle=BENT_THESIS), q[:0]).A.shape == (0, 18, 18)
-
-
 @pytest.mark.parametrize(
     ("system", "change", "message"),
     [

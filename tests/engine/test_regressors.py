@@ -109,15 +109,6 @@ def test_batch_shapes(shape):
         np.testing.assert_array_equal(one, inertia_regressor(PUMA_560, q, 0.1, 0.2)[1, 2])
 
 
-def test_without_a_compiler_it_is_interpreted(request):
-    q, v, a, _, _ = motion(PUMA_560, 3)
-    compiled = inertia_regressor(PUMA_560, q, v, a)
-
-    request.getfixturevalue("no_compiler")
-    slow = inertia_regressor(PUMA_560, q, v, a)
-    np.testing.assert_allclose(slow, compiled, rtol=1e-12, atol=1e-12)
-
-
 def test_wrong_arguments_are_refused():
     with pytest.raises(ParameterError, match=r"v must have shape \(\.\.\., 3\), got \(2,\)"):
         inertia_regressor(PUMA_560, np.zeros(3), np.zeros(2), np.zeros(3))

@@ -96,18 +96,6 @@ def test_lengths_are_integrals():
     )
 
 
-def test_without_a_compiler_the_answers_are_the_same(request):
-    system = System(vehicle=BENT_THESIS)
-    q, dq = configurations(system, 4)
-    m = Metric(system, "qt", 2.0)
-    expected, edge = m.squares(q, dq), m.edge(q[0], q[1])
-
-    request.getfixturevalue("no_compiler")
-    m = Metric(system, "qt", 2.0)
-    np.testing.assert_allclose(m.squares(q, dq), expected, rtol=1e-12)
-    assert m.edge(q[0], q[1]) == pytest.approx(edge, rel=1e-12)
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
