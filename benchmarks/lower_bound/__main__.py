@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.lower_bound.bound import bound_energy
-from ves_gym.planners.benchmark_summary import key, packaged
+from ves_gym.planners.benchmark import key, packaged
 from ves_gym.planners.suites import reach100
 from ves_gym.system.system import System
 

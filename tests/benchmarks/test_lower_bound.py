@@ -24,7 +24,7 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.planners.direct import Direct, MotionProblem
-from ves_gym.planners.mean_energy import MeanEnergy
+from ves_gym.planners.objective import MeanEnergy
 from ves_gym.planners.prediction import LinearBase, joint_momentum
 from ves_gym.planners.query import Query
 from ves_gym.planners.refine import Refined, detours

@@ -18,7 +18,7 @@ from ves_gym.system.system import System
 
 PROGRAM = """
 import os, time
-from ves_gym.planners import metric, ompl_worker as w
+from ves_gym.planners import metric, ompl_search as w
 search = w.search
 def faulty(request):
     if request.query.name.endswith("001"):

@@ -17,7 +17,7 @@ import pytest
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.planners.comparison import simulate_motions
 from ves_gym.planners.direct import Direct
-from ves_gym.planners.predicted_disturbance import predict_disturbance
+from ves_gym.planners.linear_response import predict_disturbance
 from ves_gym.planners.query import solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import reach100

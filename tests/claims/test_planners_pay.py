@@ -24,8 +24,7 @@ import pytest
 
 from ves_gym._util.params import write_table
 from ves_gym.mechanics.vehicle import BENT_THESIS, STRAIGHT_HORIZONTAL_THESIS
-from ves_gym.planners.benchmark import run_benchmark
-from ves_gym.planners.benchmark_summary import near_best
+from ves_gym.planners.benchmark import near_best, run_benchmark
 from ves_gym.planners.suites import get_suite
 from ves_gym.system.system import System
 

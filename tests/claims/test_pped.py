@@ -14,13 +14,19 @@ import pytest
 from scipy.stats import spearmanr
 
 from tests.claims.test_the_history import printed_inertia
-from ves_gym.damping.analysis import THESIS_DISPLACEMENT, analyse, respond
 from ves_gym.damping.configurations import best_configurations, estimated_integral
 from ves_gym.damping.free_vibration import simulate_free_vibration
-from ves_gym.damping.plant import GainMatrices, LinearPlant, plant_at, plants
-from ves_gym.damping.tuning import Tuned, tune
-from ves_gym.damping.virtual_manipulator import tune_virtual
-from ves_gym.mechanics.arm_library import PUMA_560
+from ves_gym.damping.plant import (
+    THESIS_DISPLACEMENT,
+    GainMatrices,
+    LinearPlant,
+    analyse,
+    plant_at,
+    plants,
+    respond,
+)
+from ves_gym.damping.tuning import Tuned, tune, tune_virtual
+from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.coupling import coupling_matrix

@@ -19,7 +19,7 @@ from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.coupling import coupling_matrix
-from ves_gym.planners.mean_energy import MeanEnergy
+from ves_gym.planners.objective import MeanEnergy
 from ves_gym.planners.prediction import joint_momentum, predict, spectral_energy
 from ves_gym.planners.query import solve
 from ves_gym.planners.registry import get_planner

@@ -12,7 +12,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.case import load_case, speed_limits
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.refine import Refined
-from ves_gym.planners.uncertainty import read_uncertainty
+from ves_gym.planners.robust import read_uncertainty
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.energy import TAIL
 from ves_gym.system.system import System

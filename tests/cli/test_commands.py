@@ -13,12 +13,11 @@ import ves_gym as vg
 from tests.arms import six_joint_arm
 from ves_gym._util.params import to_plain, write_table
 from ves_gym.cli.main import COMMANDS, main
-from ves_gym.damping.analysis import analyse
-from ves_gym.damping.plant import GainMatrices, plant_at
-from ves_gym.mechanics.kinematics import joint_positions
+from ves_gym.damping.plant import GainMatrices, analyse, plant_at
+from ves_gym.mechanics.dynamics import joint_positions
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED
-from ves_gym.planners.benchmark_summary import read_best
+from ves_gym.planners.benchmark import read_best
 from ves_gym.planners.obstacles import Box, Surroundings, collisions
 from ves_gym.simulation.gravity_calibration import read_calibration
 

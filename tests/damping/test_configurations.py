@@ -7,9 +7,8 @@ import pytest
 
 from tests.arms import planar_arm
 from ves_gym._util.params import ParameterError
-from ves_gym.damping.analysis import analyse
 from ves_gym.damping.configurations import best_configurations, damping_map, estimated_integral
-from ves_gym.damping.plant import GainMatrices, plant_at
+from ves_gym.damping.plant import GainMatrices, analyse, plant_at
 from ves_gym.damping.tuning import tune
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.damping.analysis import THESIS_DISPLACEMENT, analyse
 from ves_gym.damping.free_vibration import linear_free_vibration, simulate_free_vibration
-from ves_gym.damping.plant import GainMatrices, plant_at
+from ves_gym.damping.plant import THESIS_DISPLACEMENT, GainMatrices, analyse, plant_at
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS, STRAIGHT_VERTICAL_THESIS

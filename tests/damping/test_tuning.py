@@ -8,8 +8,15 @@ import pytest
 
 from tests.arms import WRIST_GAINS, six_joint_arm
 from ves_gym._util.params import ParameterError
-from ves_gym.damping.analysis import THESIS_DISPLACEMENT, analyse, estimator, respond
-from ves_gym.damping.plant import GainMatrices, plant_at, plants
+from ves_gym.damping.plant import (
+    THESIS_DISPLACEMENT,
+    GainMatrices,
+    analyse,
+    estimator,
+    plant_at,
+    plants,
+    respond,
+)
 from ves_gym.damping.tuning import OBJECTIVES, Bounds, _Inside, objective_of, tune
 from ves_gym.engine.mjcf import TO_Y, pinocchio_model
 from ves_gym.mechanics.arm import Arm, matrix

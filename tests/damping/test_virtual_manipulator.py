@@ -7,11 +7,11 @@ import pytest
 
 from tests.arms import planar_arm, six_joint_arm
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.damping.analysis import analyse
-from ves_gym.damping.plant import GainMatrices, plant_at
-from ves_gym.damping.tuning import Bounds, tune
-from ves_gym.damping.virtual_manipulator import (
+from ves_gym.damping.plant import GainMatrices, analyse, plant_at
+from ves_gym.damping.tuning import (
+    Bounds,
     joint_gains,
+    tune,
     tune_virtual,
     two_masses,
     virtual_jacobian,

@@ -168,8 +168,7 @@ def gains() -> dict[str, Probe]:
     """Joint gains that take vibration out of the base, and where they do it best."""
 
     def tuned(objective: str, full: bool = False, vehicle: str = "bent") -> dict[str, Any]:
-        from ves_gym.damping.analysis import THESIS_DISPLACEMENT, analyse
-        from ves_gym.damping.plant import GainMatrices, plant_at
+        from ves_gym.damping.plant import THESIS_DISPLACEMENT, GainMatrices, analyse, plant_at
         from ves_gym.damping.tuning import tune
 
         plant = plant_at(system(vehicle=vehicle), np.array([0.8, 0.2, -0.1]))

@@ -6,8 +6,8 @@ import pytest
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.vehicle import VEHICLES
-from ves_gym.planners import benchmark_summary
-from ves_gym.planners.benchmark_summary import (
+from ves_gym.planners import benchmark
+from ves_gym.planners.benchmark import (
     add_scores,
     key,
     merge_best,
@@ -79,7 +79,7 @@ def test_another_file_is_refused(tmp_path):
 def test_scores(monkeypatch):
     """0 for the straight line, 1 for the best known, above it for better still."""
     best = {key(HASH, "a"): {"E_mean": 0.2}}
-    monkeypatch.setattr(benchmark_summary, "packaged", lambda: best)
+    monkeypatch.setattr(benchmark, "packaged", lambda: best)
     rows = [
         row("straight", "a", 1.0),
         row("direct", "a", 0.6),

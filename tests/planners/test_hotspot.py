@@ -9,9 +9,9 @@ import pytest
 from tests.arms import PLANAR_GAINS, WRIST_GAINS, planar_arm, six_joint_arm
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 from ves_gym.mechanics.vehicle import BENT_THESIS, get_vehicle
-from ves_gym.planners.bad_path import worst_order
 from ves_gym.planners.coupling import coupling_length
-from ves_gym.planners.hotspot import lattice, resample, roadmap
+from ves_gym.planners.hotspot import lattice, roadmap, worst_order
+from ves_gym.planners.paths import resample
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import reach100

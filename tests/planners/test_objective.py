@@ -16,9 +16,8 @@ from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import get_vehicle
 from ves_gym.planners.case import load_case
 from ves_gym.planners.direct import Direct, MotionProblem
-from ves_gym.planners.mean_energy import MeanEnergy
-from ves_gym.planners.objective import ENERGY, WEIGHTS, Objective, checked_weights
-from ves_gym.planners.predicted_disturbance import predict_disturbance
+from ves_gym.planners.linear_response import predict_disturbance
+from ves_gym.planners.objective import ENERGY, WEIGHTS, MeanEnergy, Objective, checked_weights
 from ves_gym.planners.prediction import BaseState, joint_momentum, predict
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.refine import Refined

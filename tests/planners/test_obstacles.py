@@ -16,7 +16,7 @@ from ves_gym.planners.obstacles import (
     link_radius,
     read_surroundings,
 )
-from ves_gym.planners.query import Query, first_violation, is_feasible, sample_path
+from ves_gym.planners.query import Query, first_violation, sample_path
 from ves_gym.system.system import System
 
 BALL = Sphere(centre=(0.6, 0.0, 1.0), radius=0.2)
@@ -161,7 +161,7 @@ def test_a_motion_is_checked_finely():
         duration=2.0,
         surroundings=Surroundings(obstacles=(thorn,), clearance=0.0),
     )
-    assert is_feasible(free, free.straight)
+    assert first_violation(free, free.straight) is None
     assert "obstacle 1 (sphere)" in first_violation(query, query.straight)
     path = sample_path(query.straight, 0.01)
     assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() < 0.012

@@ -14,11 +14,10 @@ from ves_gym.mechanics.kinematics import frames
 from ves_gym.mechanics.motion import quintic
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners import ompl_search
-from ves_gym.planners.hotspot import resample
 from ves_gym.planners.metric import Metric
 from ves_gym.planners.obstacles import Box, Sphere, Surroundings, collisions
-from ves_gym.planners.ompl_search import Ompl, SearchProcess, cruise, follow
-from ves_gym.planners.ompl_worker import ALGORITHMS, BadCost, require_cost
+from ves_gym.planners.ompl_search import ALGORITHMS, BadCost, Ompl, SearchProcess, require_cost
+from ves_gym.planners.paths import cruise, follow, resample
 from ves_gym.planners.query import NoPlan, Query, first_violation, solve
 from ves_gym.planners.suites import SPEED_LIMITS
 from ves_gym.system.system import System
@@ -176,7 +175,7 @@ FAULTS = {
 def test_a_failure_in_the_child_is_reported(monkeypatch, fault):
     """As that of one query: the next one gets a new child."""
     code, message = FAULTS[fault]
-    child = SearchProcess(f"from ves_gym.planners import ompl_worker as w\n{code}\nw.serve()")
+    child = SearchProcess(f"from ves_gym.planners import ompl_search as w\n{code}\nw.serve()")
     monkeypatch.setattr(ompl_search, "SEARCH_PROCESS", child)
     monkeypatch.setattr(ompl_search, "_GRACE", 0.5)
     monkeypatch.setattr(ompl_search, "_START", 1.0 if fault == "hang" else 60.0)
@@ -224,7 +223,7 @@ def test_a_forked_process_starts_its_own_child(monkeypatch):
 def test_a_search_that_nobody_kills_ends_by_itself():
     """Its parent gone, a planner that never returns is stopped by an alarm."""
     code = (
-        "import time; from ves_gym.planners import ompl_worker as w; w._ORPHAN = 1.0;"
+        "import time; from ves_gym.planners import ompl_search as w; w._ORPHAN = 1.0;"
         "w.search = lambda request: time.sleep(60); w.serve()"
     )
     request = ompl_search.Request(

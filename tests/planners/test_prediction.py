@@ -12,7 +12,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.spatial import matvec
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES, MatrixVehicle
-from ves_gym.planners.mean_energy import MeanEnergy
+from ves_gym.planners.objective import MeanEnergy
 from ves_gym.planners.prediction import (
     BaseState,
     LinearBase,

@@ -21,7 +21,7 @@ from ves_gym.mechanics.vehicle import (
 from ves_gym.planners.case import load_case
 from ves_gym.planners.direct import Direct
 from ves_gym.planners.prediction import FINE, BaseState, predict
-from ves_gym.planners.query import Query, first_violation, is_feasible, solve
+from ves_gym.planners.query import Query, first_violation, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import SPEED_LIMITS
 from ves_gym.simulation.playback import play_motions
@@ -96,10 +96,10 @@ def test_a_motion_continues_what_the_joints_do():
             np.testing.assert_allclose(got, expected, atol=1e-9)
         np.testing.assert_allclose(end.q[0], moving.goal, atol=1e-12)
         np.testing.assert_allclose([end.v, end.a], 0.0, atol=1e-9)
-        assert is_feasible(moving, motion)
+        assert first_violation(moving, motion) is None
         assert from_plain(Motion, to_plain(motion)) == motion
     at_rest = query()
-    assert not is_feasible(moving, at_rest.straight)
+    assert first_violation(moving, at_rest.straight) is not None
     assert "do not move at the start" in first_violation(at_rest, moving.straight)
 
 
@@ -147,18 +147,20 @@ def test_the_straight_answer():
 def test_feasible_means_the_ends_the_time_and_the_limits():
     q = query(v_max=SPEED_LIMITS)
     start, goal = q.ends
-    assert is_feasible(q, q.straight)
-    assert not is_feasible(q, q.straight.retimed(2.1))
-    assert not is_feasible(q, Motion.straight(start + 0.01, goal, 2.0))
-    assert not is_feasible(q, Motion.straight(start, goal + 0.01, 2.0))
-    assert not is_feasible(q, Motion.through([start, [0.5, 2.5, 0.5], goal], 2.0))  # position
+    assert first_violation(q, q.straight) is None
+    assert first_violation(q, q.straight.retimed(2.1)) is not None
+    assert first_violation(q, Motion.straight(start + 0.01, goal, 2.0)) is not None
+    assert first_violation(q, Motion.straight(start, goal + 0.01, 2.0)) is not None
+    assert (
+        first_violation(q, Motion.through([start, [0.5, 2.5, 0.5], goal], 2.0)) is not None
+    )  # position
     fast = query(duration=0.55, v_max=SPEED_LIMITS)
-    assert not is_feasible(fast, fast.straight)  # speed
-    assert is_feasible(query(duration=0.8), query(duration=0.8).straight)
+    assert first_violation(fast, fast.straight) is not None  # speed
+    assert first_violation(query(duration=0.8), query(duration=0.8).straight) is None
     violent = query(duration=0.25)
-    assert not is_feasible(violent, violent.straight)  # torque
+    assert first_violation(violent, violent.straight) is not None  # torque
     prescribed = query(duration=0.25, system=System(vehicle=BENT_THESIS, drive="prescribed"))
-    assert is_feasible(prescribed, prescribed.straight)
+    assert first_violation(prescribed, prescribed.straight) is None
 
 
 # ------------------------------------------------------------------ every planner

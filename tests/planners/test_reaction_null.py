@@ -13,10 +13,10 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
 from ves_gym.planners.coupling import coupling_matrix, disturbance_matrix
-from ves_gym.planners.least_reaction import ReactionProblem
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.reaction_null import (
     ReactionNull,
+    ReactionProblem,
     reaction_null_path,
     reaction_null_space,
 )

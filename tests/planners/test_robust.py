@@ -9,10 +9,9 @@ from ves_gym._util.params import ParameterError
 from ves_gym.effects.payload import PayloadMass
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.direct import Direct
-from ves_gym.planners.mean_energy import MeanEnergy
+from ves_gym.planners.objective import MeanEnergy
 from ves_gym.planners.query import Query, solve
-from ves_gym.planners.robust import OBJECTIVES, Robust, _corners, scenarios
-from ves_gym.planners.scenarios import ScenarioProblem
+from ves_gym.planners.robust import OBJECTIVES, Robust, ScenarioProblem, _corners, scenarios
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.energy import TAIL
 from ves_gym.system.system import System

@@ -8,6 +8,7 @@ import pytest
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
 from ves_gym.planners.coupling import modes
+from ves_gym.planners.paths import septic
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.shaping import (
@@ -15,7 +16,6 @@ from ves_gym.planners.shaping import (
     Shaper,
     SmoothJerk,
     excited_modes,
-    septic,
     shaped_motion,
     shaper,
 )

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from ves_gym.damping.analysis import analyse
 from ves_gym.damping.configurations import damping_map
 from ves_gym.damping.free_vibration import linear_free_vibration, simulate_free_vibration
 from ves_gym.damping.plant import GainMatrices, plant_at

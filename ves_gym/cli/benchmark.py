@@ -13,8 +13,7 @@ from ves_gym.cli.files import FORMAT
 from ves_gym.cli.flags import Answer, Flag, Place, floats, integer, names, path, read, text
 from ves_gym.cli.machine import MACHINE
 from ves_gym.cli.plan import WEIGHT
-from ves_gym.planners.benchmark import run_benchmark
-from ves_gym.planners.benchmark_summary import merge_best
+from ves_gym.planners.benchmark import merge_best, run_benchmark
 from ves_gym.planners.case import Case
 from ves_gym.planners.objective import parse_weights
 from ves_gym.planners.registry import PLANNERS, get_planner, weighted

@@ -28,15 +28,13 @@ from ves_gym.cli.machine import MACHINE
 from ves_gym.cli.simulate import DURATION, GOAL, START
 from ves_gym.mechanics.kinematics import ToolPose
 from ves_gym.planners.case import Case
+from ves_gym.planners.comparison import report_plan
 from ves_gym.planners.objective import WEIGHTS, parse_weights
 from ves_gym.planners.obstacles import read_surroundings
-from ves_gym.planners.ompl_search import Ompl
-from ves_gym.planners.ompl_worker import ALGORITHMS
-from ves_gym.planners.plan_report import report_plan
+from ves_gym.planners.ompl_search import ALGORITHMS, Ompl
 from ves_gym.planners.query import Planner
 from ves_gym.planners.registry import PLANNERS, get_planner
-from ves_gym.planners.robust import Robust
-from ves_gym.planners.uncertainty import Uncertainty, read_uncertainty
+from ves_gym.planners.robust import Robust, Uncertainty, read_uncertainty
 from ves_gym.system.frequency_weight import FAST, FrequencyWeight
 
 

@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError, finite
-from ves_gym.damping.analysis import THESIS_DISPLACEMENT
-from ves_gym.damping.plant import plants
+from ves_gym.damping.plant import THESIS_DISPLACEMENT, plants
 from ves_gym.damping.tuning import WIDE, Bounds, Tuned, tune
 from ves_gym.planners.coupling import blocks, coupling_matrix, modes
 from ves_gym.planners.coupling_map import cross_section

@@ -13,8 +13,7 @@ import numpy.typing as npt
 from scipy.integrate import trapezoid
 
 from ves_gym._util.params import Array, ParameterError, finite
-from ves_gym.damping.analysis import THESIS_DISPLACEMENT, respond
-from ves_gym.damping.plant import GainMatrices, plant_at
+from ves_gym.damping.plant import THESIS_DISPLACEMENT, GainMatrices, plant_at, respond
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.planners.coupling import modes
 from ves_gym.simulation.simulator import Simulator

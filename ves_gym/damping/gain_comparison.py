@@ -12,7 +12,6 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.tables import table
-from ves_gym.damping.analysis import THESIS_DISPLACEMENT, DampingAnalysis, analyse
 from ves_gym.damping.configurations import (
     Configuration,
     DampingMap,
@@ -24,9 +23,15 @@ from ves_gym.damping.free_vibration import (
     linear_free_vibration,
     simulate_free_vibration,
 )
-from ves_gym.damping.plant import GainMatrices, LinearPlant, plant_at
-from ves_gym.damping.tuning import WIDE, Bounds, tune
-from ves_gym.damping.virtual_manipulator import tune_virtual
+from ves_gym.damping.plant import (
+    THESIS_DISPLACEMENT,
+    DampingAnalysis,
+    GainMatrices,
+    LinearPlant,
+    analyse,
+    plant_at,
+)
+from ves_gym.damping.tuning import WIDE, Bounds, tune, tune_virtual
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import vehicle_name
 from ves_gym.simulation.machines import Divergence

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,13 +13,12 @@ from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import qmc
 
 from ves_gym._util.params import Array, ParameterError, write_bytes
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.views import Viewable
 from ves_gym.planners.coupling import disturbance_matrix, metric
-from ves_gym.planners.field_lines import trace_lines
-from ves_gym.planners.grid_search import minimise_on_grid
 from ves_gym.planners.metric import Metric
 from ves_gym.system.system import System
 
@@ -300,3 +300,197 @@ def _fast_block(
         return np.moveaxis(out, -1, 0)
 
     return block
+
+
+_SAMPLES = 32  # Halton's points over the free coordinates, the same at every grid point
+_SWEEPS = 12  # of the pattern search
+_FIRST = 0.2  # of a coordinate's range: first step
+
+
+def minimise_on_grid(
+    value: Callable[[Array], Array],
+    grid: Array,
+    free: list[int],
+    low: Array,
+    high: Array,
+    progress: Callable[[float], None] | None = None,
+) -> Array:
+    """Choose the free coordinates at every grid point so that a function is least.
+
+    Args:
+        value: (N, n) points -> (N,).
+        grid: (ni, nj, n) points; a start among others.
+        free: numbers of the coordinates that may change.
+        low, high: (n,) bounds of all coordinates.
+        progress: called with the fraction done.
+
+    Returns:
+        (ni, nj, n) the grid, its free coordinates chosen.
+    """
+    best = _Best(value, grid)
+    if not free:
+        return grid
+    steps, done = _SAMPLES + _SWEEPS * (2 * len(free) + 5), 0
+
+    def compare(trial: Array) -> npt.NDArray[np.bool_]:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done / steps)
+        return best.compare(trial)
+
+    for sample in qmc.Halton(len(free), scramble=False).random(_SAMPLES):
+        trial = best.q.copy()
+        trial[..., free] = low[free] + sample * (high - low)[free]
+        compare(trial)
+    size = np.full(grid.shape[:2], _FIRST)
+    for _ in range(_SWEEPS):
+        before, better = best.q.copy(), np.zeros(grid.shape[:2], bool)
+        for rows, columns in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            trial = best.q.copy()
+            trial[..., free] = _shifted(best.q, rows, columns)[..., free]
+            better |= compare(trial)
+        for k in free:
+            for sign in (1.0, -1.0):
+                trial = best.q.copy()
+                trial[..., k] += sign * size * (high - low)[k]
+                better |= compare(np.clip(trial, low, high))
+        compare(np.clip(2 * best.q - before, low, high))  # on in the direction that was good
+        size = np.where(better, size, size / 2)
+    return best.q
+
+
+class _Best:
+    """The best points so far and their values."""
+
+    def __init__(self, value: Callable[[Array], Array], grid: Array) -> None:
+        self._value, self.q = value, grid.astype(float)
+        self.least = self._of(self.q)
+
+    def _of(self, q: Array) -> Array:
+        return self._value(q.reshape(-1, q.shape[-1])).reshape(q.shape[:2])
+
+    def compare(self, trial: Array) -> npt.NDArray[np.bool_]:
+        """Take over where a trial is better, and return where (ni, nj)."""
+        values = self._of(trial)
+        better = np.asarray(values < self.least)
+        self.q[better], self.least[better] = trial[better], values[better]
+        return better
+
+
+def _shifted(q: Array, rows: int, columns: int) -> Array:
+    """Every point's neighbour; at the edge the point itself."""
+    i = np.clip(np.arange(q.shape[0]) + rows, 0, q.shape[0] - 1)
+    j = np.clip(np.arange(q.shape[1]) + columns, 0, q.shape[1] - 1)
+    out: Array = q[np.ix_(i, j)]
+    return out
+
+
+_STRIDE = 7919  # prime: seeds of lines come from all over the map, not row by row
+
+Point = tuple[float, float]
+Cell = tuple[int, int]
+
+
+def trace_lines(
+    axes: tuple[Array, Array], field: Array, spacing: float, step: float
+) -> list[Array]:
+    """Trace lines until none is missing anywhere.
+
+    A line ends at the edge, where another one runs already, or where it has come round.
+
+    Args:
+        axes: grid of both coordinates, evenly spaced, (ni,) and (nj,).
+        field: (ni, nj, 2) unit directions, their sign without meaning.
+        spacing: least distance between lines, as a fraction of the map's width.
+        step: integration step in grid cells.
+
+    Returns:
+        Polylines (k, 2) in the unit of the axes.
+    """
+    origin = np.array([axes[0][0], axes[1][0]])
+    cell = np.array([axes[0][1] - axes[0][0], axes[1][1] - axes[1][0]])
+    tracer = _Tracer(field / cell, max(2, round(1 / spacing)), step)
+    least = 1.5 / spacing / tracer.bins
+    curves = [c for c in map(tracer.trace, tracer.seeds()) if len(c) * step > least]
+    return [origin + np.array(curve) * cell for curve in curves]
+
+
+class _Tracer:
+    """Marches in units of grid cells and remembers where lines have been."""
+
+    def __init__(self, field: Array, bins: int, step: float) -> None:
+        self.field: list[list[list[float]]] = field.tolist()  # per cell, not normalised
+        self.size = field.shape[0] - 1, field.shape[1] - 1
+        self.bins, self.step = bins, step
+        self.taken: set[Cell] = set()
+        self.longest = int(8 * max(self.size) / step)
+        # longer away from a bin than this, a line has come round
+        self.lap = int(3 * max(self.size) / bins / step)
+
+    def seeds(self) -> list[Point]:
+        """The middles of all bins, in an order that jumps about."""
+        count = self.bins**2
+        at = [divmod(k * _STRIDE % count, self.bins) for k in range(count)]
+        width, height = self.size
+        return [((a + 0.5) / self.bins * width, (b + 0.5) / self.bins * height) for a, b in at]
+
+    def trace(self, seed: Point) -> list[Point]:
+        """The curve through a seed both ways; none where a line runs already."""
+        if self.bin_of(seed) in self.taken:
+            return []
+        visited = {self.bin_of(seed)}
+        i, j = (min(round(x), most) for x, most in zip(seed, self.size, strict=True))
+        dx, dy = self.field[i][j]
+        length = math.hypot(dx, dy)
+        heading = dx / length, dy / length
+        back = self.march(seed, (-heading[0], -heading[1]), visited)
+        ahead = self.march(seed, heading, visited)
+        self.taken |= visited
+        return [*back[::-1], seed, *ahead]
+
+    def march(self, at: Point, heading: Point, visited: set[Cell]) -> list[Point]:
+        """Steps of the midpoint rule until the line has to end."""
+        curve, (x, y), step = [], at, self.step
+        width, height = self.size
+        last_visit = {self.bin_of(at): 0}  # when the line was last in a bin
+        for i in range(1, self.longest):
+            heading = self.towards(x, y, heading)
+            middle_x = min(max(x + heading[0] * step / 2, 0.0), width)
+            middle_y = min(max(y + heading[1] * step / 2, 0.0), height)
+            heading = self.towards(middle_x, middle_y, heading)
+            x, y = x + heading[0] * step, y + heading[1] * step
+            if x < 0 or y < 0 or x > width or y > height:
+                break
+            cell = self.bin_of((x, y))
+            if cell in self.taken and cell not in visited:
+                break
+            if i - last_visit.get(cell, i) > self.lap:
+                break
+            last_visit[cell] = i
+            visited.add(cell)
+            curve.append((x, y))
+        return curve
+
+    def towards(self, x: float, y: float, heading: Point) -> Point:
+        """The field between its grid points, turned to go on along a heading."""
+        i, j = min(int(x), self.size[0] - 1), min(int(y), self.size[1] - 1)
+        fx, fy = x - i, y - j
+        hx, hy = heading
+        total_x = total_y = 0.0
+        for row, share in ((self.field[i], 1 - fx), (self.field[i + 1], fx)):
+            for (dx, dy), weight in ((row[j], share * (1 - fy)), (row[j + 1], share * fy)):
+                if dx * hx + dy * hy < 0:
+                    weight = -weight
+                total_x += weight * dx
+                total_y += weight * dy
+        length = math.hypot(total_x, total_y)
+        return (total_x / length, total_y / length) if length > 0 else heading
+
+    def bin_of(self, p: Point) -> Cell:
+        """The bin that a point lies in."""
+        a, b = (
+            min(int(x / most * self.bins), self.bins - 1)
+            for x, most in zip(p, self.size, strict=True)
+        )
+        return a, b

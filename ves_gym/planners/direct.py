@@ -21,9 +21,14 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import Arm, matrix
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import DEGREE, Motion, basis, graded, knots, leading_points
-from ves_gym.planners.mean_energy import MeanEnergy
 from ves_gym.planners.momentum import BaseMomentum, InverseDynamics, momentum, torque
-from ves_gym.planners.objective import ENERGY, Objective, checked_weights, weighted_name
+from ves_gym.planners.objective import (
+    ENERGY,
+    MeanEnergy,
+    Objective,
+    checked_weights,
+    weighted_name,
+)
 from ves_gym.planners.obstacles import Collisions, collisions
 from ves_gym.planners.prediction import (
     NODES,

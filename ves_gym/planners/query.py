@@ -157,19 +157,6 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
     return Plan(planner.name, query, motion, predicted, seconds, failure, info, seed)
 
 
-def is_feasible(query: Query, motion: Motion) -> bool:
-    """True if a motion joins the query's ends inside its limits, clear of everything.
-
-    Args:
-        query: the ends, the duration and limits.
-        motion: a candidate.
-
-    Returns:
-        `first_violation` is None.
-    """
-    return first_violation(query, motion) is None
-
-
 def first_violation(query: Query, motion: Motion) -> str | None:
     """Name the first limit that keeps a motion from being an answer to a query.
 

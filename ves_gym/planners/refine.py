@@ -18,7 +18,8 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.objective import checked_weights, weighted_name
-from ves_gym.planners.ompl_search import Ompl, time_path
+from ves_gym.planners.ompl_search import Ompl
+from ves_gym.planners.paths import time_path
 from ves_gym.planners.query import (
     NoPlan,
     Query,

@@ -19,7 +19,7 @@ _HOMES: dict[str, tuple[str, dict[str, Any]]] = {
     "smooth-jerk": ("shaping:SmoothJerk", {}),
     "shaped-zv": ("shaping:Shaped", {"kind": "zv"}),
     "shaped-zvd": ("shaping:Shaped", {"kind": "zvd"}),
-    "bad-path": ("bad_path:BadPath", {}),
+    "bad-path": ("hotspot:BadPath", {}),
     "hotspot-q": ("hotspot:HotSpot", {"band_limited": False}),
     "hotspot-qt": ("hotspot:HotSpot", {"band_limited": True}),
     "reaction-null": ("reaction_null:ReactionNull", {}),

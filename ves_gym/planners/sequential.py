@@ -15,8 +15,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.motion import Motion
-from ves_gym.planners.mean_energy import MeanEnergy
-from ves_gym.planners.objective import Objective
+from ves_gym.planners.objective import MeanEnergy, Objective
 
 _ROUNDS = 4  # of looking for torque between samples
 _PATHS = 2  # that the tool's error is linearised about, after the straight line

@@ -15,6 +15,7 @@ import scipy.linalg
 from ves_gym._util.params import Array, require_choice
 from ves_gym.mechanics.motion import Motion, quintic
 from ves_gym.planners.coupling import blocks, modes
+from ves_gym.planners.paths import septic
 from ves_gym.planners.prediction import joint_momentum, spectral_energy
 from ves_gym.planners.query import Query, first_violation
 from ves_gym.system.system import System
@@ -60,13 +61,6 @@ class SmoothJerk:
             The motion.
         """
         return _along(query, septic(np.linspace(0, 1, _SAMPLES))), {}
-
-
-def septic(u: Array) -> Array:
-    """Rest-to-rest law 35 u^4 - 84 u^5 + 70 u^6 - 20 u^7 on [0, 1], held outside."""
-    x = np.clip(u, 0.0, 1.0)
-    out: Array = x**4 * (35 + x * (-84 + x * (70 - 20 * x)))
-    return out
 
 
 class Shaped:

@@ -18,8 +18,14 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.kinematics import ToolPose, tool_twists
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED, Motion
 from ves_gym.mechanics.spatial import matvec
-from ves_gym.mechanics.tool_pose import CLOSE, configurations_at, towards_pose
-from ves_gym.planners.mean_energy import MeanEnergy
+from ves_gym.mechanics.tool_pose import (
+    CLOSE,
+    ToolPose,
+    configurations_at,
+    tool_twists,
+    towards_pose,
+)
+from ves_gym.planners.objective import MeanEnergy
 from ves_gym.planners.obstacles import collisions
 from ves_gym.planners.query import Plan, Planner, Query, solve
 

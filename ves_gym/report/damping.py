@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from ves_gym.damping.analysis import Complexes
 from ves_gym.damping.configurations import DampingMap
 from ves_gym.damping.free_vibration import FreeVibration
 from ves_gym.damping.gain_comparison import GainComparison

@@ -16,7 +16,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.case import Case, load_case
 from ves_gym.planners.coupling import blocks
 from ves_gym.planners.query import Plan
-from ves_gym.planners.uncertainty import DIAGNOSIS, read_uncertainty
+from ves_gym.planners.robust import DIAGNOSIS, read_uncertainty
 from ves_gym.report.studio import SHOWN, machine_data, playable
 from ves_gym.system.disturbance import tool_error
 from ves_gym.system.energy import (
