@@ -26,21 +26,13 @@ _APART = 0.5  # rad in at least one joint, between candidates
 def estimated_integral(
     system: System, q: npt.ArrayLike, y: npt.ArrayLike = THESIS_DISPLACEMENT
 ) -> Array:
-    """Estimate the strain-energy integral from the coupling; no search.
+    """Estimate the strain-energy integral (...) [J s] from the coupling; no search.
 
     Each base mode by itself: released with strain energy E_i, with damping ratio z_i it
     leaves E_i (1/z_i + 4 z_i) / (4 omega_i). z_i is the base's own and sqrt(k_i) / 2, what
     a tuned damper of mass ratio k_i adds at most; k_i = g_i^T H_m^-1 g_i is the share of
     the mode that the joints can take over (g_i = H_bm^T phi_i, as in Q and Q_T). An
-    estimate that ranks configurations.
-
-    Args:
-        system: arm and vehicle.
-        q: (..., n) configurations [rad].
-        y: (6,) initial displacement of the base [m, rad].
-
-    Returns:
-        (...) [J s].
+    estimate that ranks configurations q (..., n) [rad].
     """
     angles, base = np.asarray(q, float), system.base
     pose = finite(y, (6,), "y")
@@ -87,15 +79,11 @@ def best_configurations(
     Args:
         system: arm and vehicle.
         y: (6,) initial displacement of the base [m, rad].
-        full: symmetric gain matrices instead of diagonal ones.
         bounds: of the gains [N m/rad, N m s/rad].
         samples: configurations ranked.
         candidates: how many of them are tuned, at most.
         seed: of the configurations and of the searches.
         progress: called with the fraction done.
-
-    Returns:
-        At most `candidates` configurations with their gains.
 
     Raises:
         ParameterError: not 1 <= candidates <= samples, or a base that PPED cannot damp.
@@ -155,14 +143,9 @@ def damping_map(
         joints: numbers of the two joints swept, from 0.
         fixed: (n,) configuration of the others [rad].
         y: (6,) initial displacement of the base [m, rad].
-        full: symmetric gain matrices instead of diagonal ones.
         bounds: of the gains [N m/rad, N m s/rad].
         points: of the grid, per axis.
         seed: of the searches.
-        progress: called with the fraction done.
-
-    Returns:
-        Coupling [J/rad^2], estimated and tuned integrals [J s] on the grid.
 
     Raises:
         ParameterError: bad joints or points, or a base that PPED cannot damp.

@@ -66,9 +66,6 @@ def linear_free_vibration(
         gains: K [N m/rad] and B [N m s/rad], (n, n) each.
         y: (6,) initial displacement of the base [m, rad].
         seconds: of the run [s].
-
-    Returns:
-        The base's motion and energy, the joints' excursion and torque.
     """
     plant, (t, _) = plant_at(system, q), _clock(system, q, seconds)
     x = np.stack([respond(plant, g, y, t) for g in gains])
@@ -99,18 +96,8 @@ def simulate_free_vibration(
     """Run the simulator under several sets of gains: large motions, limited motors.
 
     Diagonal gains act inside the physics step, as those of any servo; the torque by which
-    full matrices couple the joints is constant over each physics step.
-
-    Args:
-        system: arm and vehicle, on motor drives.
-        q: (n,) configuration [rad].
-        gains: K [N m/rad] and B [N m s/rad], (n, n) each.
-        y: (6,) initial displacement of the base [m, rad].
-        seconds: of the run [s].
-        backend: engine's name, or auto.
-
-    Returns:
-        The base's motion and energy, the joints' excursion and torque.
+    full matrices couple the joints is constant over each physics step. Arguments as those of
+    `linear_free_vibration`; `backend`: the engine's name, or auto.
 
     Raises:
         ParameterError: a prescribed drive, a joint beyond its limits, or too short a run.

@@ -67,11 +67,9 @@ class BaseObserver:
         self.s = np.zeros((n, size))
 
     def begin(self, y: Array, yd: Array, u: Array) -> None:
-        """Start from measured motion, internal modes carried along.
+        """Start from measured motion y, yd (n, 6), internal modes carried along.
 
-        Args:
-            y, yd: (n, 6) pose [m, rad] and its rate.
-            u: (n, 6) momentum of the joints.
+        The joints' momentum is u (n, 6).
         """
         base = self.system.base
         z = np.concatenate([y, base.attached(y)], axis=1)
@@ -80,12 +78,7 @@ class BaseObserver:
         self.s[:, self.b : self.b + 6] += u
 
     def ahead(self, s: Array, before: Array, after: Array) -> Array:
-        """States (n, 2 b) one step on.
-
-        Args:
-            s: (n, 2 b).
-            before, after: (n, 6) momentum of the joints at the step's ends, linear between.
-        """
+        """States (n, 2 b) one step on, the joints' momentum (n, 6) linear between its ends."""
         moved = self._Phi @ s[..., None]
         for drive, u in zip(self._drive, (before, after), strict=True):
             moved += drive @ u[..., None]
@@ -98,13 +91,7 @@ class BaseObserver:
         self.s = s + (self._gain @ (y - s[:, :6])[..., None])[..., 0]
 
     def base_state(self, i: int, s: Array, u: Array) -> BaseState:
-        """Return the motion of base i.
-
-        Args:
-            i: which.
-            s: (2 b,) its state.
-            u: (6,) momentum of its joints.
-        """
+        """Return the motion of base i of state s (2 b,), its joints' momentum u (6,)."""
         P = s[self.b :].copy()
         P[:6] -= u
         z, zd = s[: self.b], np.linalg.solve(self._M[i], P)

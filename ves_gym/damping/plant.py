@@ -100,14 +100,7 @@ class LinearPlant:
 
 
 def plants(system: System, q: npt.ArrayLike) -> list[LinearPlant]:
-    """Return the linear models of arm and base at configurations.
-
-    Args:
-        system: arm and vehicle, on motor drives.
-        q: (m, n) configurations [rad].
-
-    Returns:
-        m models.
+    """Return the linear models of arm and base at configurations q (m, n) [rad].
 
     Raises:
         ParameterError: mode emulated, a prescribed drive, or a base without stiffness.
@@ -142,14 +135,7 @@ def plants(system: System, q: npt.ArrayLike) -> list[LinearPlant]:
 
 
 def plant_at(system: System, q: npt.ArrayLike) -> LinearPlant:
-    """Return the linear model of arm and base at one configuration.
-
-    Args:
-        system: arm and vehicle, on motor drives.
-        q: (n,) configuration [rad].
-
-    Returns:
-        The model.
+    """Return the linear model of arm and base at one configuration q (n,) [rad].
 
     Raises:
         ParameterError: as `plants`, or a joint beyond its limits.
@@ -191,17 +177,9 @@ class DampingAnalysis:
 def analyse(
     plant: LinearPlant, gains: GainMatrices, y: npt.ArrayLike = THESIS_DISPLACEMENT
 ) -> DampingAnalysis:
-    """Poles and measures of the base released from y.
+    """Poles and measures of the base released from y (6,) [m, rad].
 
     A system that does not decay by itself (free joints, say) has infinite measures.
-
-    Args:
-        plant: the linear model.
-        gains: K [N m/rad] and B [N m s/rad], (n, n) each.
-        y: (6,) initial displacement of the base [m, rad].
-
-    Returns:
-        Poles [1/s], E_int [J s], t_5 [s] and the worst displacement.
 
     Raises:
         ParameterError: gains of another shape, or not finite.
@@ -246,17 +224,7 @@ def estimator(poles: npt.ArrayLike) -> float:
 def respond(
     plant: LinearPlant, gains: GainMatrices, y: npt.ArrayLike, t: npt.ArrayLike
 ) -> Array:
-    """Simulate the linear model after a release from y.
-
-    Args:
-        plant: the linear model, of w coordinates.
-        gains: K [N m/rad] and B [N m s/rad], (n, n) each.
-        y: (6,) initial displacement of the base [m, rad].
-        t: (N,) evenly spaced times from 0 [s].
-
-    Returns:
-        (N, 2 w) states x at these times.
-    """
+    """States (N, 2 w) at even times t (N,) [s] after a release from y (6,), linear model."""
     times = np.asarray(t, float)
     step = scipy.linalg.expm(plant.closed(gains) * times[1])
     return _march(step, plant.start(y), len(times))

@@ -72,15 +72,8 @@ def objective_of(
 ) -> Objective:
     """One of `OBJECTIVES` as a function to minimise, of the closed A, with its gradient.
 
-    strain and worst are in logarithms (they differ by decades), the estimator negative.
-
-    Args:
-        plant: the linear model.
-        name: of the objective.
-        y: (6,) initial displacement of "strain" [m, rad].
-
-    Returns:
-        A function of A (2 w, 2 w) with value and derivative (2 w, 2 w).
+    strain and worst are in logarithms (they differ by decades), the estimator negative;
+    y (6,) is the initial displacement of "strain" [m, rad].
 
     Raises:
         ParameterError: an unknown name, or a displacement of zero.
@@ -214,9 +207,6 @@ def tune(
         seed: of the random starts; the same seed finds the same gains.
         first: gains to start from as well.
 
-    Returns:
-        The gains, the objective's value and the effort.
-
     Raises:
         ParameterError: an unknown objective, or a base that no gains bring to rest.
     """
@@ -295,16 +285,9 @@ CARTESIAN = Bounds(K=(1.0, 1e7), B=(0.1, 1e6))  # N/m, N s/m
 
 
 def virtual_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
-    """J_vm: velocity of the base seen from the centre of mass, per joint rate.
+    """J_vm (..., 3, n) [m]: velocity of the base seen from the centre of mass, per joint rate.
 
     By the momentum H_bm of the joints: what the arm pushes one way, its base goes the other.
-
-    Args:
-        arm: n joints.
-        q: (..., n) configurations [rad].
-
-    Returns:
-        (..., 3, n) [m].
     """
     jacobian: Array = -inertia(arm, q)[..., :3, 6:] / arm.mass
     return jacobian
@@ -313,13 +296,7 @@ def virtual_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
 def joint_gains(arm: Arm, q: npt.ArrayLike, cartesian: GainMatrices) -> GainMatrices:
     """Thesis eq. 4.1 and 4.2: K_vm = J_vm^T K_d J_vm, B_vm = J_vm^T B_d J_vm.
 
-    Args:
-        arm: n joints.
-        q: (n,) configuration [rad].
-        cartesian: K_d [N/m] and B_d [N s/m], (3, 3) each.
-
-    Returns:
-        K [N m/rad] and B [N m s/rad], (n, n) each.
+    From K_d [N/m] and B_d [N s/m], (3, 3) each.
     """
     J = virtual_jacobian(arm, q)
     return GainMatrices(J.T @ cartesian.K @ J, J.T @ cartesian.B @ J)
@@ -329,14 +306,7 @@ def two_masses(system: System, q: npt.ArrayLike) -> LinearPlant:
     """The vehicle and, beside it, the arm as one mass at its centre: thesis figure 4-3.
 
     z = (Y, c), c the displacement of the arm's centre of mass [m]; the gains act on c less
-    what the base carries it along.
-
-    Args:
-        system: arm and vehicle, on motor drives.
-        q: (n,) configuration [rad].
-
-    Returns:
-        The linear model, of nine coordinates and three gains.
+    what the base carries it along: nine coordinates and three gains.
 
     Raises:
         ParameterError: as `plant_at`.
@@ -392,19 +362,7 @@ def tune_virtual(
     """Tune the two masses and turn K_d, B_d into joint gains; judge them with `analyse`.
 
     J_vm has rank 3 at most, so the least gains of `bounds` are added: no joint is left free.
-    The largest are not enforced.
-
-    Args:
-        system: arm and vehicle, on motor drives.
-        q: (n,) configuration [rad].
-        objective: one of `tuning.OBJECTIVES`.
-        y: (6,) initial displacement of "strain" [m, rad].
-        full: symmetric K_d and B_d instead of diagonal ones.
-        bounds: of the joint gains [N m/rad, N m s/rad].
-        seed: of the random starts.
-
-    Returns:
-        Joint gains, Cartesian gains, and the search on the two masses.
+    The largest are not enforced. Arguments as those of `tune`; `full`: of K_d and B_d.
     """
     search = tune(two_masses(system, q), objective, y=y, full=full, bounds=CARTESIAN, seed=seed)
     joint = joint_gains(system.arm, q, search.gains)

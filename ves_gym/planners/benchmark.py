@@ -76,9 +76,6 @@ def run_benchmark(
         command: the command line that the result names.
         progress: called with a stage name and the fraction done.
 
-    Returns:
-        Plain data: rows, summary, traces, maps and scenes, and what reproduces them.
-
     Raises:
         MissingPackageError: a planner is a search with OMPL, which is not installed.
         ParameterError: an unknown planner, or a query that no planner may be asked.
@@ -139,16 +136,8 @@ def run_benchmark(
 def run_query(planner: str, vehicle: str, query: Query, seed: int = 0) -> dict[str, Any]:
     """Simulate one planner's answer to one query: a row of `run_benchmark`.
 
-    Energies relative to the straight line's are not in it, for that is another row.
-
-    Args:
-        planner: its name.
-        vehicle: its name, for the row.
-        query: its system is what the motion is played on; planning is for the ideal one.
-        seed: of the planner and of the laboratory's noise, >= 0.
-
-    Returns:
-        The row: energies [J], planning time [s], success and failure.
+    Energies relative to the straight line's are not in it, for that is another row. The motion
+    is played on the query's system; planning is for the ideal one.
     """
     plan = _plan_one((planner, replace(query, system=query.system.ideal()), seed))
     runs = [_Run(planner, vehicle, plan, query.system)]
@@ -493,15 +482,7 @@ def anytime(rows: Sequence[dict[str, Any]], points: int = 41) -> list[dict[str, 
 
     For planners that list a `curve` of (seconds, evaluations, cost) in their `info`: cost over
     the final cost at times spaced geometrically, from when half the queries have a solution,
-    and the time to come within 5 % of it.
-
-    Args:
-        rows: of `run_benchmark`.
-        points: times per curve.
-
-    Returns:
-        A table per vehicle, duration and planner: `seconds` [s], `ratio` [1], both (points,)
-        at most, and the times to 5 % [s].
+    and the time to come within 5 % of it. A table per vehicle, duration and planner.
     """
     groups: dict[tuple[str, float, str], list[Array]] = defaultdict(list)
     for row in rows:
@@ -632,29 +613,14 @@ def _entries(table: dict[str, Any], where: str) -> dict[str, dict[str, Any]]:
 
 
 def key(system_hash: str, query: str) -> str:
-    """Name of a question: another system is another question.
-
-    Args:
-        system_hash: `System.hash` of the ideal system, hexadecimal.
-        query: the query's name.
-
-    Returns:
-        The first twelve digits of the hash and the name.
-    """
+    """Name of a question: another ideal system (`System.hash`) is another question."""
     return f"{system_hash[:12]} {query}"
 
 
 def merge_best(path: str | os.PathLike[str], result: dict[str, Any]) -> int:
-    """Merge a benchmark result into a file of best known energies.
+    """Merge a result into a file of best known energies; return how many are new or lower.
 
     Only motions in space that keep every limit count.
-
-    Args:
-        path: of the JSON file; made if it does not exist.
-        result: of `run_benchmark`, mode ideal; energies in J.
-
-    Returns:
-        How many entries are new or lower.
 
     Raises:
         ParameterError: a result of mode emulated, or a file of another format.
@@ -685,15 +651,8 @@ def add_scores(rows: Iterable[dict[str, Any]], hashes: dict[str, str], baseline:
     """Add `best_known` [J] and `score` [1] to rows, None where nothing is known.
 
     The score is 0 for the energy of the straight line and 1 for the best known one; only
-    motions that keep every limit have one.
-
-    Args:
-        rows: of `run_benchmark`; changed in place.
-        hashes: `System.hash` of each vehicle's ideal system.
-        baseline: name of the planner whose energy scores 0.
-
-    Raises:
-        KeyError: a row of a vehicle without a hash.
+    motions that keep every limit have one. `hashes`: `System.hash` of each vehicle's ideal
+    system.
     """
     every = list(rows)
     baselines = {
@@ -714,15 +673,7 @@ def add_scores(rows: Iterable[dict[str, Any]], hashes: dict[str, str], baseline:
 
 
 def near_best(rows: Sequence[dict[str, Any]], share: float = 1.05) -> float | None:
-    """Share of the rows with a best known energy that succeed within `share` times it.
-
-    Args:
-        rows: of `run_benchmark`, scored.
-        share: of the best known energy, >= 1.
-
-    Returns:
-        The fraction, or None where no row has a best known energy.
-    """
+    """Share of the rows with a best known energy that succeed within `share` times it."""
     rated = [r for r in rows if r["best_known"] is not None]
     if not rated:
         return None

@@ -185,13 +185,10 @@ class Case:
 
     @staticmethod
     def from_dict(plain: Mapping[str, Any], where: str = "case", folder: Path = Path()) -> Case:
-        """Rebuild a case from plain data.
+        """Rebuild a case from what `to_dict` gives; `where` is what messages call it.
 
-        Args:
-            plain: as `to_dict` gives it. Arm, vehicle, system and surroundings may be names of
-                files; a query without `v_max` keeps the arm's own speed limits.
-            where: what messages call it.
-            folder: that file names are relative to.
+        Arm, vehicle, system and surroundings may be names of files, relative to `folder`; a
+        query without `v_max` keeps the arm's own speed limits.
 
         Raises:
             ParameterError: unknown keys, or values out of their ranges.
@@ -239,10 +236,7 @@ def speed_limits(arm: Arm, v_max: npt.ArrayLike | None = None) -> Vector | None:
 
 
 def load_case(path: str | os.PathLike[str]) -> Case:
-    """Read a case; file names in it are relative to its folder.
-
-    Args:
-        path: of a .toml or .json file.
+    """Read a case from .toml or .json; file names in it are relative to its folder.
 
     Raises:
         ParameterError: unknown keys, or values out of their ranges.

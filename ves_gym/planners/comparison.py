@@ -182,14 +182,6 @@ class Comparison(Viewable):
 def compare_planners(query: Query, planners: Sequence[Planner], *, seed: int = 0) -> Comparison:
     """Plan a query with each planner and simulate the motions in lockstep.
 
-    Args:
-        query: ends, duration and system.
-        planners: one or more, of different names.
-        seed: of planners that search.
-
-    Returns:
-        Predicted and simulated energies of each beside those of the straight line.
-
     Raises:
         ParameterError: no planner, or two of one name.
     """
@@ -237,15 +229,7 @@ def compare_planners(query: Query, planners: Sequence[Planner], *, seed: int = 0
 
 
 def simulate_motions(query: Query, motions: Sequence[Motion]) -> Recording:
-    """Simulate motions of a query and, as the last run, the straight line.
-
-    Args:
-        query: its system, servo and ends.
-        motions: of the query's duration.
-
-    Returns:
-        The recording, long enough for `E_mean`.
-    """
+    """Simulate motions of a query, long enough for `E_mean`, and the straight line last."""
     dt = query.system.physics_dt
     return play_motions(
         query.system,
@@ -329,11 +313,7 @@ class PlanReport:
 
 
 def report_plan(plan: Plan) -> PlanReport:
-    """Simulate a plan beside the straight line between its ends.
-
-    Args:
-        plan: a planner's answer, with a motion or without.
-    """
+    """Simulate a plan beside the straight line between its ends."""
     if plan.motion is None:
         return PlanReport(plan, {}, {})
     query = plan.query

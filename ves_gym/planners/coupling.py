@@ -41,16 +41,9 @@ def modes(system: System, q: npt.ArrayLike) -> Modes:
 
 
 def coupling_matrix(system: System, q: npt.ArrayLike) -> Array:
-    """Q(q) = A^T K A with A = M_t^-1 H_bm.
+    """Q(q) = A^T K A with A = M_t^-1 H_bm, at configurations q (..., n): [J/rad^2].
 
     An instantaneous joint step dq leaves the strain energy 1/2 dq^T Q dq in the base.
-
-    Args:
-        system: arm and vehicle.
-        q: (..., n) configurations [rad].
-
-    Returns:
-        (..., n, n) [J/rad^2].
     """
     system.arm.require_rigid("a coupling matrix")
     system.arm.require_turning("a coupling matrix")
@@ -65,17 +58,10 @@ def coupling_matrix(system: System, q: npt.ArrayLike) -> Array:
 
 
 def band_limited(system: System, q: npt.ArrayLike, duration: float) -> Array:
-    """Q_T(q): Q with each base mode weighted by what a quintic of this duration excites.
+    """Q_T(q): Q with each base mode weighted by what a quintic of this duration [s] excites.
 
-    It tends to Q as the duration tends to zero.
-
-    Args:
-        system: arm and vehicle.
-        q: (..., n) configurations [rad].
-        duration: of the motions meant [s].
-
-    Returns:
-        (..., n, n) [J/rad^2].
+    It tends to Q as the duration tends to zero. Configurations (..., n) [rad] to (..., n, n)
+    [J/rad^2].
 
     Raises:
         ParameterError: duration <= 0.
@@ -91,33 +77,17 @@ def band_limited(system: System, q: npt.ArrayLike, duration: float) -> Array:
 
 
 def metric(system: System, q: npt.ArrayLike, duration: float | None) -> Array:
-    """Q_T for a duration, raw Q for None.
-
-    Args:
-        system: arm and vehicle.
-        q: (..., n) configurations [rad].
-        duration: of the motions meant [s].
-
-    Returns:
-        (..., n, n) [J/rad^2].
-    """
+    """Q_T for a duration [s], raw Q for None."""
     if duration is None:
         return coupling_matrix(system, q)
     return band_limited(system, q, duration)
 
 
 def disturbance_matrix(system: System, q: npt.ArrayLike) -> Array:
-    """A_r^T A_r with the base's rotation per joint motion A_r.
+    """A_r^T A_r (..., n, n) [1] with the base's rotation per joint motion A_r.
 
     The disturbance map of a free-floating base: from rest a small joint motion dq turns it
     by sqrt(dq^T A_r^T A_r dq) [rad], for momentum is conserved (Vafa and Dubowsky's map).
-
-    Args:
-        system: arm and vehicle.
-        q: (..., n) configurations [rad].
-
-    Returns:
-        (..., n, n) [1].
     """
     b = blocks(system, q)
     turn = np.linalg.solve(b.Mt, b.Hbm)[..., 3:6, :]
@@ -134,16 +104,7 @@ class Directions(NamedTuple):
 def invariant_directions(
     system: System, q: npt.ArrayLike, duration: float | None = None
 ) -> Directions:
-    """Solutions of Q v = lambda (H_m - H_bm^T M_t^-1 H_bm) v.
-
-    Args:
-        system: arm and vehicle.
-        q: (..., n) configurations [rad].
-        duration: of Q_T [s]; None for raw Q.
-
-    Returns:
-        Eigenvalues (..., n) and eigenvectors (..., n, n).
-    """
+    """Solutions of Q v = lambda (H_m - H_bm^T M_t^-1 H_bm) v; of Q_T with a duration [s]."""
     b = blocks(system, q)
     effective = b.Hm - np.swapaxes(b.Hbm, -1, -2) @ np.linalg.solve(b.Mt, b.Hbm)
     directions = _modes_of(metric(system, q, duration), effective)
@@ -158,17 +119,10 @@ def _modes_of(K: Array, M: Array) -> tuple[Array, Array]:
 def coupling_length(
     system: System, path: npt.ArrayLike, duration: float | None = None
 ) -> float:
-    """L_c = integral of sqrt(dq^T Q dq) along a polyline.
+    """L_c = integral of sqrt(dq^T Q dq) along a polyline (N, n) [rad], in J^(1/2).
 
-    E <= L_c^2 / 2 bounds the energy of an instantaneous motion along it (raw Q).
-
-    Args:
-        system: arm and vehicle.
-        path: (N, n) way-points [rad].
-        duration: of Q_T [s]; None for raw Q.
-
-    Returns:
-        The length [J^(1/2)].
+    E <= L_c^2 / 2 bounds the energy of an instantaneous motion along it (raw Q; Q_T where
+    there is a duration [s]).
     """
     points = np.asarray(path, float)
     step = np.diff(points, axis=0)

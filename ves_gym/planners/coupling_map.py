@@ -133,14 +133,11 @@ class CouplingMap(Viewable):
         )
 
     def lines(self, spacing: float = 0.05, step: float = 0.2) -> list[Array]:
-        """Minimum-energy lines: curves along the least-coupling direction.
+        """Minimum-energy lines: curves (k, 2) [rad] along the least-coupling direction.
 
         Args:
             spacing: least distance between lines, as a fraction of the map's width.
             step: integration step in grid cells.
-
-        Returns:
-            Polylines (k, 2) in joint angles [rad].
         """
         for name, value in (("spacing", spacing), ("step", step)):
             if not 0 < value <= 1:
@@ -157,22 +154,14 @@ def cross_section(
     least: int,
     limits: tuple[tuple[float, float], tuple[float, float]] | None = None,
 ) -> tuple[tuple[Array, Array], Array]:
-    """Return the grid of a cross-section of joint space.
+    """Return both axes of a cross-section of joint space, and its grid (points, points, n).
 
     Args:
         system: its arm has n joints.
         joints: numbers of the two joints swept, from 0.
         fixed: (n,) configuration of the others [rad].
-        points: of the grid, per axis.
-        least: points needed.
+        points: of the grid, per axis; `least` are needed.
         limits: (low, high) of both joints [rad]; default their range.
-
-    Returns:
-        Both axes (points,) and the configurations (points, points, n) [rad].
-
-    Raises:
-        ParameterError: no two joints of the arm, bad limits, too few points, or a joint beyond
-            its limits.
     """
     arm, (i, j) = system.arm, joints
     arm.require_rigid("a coupling map")
@@ -221,9 +210,6 @@ def coupling_map(
         disturbance: map `disturbance_matrix` instead.
         others: one of OTHERS.
         progress: called with the fraction done.
-
-    Returns:
-        Eigenvalues and directions of the 2 x 2 block on the grid.
 
     Raises:
         ParameterError: bad joints, limits, points or others, or a disturbance map with a
@@ -315,7 +301,11 @@ def minimise_on_grid(
     high: Array,
     progress: Callable[[float], None] | None = None,
 ) -> Array:
-    """Choose the free coordinates at every grid point so that a function is least.
+    """Choose the free coordinates at every point of a grid so that a function is least.
+
+    Neighbours share what they find: the least value is continuous over the grid, so a good
+    choice at one point is one beside it. Hooke and Jeeves's pattern search at all points at
+    once.
 
     Args:
         value: (N, n) points -> (N,).
@@ -323,9 +313,6 @@ def minimise_on_grid(
         free: numbers of the coordinates that may change.
         low, high: (n,) bounds of all coordinates.
         progress: called with the fraction done.
-
-    Returns:
-        (ni, nj, n) the grid, its free coordinates chosen.
     """
     best = _Best(value, grid)
     if not free:
@@ -395,18 +382,14 @@ Cell = tuple[int, int]
 def trace_lines(
     axes: tuple[Array, Array], field: Array, spacing: float, step: float
 ) -> list[Array]:
-    """Trace lines until none is missing anywhere.
+    """Trace lines until none is missing anywhere: polylines (k, 2) in the unit of the axes.
 
     A line ends at the edge, where another one runs already, or where it has come round.
 
     Args:
         axes: grid of both coordinates, evenly spaced, (ni,) and (nj,).
         field: (ni, nj, 2) unit directions, their sign without meaning.
-        spacing: least distance between lines, as a fraction of the map's width.
-        step: integration step in grid cells.
-
-    Returns:
-        Polylines (k, 2) in the unit of the axes.
+        spacing, step: as `CouplingMap.lines` takes them.
     """
     origin = np.array([axes[0][0], axes[1][0]])
     cell = np.array([axes[0][1] - axes[0][0], axes[1][1] - axes[1][0]])

@@ -42,16 +42,7 @@ class DampRelease:
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
         """Minimise from the straight line, each round about the last solution; deterministic.
 
-        Args:
-            query: the ends, limits, and how base and joints move at the start. The goal may
-                be the start.
-            seed: not used.
-
-        Returns:
-            The motion and the search's statistics.
-
-        Raises:
-            NoPlan: a joint cannot cover its way in time.
+        The goal may be the start.
         """
         require_time(query)
         free = self.free

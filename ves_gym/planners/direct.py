@@ -75,18 +75,7 @@ class Direct:
         return Direct(self.free, self.iterations, weights)
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """Minimise from one start, the straight line; deterministic.
-
-        Args:
-            query: the ends and limits.
-            seed: not used.
-
-        Returns:
-            The motion and the search's statistics.
-
-        Raises:
-            NoPlan: a joint cannot cover its way in time.
-        """
+        """Minimise from one start, the straight line; deterministic."""
         require_time(query)
         problem = MotionProblem(query, self.free, weights=self.weights)
         minimum = minimise(problem, problem.straight, self.iterations)
@@ -170,9 +159,6 @@ class MotionProblem:
         A base that moves at the start pushes the joints; what their servo gives against it, and
         how fast they yield, is that of the linear base under the motion. A base at rest is
         taken to stand still, as where the answer is checked (`query.check_motion`).
-
-        Args:
-            motion: of the query's duration.
         """
         self.energy = self.form_at(motion)
         linear = self.energy.linear
@@ -233,14 +219,7 @@ class MotionProblem:
         return self.chained(momentum(self.arm, position @ control, velocity @ control))
 
     def chained(self, sample: BaseMomentum) -> tuple[Array, Array]:
-        """Turn samples and their derivatives by q and q' into those by the control points.
-
-        Args:
-            sample: at the times of `energy`, (N, k) and (N, k, n) twice.
-
-        Returns:
-            (N k,) and (N k, free n).
-        """
+        """Samples (N k,) and their derivative by the control points (N k, free n)."""
         position, velocity = self._bases
         inner = slice(_FIXED, self.m - _FIXED)
         slope = np.einsum("kcj,km->kcmj", sample.by_q, position[:, inner])
@@ -255,14 +234,7 @@ class MotionProblem:
     # ------------------------------------------------------------------------ limits
 
     def limits(self, x: Array) -> tuple[Array, Array]:
-        """Return what must be <= 0, each in shares of its limit (of 0.1 m for distances).
-
-        Args:
-            x: (free n,) control points [rad].
-
-        Returns:
-            (r,) values and their derivative (r, free n).
-        """
+        """Return what must be <= 0, in shares of limits (of 0.1 m for distances), and by x."""
         offset, slope = self._linear
         values, slopes = [offset + slope @ x], [slope]
         if self.query.system.drive == "motor":
@@ -303,9 +275,7 @@ class MotionProblem:
     def _yielding(self, t: Array, order: int) -> Array:
         """Largest and least rate of pushed joints while a point of the polygon acts (2, k, n).
 
-        Args:
-            t: knots [s].
-            order: of the polygon's derivative; only rates (1) are limited as the joints move.
+        Only rates (order 1 of the derivative) are limited as the joints move; t: knots.
         """
         count, degree = self.m - order, DEGREE + 1 - order
         if self._given is None or order != 1:
@@ -321,10 +291,7 @@ class MotionProblem:
     def torque(self, x: Array, bases: list[Array], arm: Arm | None = None) -> InverseDynamics:
         """Joint torque on a base that stands still (k, n) [N m], by (k, n, free, n).
 
-        Args:
-            x: (free n,) control points [rad].
-            bases: positions, rates and accelerations at k times (`_sampled`).
-            arm: another one than the query's.
+        `bases`: of positions, rates and accelerations at k times; `arm`: default the query's.
         """
         control = self.control(x)
         dynamics = torque(arm or self.arm, *(b @ control for b in bases))

@@ -28,16 +28,13 @@ RESERVE = 0.02  # of the speed limits: what planners on the board leave where th
 
 
 def executed_violation(query: Query, run: Recording, i: int) -> str | None:
-    """Name the first thing that keeps a played motion from being an answer to a query.
+    """Name the first thing that keeps a played motion from being an answer to a query, or None.
 
     Args:
         query: ends, limits and surroundings.
         run: the motion played and held for `SETTLING` s or more, watched or recorded at every
             physics step.
         i: number of the run.
-
-    Returns:
-        The reason in words, None if there is none.
     """
     arm, steps = query.system.arm, run.closely(i)
     t, q, v = steps.t, steps.q, steps.v
@@ -88,16 +85,8 @@ def solve_with_reserve(
 ) -> Plan:
     """Plan with lower speed limits, so that the arm that follows keeps the query's.
 
-    Where the planner has no answer to that, it plans with the limits as they are.
-
-    Args:
-        planner: any object of the `Planner` protocol.
-        query: the ends, the duration and limits.
-        seed: of whatever is random, >= 0.
-        reserve: share of the speed limits that is left, in [0, 1).
-
-    Returns:
-        The plan, an answer to the query itself; its seconds are those of all planning.
+    Where the planner has no answer to that, it plans with the limits as they are; the plan's
+    seconds are those of all planning. `reserve`: share of the limits that is left, in [0, 1).
     """
     if not 0 <= reserve < 1:
         raise ParameterError(f"reserve must be in [0, 1), got {reserve}")

@@ -51,13 +51,6 @@ class HotSpot:
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
         """Relax the shortest path and the straight line, and time the shorter; deterministic.
 
-        Args:
-            query: the ends, the duration and limits.
-            seed: not used.
-
-        Returns:
-            The motion, and coupling lengths [J^(1/2)].
-
         Raises:
             NoPlan: the base has no stiffness, so that no joint motion stores energy in it.
         """
@@ -114,14 +107,7 @@ class SpotNetwork:
         self._lengths, self._near, self._joins_ends = lengths, near, joins_ends
 
     def route(self, start: Array, goal: Array) -> Array:
-        """Return the shortest path through the network.
-
-        Args:
-            start, goal: (n,) [rad].
-
-        Returns:
-            (k, n) way-points [rad].
-        """
+        """Return the shortest path (k, n) [rad] through the network."""
         size = len(self.points)
         a, b, costs = [self.edges[0]], [self.edges[1]], [self.costs]
         for k, q in enumerate((start, goal)):
@@ -146,12 +132,7 @@ class SpotNetwork:
 
 
 def lattice(system: System, duration: float | None) -> SpotNetwork:
-    """A regular lattice of `_PITCH`, every point joined to all around it.
-
-    Args:
-        system: arm and vehicle.
-        duration: of Q_T [s]; None for raw Q.
-    """
+    """A regular lattice of `_PITCH`, every point joined to all around it."""
     axes = _axes(system.arm)
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
     index = np.arange(len(points)).reshape([len(axis) for axis in axes])
@@ -183,10 +164,6 @@ def roadmap(system: System, duration: float | None) -> SpotNetwork:
     """Halton's points in joint space of any dimension, joined to their neighbours.
 
     As many as in PRM* (Karaman and Frazzoli 2011).
-
-    Args:
-        system: arm and vehicle.
-        duration: of Q_T [s]; None for raw Q.
     """
     arm = system.arm
     halton = qmc.Halton(arm.n, scramble=False).random(_ROADMAP)
@@ -268,7 +245,7 @@ _AT_ONCE = 200_000  # configurations
 
 
 class BadPath:
-    """The path that the coupling map warns of: one joint after the other, in the worst order.
+    """The bad path of thesis 4.2: one joint after the other, in the order of most coupling.
 
     Of all orders of the joints, the one of greatest coupling length on raw Q; each joint
     moves from rest to rest in its share of the time.
@@ -279,13 +256,6 @@ class BadPath:
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
         """Move the joints one by one, in the worst order; deterministic.
-
-        Args:
-            query: the ends and the duration.
-            seed: not used.
-
-        Returns:
-            The motion, and its coupling length [J^(1/2)].
 
         Raises:
             NoPlan: too many joints to compare all their orders.
@@ -310,17 +280,10 @@ class BadPath:
 
 
 def worst_order(system: System, start: Array, goal: Array) -> list[int]:
-    """Order of the moving joints of greatest coupling length on raw Q.
+    """Numbers of the moving joints, from 0, in the order of greatest coupling length on raw Q.
 
     A joint's part depends on which joints moved before it, not on their order: the longest way
     through the sets of joints (Held and Karp).
-
-    Args:
-        system: arm and vehicle.
-        start, goal: (n,) [rad].
-
-    Returns:
-        Numbers of the joints that move, from 0.
     """
     moving = np.flatnonzero(start != goal).tolist()
     part = _parts(system, start, goal, moving)

@@ -203,13 +203,7 @@ class LinearResponse:
         return out
 
     def samples(self, name: str, step: float, span: float) -> Array:
-        """A quantity at the nodes and at even times after them (K, r, C).
-
-        Args:
-            name: of `QUANTITIES`.
-            step: between samples after the motion [s].
-            span: how long after it they reach [s].
-        """
+        """A quantity at the nodes and at even times after them (K, r, C), over a span [s]."""
         quantity = self.quantity(name)
         Phi = scipy.linalg.expm(self._tail_dynamics * step)
         states = [self.s[-1]]
@@ -244,10 +238,6 @@ def predict_disturbance(query: Query, motion: Motion) -> Disturbance:
     """Predict the disturbance measures of an answer to a query.
 
     Small angles; the inertia follows the arm, joints give way on their servo.
-
-    Args:
-        query: system, servo, the base's motion at the start and the filter of `E_weighted`.
-        motion: of the joints.
     """
     linear = LinearBase(query.system, query.servo)
     t = np.linspace(0.0, motion.duration, NODES * FINE + 1)

@@ -85,27 +85,15 @@ class Metric:
         )
 
     def squares(self, q: npt.ArrayLike, dq: npt.ArrayLike) -> Array:
-        """dq^T (Q(q) + least 1) dq over leading axes.
+        """dq^T (Q(q) + least 1) dq over leading axes of q and dq (..., n) [rad].
 
-        Args:
-            q: (..., n) configurations [rad].
-            dq: (..., n) joint steps [rad].
-
-        Returns:
-            (...) [J], of kind disturbance [rad^2], kinetic [kg m^2 rad^2].
+        In [J], of kind disturbance [rad^2], kinetic [kg m^2 rad^2].
         """
         at = np.concatenate(np.broadcast_arrays(q, dq), axis=-1).astype(float)
         return self._form(at, self._p)[..., 0]
 
     def lengths(self, a: npt.ArrayLike, b: npt.ArrayLike) -> Array:
-        """Lengths of straight edges.
-
-        Args:
-            a, b: (..., n) ends [rad].
-
-        Returns:
-            (...) roots of the unit of `squares`.
-        """
+        """Lengths (...) of straight edges, roots of the unit of `squares`; a, b (..., n) ends."""
         start, step = np.asarray(a, float), np.asarray(b, float) - np.asarray(a, float)
         at = start[..., None, :] + _NODES[:, None] * step[..., None, :]
         squares = self.squares(at, np.broadcast_to(step[..., None, :], at.shape))
@@ -167,13 +155,7 @@ def _form(system: System, kind: str) -> casadi.Function:
 
 
 def _band_limited(Mt: Array, K: Array, u: Array, duration: Array) -> Array:
-    """sum_i omega_i^2 S(omega_i T)^2 (phi_i^T u)^2 over the modes of (K, M_t).
-
-    Args:
-        Mt, K: (..., 6, 6).
-        u: (..., 6).
-        duration: (..., 1) T [s].
-    """
+    """sum_i omega_i^2 S(omega_i T)^2 (phi_i^T u)^2 over the modes of (K, M_t), T in s."""
     C, y = reduced(K, Mt, u[..., None])
     for _ in range(_SWEEPS):
         C, y = jacobi_sweep(C, y)

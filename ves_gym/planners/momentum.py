@@ -36,11 +36,7 @@ def momentum(arm: Arm, q: Array, v: Array) -> BaseMomentum:
 
     Args:
         arm: n joints.
-        q: (..., n) configurations [rad].
-        v: (..., n) joint rates [rad/s].
-
-    Returns:
-        u = H_bm(q) v (..., 6), and its derivatives by q and v, (..., 6, n) each.
+        q, v: (..., n) [rad], [rad/s].
     """
     n = arm.n
     out = _function(_momentum, arm)(points((q, n, "q"), (v, n, "v")))
@@ -61,10 +57,7 @@ def torque(arm: Arm, q: Array, v: Array, a: Array) -> InverseDynamics:
 
     Args:
         arm: n joints.
-        q: (..., n) [rad]. v: (..., n) [rad/s]. a: (..., n) [rad/s^2].
-
-    Returns:
-        Joint torque (..., n) [N m], and its derivatives (..., 3, n, n).
+        q, v, a: (..., n) [rad], [rad/s], [rad/s^2].
     """
     n = arm.n
     at = points((q, n, "q"), (v, n, "v"), (a, n, "a"))

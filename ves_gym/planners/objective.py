@@ -163,13 +163,7 @@ class MeanEnergy:
 
 
 def running_integral(t: Array) -> Array:
-    """Matrix (N, N) that integrates samples at evenly spaced times from the first on.
-
-    By the trapezoidal rule.
-
-    Args:
-        t: (N,) times [s].
-    """
+    """Matrix (N, N) that integrates samples at even times from the first on (trapezoids)."""
     weight = np.tril(np.full((len(t), len(t)), t[1] - t[0]), -1)
     weight[:, 0] /= 2
     np.fill_diagonal(weight, (t[1] - t[0]) / 2)
@@ -202,11 +196,8 @@ _PEAKS = {
 def checked_weights(weights: Mapping[str, float] | None) -> dict[str, float]:
     """Return the weights of all measures that count; that of the energy is 1 unless given.
 
-    Args:
-        weights: by the names in `WEIGHTS`, each >= 0; None: the energy alone.
-
     Raises:
-        ParameterError: an unknown name, a negative weight, or none above zero.
+        ParameterError: a name not in `WEIGHTS`, a negative weight, or none above zero.
     """
     out = {ENERGY: 1.0, **(weights or {})}
     for name, value in out.items():
@@ -239,12 +230,7 @@ def parse_weights(text: str) -> dict[str, float]:
 
 
 def weighted_name(planner: str, weights: Mapping[str, float]) -> str:
-    """A planner's name with its weights, as `get_planner` reads it.
-
-    Args:
-        planner: its name without.
-        weights: as `checked_weights` returns them.
-    """
+    """A planner's name with its weights, as `get_planner` reads it."""
     weighted = {name: w for name, w in weights.items() if (name, w) != (ENERGY, 1.0)}
     listed = "+".join(f"{name}={w:g}" for name, w in weighted.items())
     return f"{planner}:{listed}" if listed else planner
@@ -334,12 +320,7 @@ class Objective:
             self.constant += share * form.constant
 
     def measure(self, name: str, u: Array) -> float:
-        """One disturbance measure of momenta u, a peak by its power mean.
-
-        Args:
-            name: of `MEASURES`.
-            u: (6 (N + 1),).
-        """
+        """One of `MEASURES` of momenta u (6 (N + 1),), a peak by its power mean."""
         square = self._form(name).value(u)
         return square if name == "E_weighted" else max(square, 0.0) ** 0.5
 
@@ -360,11 +341,7 @@ class Objective:
         return out
 
     def curvature(self, u: Array, slope: Array) -> Array:
-        """slope^T W slope (k, k), W the second derivative of `value` at u.
-
-        Args:
-            u: (6 (N + 1),) momenta. slope: (6 (N + 1), k).
-        """
+        """slope^T W slope (k, k), W the second derivative of `value` at u."""
         out: Array = slope.T @ (self.hessian @ slope)
         for share, peak in self._peaks:
             out = out + share * peak.curvature(u, slope)

@@ -94,15 +94,7 @@ def read_surroundings(path: str | os.PathLike[str]) -> Surroundings:
 
 
 def link_radius(arm: Arm, i: int) -> float:
-    """Radius of a link's capsule: nominal, this project.
-
-    Args:
-        arm: n links.
-        i: the link, from 0.
-
-    Returns:
-        The radius [m].
-    """
+    """Radius of link i's capsule, from 0: nominal, this project [m]."""
     size = float(sum(math.hypot(k.a, k.d) for k in arm.links))
     return _THICKNESS * size * (1 - _TAPER * i / arm.n)
 
@@ -142,12 +134,7 @@ class Collisions:
         return self.data.ncon == 0 or bool((contacts.dist >= self.clearance).all())
 
     def touching(self, q: Array, y: Array) -> list[str]:
-        """Pairs of shapes that overlap, by name, the base displaced.
-
-        Args:
-            q: (n,) configuration [rad].
-            y: (6,) pose of the base [m, rad].
-        """
+        """Pairs of shapes that overlap at q (n,), by name, the base displaced by y (6,)."""
         self.data.qpos[self._base] = y
         try:
             contacts = self._detect(q, 0.0)
@@ -172,17 +159,10 @@ class Collisions:
         return sorted({" and ".join(self.model.geom(g).name for g in pair) for pair in pairs})
 
     def proximity(self, q: Array, within: float) -> Proximity:
-        """Return the pairs of shapes near each other, and how their distances change.
+        """Return the pairs of shapes nearer than `within` [m], and how their distances change.
 
         Distances are those of MuJoCo's geometry; where one shape is deep inside another its
         distance may stay the same, and the slope only points the way out.
-
-        Args:
-            q: (n,) configuration [rad].
-            within: pairs nearer than this are returned [m].
-
-        Returns:
-            Distances (k,) [m] and slopes (k, n) [m/rad].
         """
         mj, model, data = self._mujoco, self.model, self.data
         contacts = self._detect(q, within)
@@ -206,16 +186,9 @@ class Collisions:
 
 @lru_cache(maxsize=8)
 def collisions(system: System, surroundings: Surroundings) -> Collisions:
-    """Return the cached checker of a system and its surroundings.
+    """Return the checker of an ideal system and its surroundings; the same one for the same.
 
     Not for several threads at once: they would share its MuJoCo data.
-
-    Args:
-        system: arm and vehicle, ideal.
-        surroundings: obstacles and clearance.
-
-    Returns:
-        The same checker for the same arguments.
     """
     return Collisions(system, surroundings)
 

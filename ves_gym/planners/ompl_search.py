@@ -70,13 +70,6 @@ class Ompl:
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
         """Search a new tree every time; the seed and the budget decide the path.
 
-        Args:
-            query: the ends, limits and surroundings.
-            seed: of OMPL's random numbers, >= 0.
-
-        Returns:
-            The motion, and the search's cost, counts and anytime curve.
-
         Raises:
             NoPlan: no path within the budget, or the child process failed.
         """
@@ -105,10 +98,6 @@ class Ompl:
 
     def search(self, query: Query, seed: int) -> PathSearchResult:
         """Return way-points and the anytime curve, from the child process.
-
-        Args:
-            query: the ends, limits and surroundings.
-            seed: of OMPL's random numbers, >= 0.
 
         Raises:
             MissingPackageError: OMPL is not installed.
@@ -149,11 +138,7 @@ class SearchProcess:
         self._owner = 0  # process that started it
 
     def request(self, request: Request, limit: float) -> PathSearchResult:
-        """Send a request to the child and return its answer.
-
-        Args:
-            request: what to search.
-            limit: time after which the child is killed [s], its start not counted.
+        """Return the child's answer; it has `limit` seconds for it, its start not counted.
 
         Raises:
             NoPlan: the child crashed, failed or did not answer in time.

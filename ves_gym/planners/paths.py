@@ -21,18 +21,12 @@ _FOLLOWED = (48, 96)  # control points of a motion that has to stay on the path 
 
 
 def time_path(query: Query, path: Array) -> tuple[Motion, float]:
-    """Time way-points by a motion that respects the query's limits where one can.
+    """Time way-points (k, n) [rad] by a motion that respects the query's limits where one can.
 
     The first of these that does: smooth through them; along their straight edges by a
     quintic; by a law that cruises, for limits of speed. Without surroundings the path is
-    drawn towards the straight line instead.
-
-    Args:
-        query: the duration and limits.
-        path: (k, n) way-points [rad].
-
-    Returns:
-        The motion, and the share of the way from the straight line that is left [1].
+    drawn towards the straight line instead: the second value is the share of its way that
+    is left [1].
     """
     smooth = Motion.through(path, query.duration)
     if first_violation(query, smooth) is None:
@@ -61,9 +55,6 @@ def follow(
         speed: (n,) speed limits [rad/s].
         controls: control points of the motion.
         law: rest-to-rest law on [0, 1], (N,) to (N,).
-
-    Returns:
-        The motion.
     """
     fine = resample(path, 2001)
     least = np.r_[0, np.cumsum(np.max(np.abs(np.diff(fine, axis=0)) / speed, axis=1))]
@@ -90,29 +81,16 @@ def septic(u: Array) -> Array:
 
 
 def resample(path: Array, points: int) -> Array:
-    """Points evenly spaced in joint-space length along a polyline, its ends unchanged.
-
-    Args:
-        path: (k, n) way-points [rad].
-        points: how many.
-
-    Returns:
-        (points, n) [rad].
-    """
+    """Points evenly spaced along a polyline (k, n) in joint space, its ends unchanged."""
     length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
     at = np.linspace(0, length[-1], points)
     return np.stack([np.interp(at, length, path[:, j]) for j in range(path.shape[1])], axis=1)
 
 
 def feasible_part(query: Query, path: Array) -> tuple[Motion, float]:
-    """Time a path, drawn towards the straight line until it respects the limits.
+    """Time a path (k, n), drawn towards the straight line until it respects the limits.
 
-    Args:
-        query: the duration and limits.
-        path: (k, n) way-points [rad].
-
-    Returns:
-        The motion, and the share of the way from the straight line that is left [1].
+    Also returns the share of the way from the straight line that is left [1].
     """
     straight = np.linspace(path[0], path[-1], len(path))
 

@@ -56,11 +56,8 @@ class BaseState:
     def stacked(self, base: BaseModel) -> tuple[Array, Array]:
         """Coordinates (Y, u) of a base and their rates, (6 + m,) each.
 
-        Args:
-            base: whose; its internal modes are carried along where none are given.
-
         Raises:
-            ParameterError: another number of internal coordinates.
+            ParameterError: another number of internal coordinates than the base has.
         """
         y, yd = np.array(self.y), np.array(self.yd)
         if len(self.u) not in (0, base.m):
@@ -86,17 +83,10 @@ class Prediction:
 
 
 def spectral_energy(system: System, motion: Motion, nodes: int | None = None) -> float:
-    """E_res = 1/2 sum_i omega_i^2 |int e^(-j omega_i t) g_i(q)^T q' dt|^2.
+    """E_res = 1/2 sum_i omega_i^2 |int e^(-j omega_i t) g_i(q)^T q' dt|^2 [J].
 
-    Undamped; modes frozen at the motion's middle configuration.
-
-    Args:
-        system: arm and vehicle.
-        motion: of the joints.
-        nodes: samples; default sixteen per cycle of the fastest mode, at least 200.
-
-    Returns:
-        The energy [J].
+    Undamped; modes frozen at the motion's middle configuration. `nodes`: samples, by default
+    sixteen per cycle of the fastest mode and at least 200.
     """
     T = motion.duration
     linear = LinearBase(system)
@@ -111,16 +101,7 @@ def spectral_energy(system: System, motion: Motion, nodes: int | None = None) ->
 
 
 def joint_momentum(system: System, motion: Motion, t: Array) -> Array:
-    """Base momentum H_bm(q) q' of the moving joints.
-
-    Args:
-        system: its arm moves.
-        motion: of the joints.
-        t: (N,) times [s].
-
-    Returns:
-        (N, 6) [kg m/s, kg m^2/s].
-    """
+    """Base momentum H_bm(q) q' of the moving joints at times t (N,): (N, 6), SI units."""
     s = motion.at(t)
     return matvec(inertia(system.arm, s.q)[..., :6, 6:], s.v)
 
@@ -200,15 +181,7 @@ class Response(NamedTuple):
     M: Array  # (N, size, size) inertia of x
 
     def at(self, t: Array, servo: JointServo) -> tuple[Array, Array]:
-        """Torque that the servo adds to its feed-forward, and the rate at which joints yield.
-
-        Args:
-            t: (N,) times [s].
-            servo: that the response was found with.
-
-        Returns:
-            (N, n) [N m] and (N, n) [rad/s].
-        """
+        """Servo torque beyond feed-forward [N m] and the joints' yielding [rad/s], (N, n)."""
         n = len(servo.kp)
         away, rate = self.x[:, -n:], self.rate[:, -n:]
         torque = -(away * np.array(servo.kp) + rate * np.array(servo.kd))
@@ -237,14 +210,10 @@ def respond(
     linear over a step, second order in the change of inertia.
 
     Args:
-        linear: the base under the arm that moves.
-        motion: of the joints.
-        nodes: steps.
+        linear, motion: the base under the arm that moves, and how it does.
+        nodes, parts: steps, and their parts, in which the momentum is linear and the inertia
+            that of the step.
         base: its motion at the start; None: at rest.
-        parts: of a step in which the momentum is linear and the inertia that of the step.
-
-    Returns:
-        Its motion at nodes x parts + 1 times.
     """
     size, count = linear.size, nodes * parts
     t = np.linspace(0, motion.duration, 2 * count + 1)
@@ -302,12 +271,9 @@ def predict(
 def inertia_along(
     linear: LinearBase, at: npt.ArrayLike | Motion, t: Array
 ) -> tuple[Array, Array]:
-    """Inertia of x at the nodes and in the middle of every step; one of each if it is constant.
+    """Inertia of x at the nodes t (N,) and in the middle of every step.
 
-    Args:
-        linear: the base under the arm.
-        at: (n,) configuration [rad], or a motion.
-        t: (N,) nodes, even [s].
+    Of a motion; one of each where `at` is a configuration (n,) [rad], as it is then constant.
     """
     if not isinstance(at, Motion):
         M = linear.mass(inertia(linear.system.arm, at))[None]

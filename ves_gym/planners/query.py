@@ -129,14 +129,6 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
     Linear algebra runs on one thread meanwhile: its matrices are small, and a sum split
     over threads would make the last bits depend on the machine's load.
 
-    Args:
-        planner: any object of the `Planner` protocol.
-        query: the ends, the duration and limits.
-        seed: of whatever is random, >= 0.
-
-    Returns:
-        The plan; without a motion where the planner found none.
-
     Raises:
         ParameterError: a negative seed.
     """
@@ -158,17 +150,10 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
 
 
 def first_violation(query: Query, motion: Motion) -> str | None:
-    """Name the first limit that keeps a motion from being an answer to a query.
+    """Name the first limit that keeps a motion from being an answer to a query, if any.
 
     Ends, duration, position, the query's speed and acceleration limits, on motor drives the
     joint torque, and collisions at four times the planning resolution.
-
-    Args:
-        query: the ends, the duration and limits.
-        motion: a candidate.
-
-    Returns:
-        The reason in words, or None if the motion is an answer.
     """
     start, goal = query.ends
     if not (np.allclose(motion.start, start) and np.allclose(motion.goal, goal)):
@@ -190,10 +175,6 @@ def min_duration(query: Query, motion: Motion) -> float:
 
     From rest to rest on a base at rest nothing weighs on the joints: played k times slower,
     rates are a k-th, accelerations and torques a k^2-th.
-
-    Args:
-        query: arm and limits.
-        motion: of the joints.
     """
     limits = answer_limits(query)
     orders = {"velocity": 1.0, "acceleration": 0.5, "torque": 0.5}
@@ -216,12 +197,7 @@ def check_motion(query: Query, motion: Motion, limits: Mapping[str, Array]) -> L
     """Check a motion as it is commanded, or as a moving base lets the joints follow it.
 
     With a moving base angles, rates and torques are those of the joints on their servo, pushed
-    by the linear base.
-
-    Args:
-        query: arm, servo and base.
-        motion: of the joints.
-        limits: see `limits_of`.
+    by the linear base. `limits`: see `limits_of`.
     """
     arm = query.system.arm
     if query.base is None or query.system.drive != "motor":
@@ -259,15 +235,7 @@ def _touched(query: Query, motion: Motion) -> str | None:
 
 
 def sample_path(motion: Motion, step: float) -> Array:
-    """Configurations along a motion, evenly spaced in joint space.
-
-    Args:
-        motion: n joints.
-        step: largest distance between neighbours [rad].
-
-    Returns:
-        (N, n) [rad].
-    """
+    """Configurations (N, n) [rad] along a motion, at most `step` [rad] apart in joint space."""
     q = motion.at(np.linspace(0, motion.duration, 4001)).q
     length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))]
     count = max(2, 2 + int(length[-1] / (0.9 * step)))
@@ -277,11 +245,7 @@ def sample_path(motion: Motion, step: float) -> Array:
 
 
 def require_time(query: Query) -> None:
-    """Raise NoPlan where a joint cannot cover its way within its speed limit.
-
-    Args:
-        query: with its duration [s] and, if any, speed limits [rad/s].
-    """
+    """Raise NoPlan where a joint cannot cover its way within its speed limit."""
     if query.v_max is None:
         return
     start, goal = query.ends

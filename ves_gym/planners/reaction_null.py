@@ -46,15 +46,13 @@ _SAMPLES = 97  # of a motion, for its share along null directions
 def reaction_null_space(
     system: System, q: npt.ArrayLike, *, attitude: bool = False, share: float = 1e-9
 ) -> Array:
-    """Orthonormal joint directions without reaction on the base, at one configuration.
+    """Orthonormal joint directions (n, k) without reaction on the base, at one configuration.
 
     Args:
+        system: arm and vehicle.
         q: (n,) [rad].
         attitude: only the rotation of a free-floating base has to rest.
         share: of the largest coupling (root of Q's eigenvalue) at which a direction counts.
-
-    Returns:
-        (n, k) columns; k = 0 where there is none.
     """
     at = system.arm.require_within_limits(q)
     if not 0 <= share < 1:
@@ -82,7 +80,7 @@ def reaction_null_path(
     length: float = 1.0,
     attitude: bool = False,
 ) -> Array:
-    """Configurations along reactionless directions from q, as far as the joint limits allow.
+    """Configurations (k, n) [rad] along reactionless directions, inside the joint limits.
 
     By the classical Runge-Kutta rule in steps of 0.02 rad; `Motion.through` times it.
 
@@ -90,11 +88,8 @@ def reaction_null_path(
         system: arm and vehicle.
         q: (n,) where it begins [rad].
         direction: (n,) of which the reactionless part is followed; None: the first one.
-        length: of the path in joint space [rad].
+        length: of the path in joint space [rad]; it is shorter where a limit is met.
         attitude: only the rotation of a free-floating base has to rest.
-
-    Returns:
-        (k, n) configurations [rad], shorter than `length` where a limit is met.
 
     Raises:
         ParameterError: no reactionless direction at q, or none along `direction`.
@@ -165,14 +160,6 @@ class ReactionNull:
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
         """Follow null directions from both ends, or minimise the reaction; deterministic.
-
-        Args:
-            query: the ends, the duration and limits.
-            seed: not used.
-
-        Returns:
-            The motion, the share of its length along null directions [1], and, where the
-            reaction was minimised, what is left of the straight line's [1].
 
         Raises:
             NoPlan: an arm that cannot be reactionless gains nothing by trying.
@@ -252,12 +239,7 @@ class ReactionNull:
 
 
 def _joined(query: Query, ahead: Array, back: Array) -> Array:
-    """Way-points (k, n) from start to goal along both flows, without repeated ones [rad].
-
-    Args:
-        query: whose ends stand where no flow leads anywhere.
-        ahead: (i, n) from the start. back: (j, n) from the goal.
-    """
+    """Way-points (k, n) [rad] along the flows from both ends, without repeated ones."""
     path = np.vstack([ahead, back[::-1]])
     path = path[np.r_[True, np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9]]
     return path if len(path) > 1 else np.array(query.ends)
@@ -286,14 +268,10 @@ class ReactionProblem(MotionProblem):
         super().__init__(query, free, MeanSquare(weight, query.duration))
 
     def momentum(self, x: Array) -> tuple[Array, Array]:
-        """Samples of what the base has to balance, and their derivative.
+        """Samples of what the base has to balance, and their derivative by x.
 
-        Args:
-            x: (free n,) control points [rad].
-
-        Returns:
-            Momentum (6 (N + 1),), of a free base the angular part about the common centre of
-            mass (3 (N + 1),) [kg m^2/s], and its derivative (..., free n).
+        Momentum (6 (N + 1),); of a free base the angular part about the common centre of mass
+        (3 (N + 1),) [kg m^2/s].
         """
         position, velocity = self._bases
         control = self.control(x)
@@ -350,12 +328,7 @@ def _centre(M: Array) -> Array:
 
 
 def _about_centre(sample: BaseMomentum, M: Array) -> BaseMomentum:
-    """Angular momentum of the joints about the common centre of mass, with derivatives.
-
-    Args:
-        sample: momentum of joint rates (N, 6).
-        M: (N, 6, 6) inertia of arm and base.
-    """
+    """Angular momentum of the joints about the common centre of mass, M the inertia of all."""
     u, by_q, by_v = sample
     centre, moved = _centre(M), by_v[:, :3] / M[:, :1, :1]  # its derivative by the joints
     push = u[:, :3]

@@ -66,13 +66,6 @@ class Refined:
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
         """Refine several starts; the seed chooses the detours, and the search among obstacles.
 
-        Args:
-            query: the ends, the duration, limits and surroundings.
-            seed: >= 0.
-
-        Returns:
-            The best motion, and the energies of all starts [J].
-
         Raises:
             NoPlan: no way was found, and the straight one could not be bent around.
         """
@@ -105,13 +98,7 @@ def refine(
 ) -> tuple[Motion, dict[str, Any]]:
     """Refine motions of any duration and return the one of least predicted E_mean.
 
-    Args:
-        query: the ends, the duration and limits.
-        motions: one or more starts.
-        free: control points of the answer.
-
-    Returns:
-        The best motion, and the energies of all starts [J].
+    Also the energies of all starts [J]; `free`: control points of the answer.
 
     Raises:
         ParameterError: no motions, or one of another arm.
@@ -124,16 +111,7 @@ def refine(
 
 
 def detours(problem: MotionProblem, count: int, seed: int) -> list[Array]:
-    """Straight lines with random half and full sine waves on every joint.
-
-    Args:
-        problem: the query's motions.
-        count: how many.
-        seed: of the waves.
-
-    Returns:
-        `count` decisions (free n,) [rad].
-    """
+    """Straight lines with random half and full sine waves on every joint, (free n,) each."""
     rng = np.random.default_rng(seed)
     low, high = problem.bounds
     n = problem.n
@@ -203,10 +181,8 @@ def _best(
 def _require_duration(problem: MotionProblem, looks: Sequence[Minimum], share: float) -> None:
     """Raise NoPlan where motions found so far say that there is too little time for any.
 
-    Args:
-        problem: from rest on a base at rest, without obstacles; of others nothing is said.
-        looks: what the first starts have come to.
-        share: of the duration that the shortest motion found must take for that.
+    From rest on a base at rest, without obstacles; of others nothing is said. `share`: of the
+    duration that the shortest motion found must take for that.
     """
     query = problem.query
     if query.is_moving or query.base is not None or query.surroundings is not None:

@@ -74,12 +74,6 @@ def register_planner(planner: P) -> P:
     Args:
         planner: a `Planner`, or a class of planners that needs no arguments (so that this
             function also decorates one).
-
-    Returns:
-        The planner or class.
-
-    Raises:
-        ParameterError: the name is taken, or something of a `Planner` is missing.
     """
     instance: Any = planner() if isinstance(planner, type) else planner
     for part in ("name", "summary", "find"):
@@ -115,15 +109,7 @@ def get_planner(name: str) -> Planner:
 
 
 def weighted(planner: Planner, weights: Mapping[str, float]) -> Planner:
-    """Return a planner that also minimises disturbance measures.
-
-    Args:
-        planner: one that takes weights, such as `refined`.
-        weights: by the names of `planners.objective.WEIGHTS`.
-
-    Raises:
-        ParameterError: it takes none, or a weight that is none.
-    """
+    """Return a planner that also minimises measures, see `planners.objective.WEIGHTS`."""
     able = getattr(planner, "weighted", None)
     if able is None:
         raise ParameterError(

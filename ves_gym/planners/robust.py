@@ -98,17 +98,8 @@ class Robust:
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
         """Minimise the objective over the scenarios, the price on the described machine kept.
 
-        Args:
-            query: the ends, the duration and limits.
-            seed: of the nominal search.
-
-        Returns:
-            The motion; the energies [J] of the nominal optimum, of the answer, and of motions
-            made for each machine alone (`known`), on the machine as described and in every
-            scenario.
-
-        Raises:
-            NoPlan: there is no nominal plan.
+        `info` has the energies [J] of the nominal optimum, of the answer, and of motions made
+        for each machine alone (`known`), on the machine as described and in every scenario.
         """
         nominal, info = Refined(self.free).find(query, seed)
         problem = ScenarioProblem(
@@ -136,8 +127,7 @@ class Robust:
 
         Args:
             problem: of all scenarios.
-            x0: the nominal optimum.
-            before: its energies [J].
+            x0: the nominal optimum. before: its energies [J].
             known: least energies [J], the scales.
         """
         risk = problem.risk
@@ -210,10 +200,6 @@ def scenarios(system: System, uncertain: Ranges) -> list[System]:
 
     All corners of the box of up to three numbers; of more, the rows of a Hadamard matrix, in
     which every number stands at either end as often, and every pair at all four.
-
-    Args:
-        system: as described.
-        uncertain: {effect: {parameter: (low, high)}}.
 
     Raises:
         ParameterError: nothing is uncertain, or as `randomize` refuses it.
@@ -293,12 +279,7 @@ class Risk:
         return out
 
     def curvature(self, u: Array, slope: Array) -> Array:
-        """Second derivative of `value` along directions (k, k).
-
-        Args:
-            u: momenta of all groups, one after another.
-            slope: (size of u, k) derivatives of u by k variables.
-        """
+        """Second derivative of `value` (k, k) along directions: `slope` of u (size of u, k)."""
         weights, k = self._weights(u), slope.shape[1]
         out = np.zeros((k, k))
         for g, part in enumerate(self._slices):
@@ -359,11 +340,7 @@ class ScenarioProblem(MotionProblem):
         self.energy = self.risk  # type: ignore[assignment]
 
     def known(self, x: Array) -> Array:
-        """Least energy on every machine [J] of a motion made for it alone.
-
-        Args:
-            x: decision to start from.
-        """
+        """Least energy on every machine [J] of a motion made for it alone, starting from x."""
         risk, out = self.risk, []
         for k, group in enumerate(risk.groups):
             risk.only, self.limited = k, range(group, group + 1)
@@ -372,12 +349,7 @@ class ScenarioProblem(MotionProblem):
         return np.array(out)
 
     def form_at(self, at: Array, system: System | None = None) -> MeanEnergy:  # type: ignore[override]
-        """E_mean on a machine whose servo is fed forward by the query's arm.
-
-        Args:
-            at: (n,) configuration of the frozen inertia [rad].
-            system: another one than the query's.
-        """
+        """E_mean on a machine whose servo is fed forward by the query's arm."""
         return super().form_at(at, system, described=self.arm)
 
     def energies(self, x: Array) -> Array:
@@ -451,11 +423,12 @@ class Uncertainty:
 
 
 def read_uncertainty(path: str | os.PathLike[str]) -> Uncertainty:
-    """Read ranges from TOML, as `randomize` takes them, or from a diagnosis's JSON.
+    """Read ranges from TOML, as `randomize` takes them, or from `ves-gym diagnose`'s JSON.
 
-    Args:
-        path: a table [effect] parameter = [low, high], or `diagnosis.json` of
-            `ves-gym diagnose`.
+    That has an estimate and a 90 % interval for every number that it names: the machine with
+    the estimates is what a robust plan is made for, the ends of the intervals are its
+    scenarios. Effects on arm and base count; others (friction, sensors, platform) do not change
+    the base's response to a motion that the joints follow, and stay as they are.
 
     Raises:
         ParameterError: no such file, or nothing of arm or base in it is uncertain.

@@ -34,17 +34,10 @@ _POINTS = 49  # per axis of a map
 
 
 def trace(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
-    """Base energy against time of every planner's answer to one query.
+    """Base energy against time of every planner's answer to one query: t [s] and E [J].
 
     Mode emulated: also strain energy and distance of the base from rest, and all of them
     in space (`ideal`); a stopped run ends with its stop.
-
-    Args:
-        vehicle: its name.
-        runs: answers to the same query.
-
-    Returns:
-        Plain data: series of t [s] and E [J].
     """
     query = runs[0].plan.query
     series: list[dict[str, Any]] = []
@@ -79,14 +72,7 @@ def _curves(run: Recording, k: int, detailed: bool) -> dict[str, list[float]]:
 def coupling_maps(vehicle: str, plans: list[Plan]) -> list[dict[str, Any]]:
     """Map the cross-sections of the first three joints through the start of a query.
 
-    With every path drawn on them.
-
-    Args:
-        vehicle: its name.
-        plans: answers to the same query.
-
-    Returns:
-        Three maps as `map_data` makes them; of an arm of two joints, one.
+    With the path of every plan drawn on them; of an arm of two joints, one.
     """
     query = plans[0].query
     out = []
@@ -97,16 +83,7 @@ def coupling_maps(vehicle: str, plans: list[Plan]) -> list[dict[str, Any]]:
 
 
 def map_data(vehicle: str, section: CouplingMap, plans: list[Plan]) -> dict[str, Any]:
-    """Turn a coupling map into plain data, in degrees.
-
-    Args:
-        vehicle: its name.
-        section: the map.
-        plans: whose paths are drawn on it.
-
-    Returns:
-        Axes, coupling [J/rad^2], lines and paths [deg].
-    """
+    """Turn a coupling map into plain data: axes, lines and paths [deg], coupling [J/rad^2]."""
     i, j = section.joints
     others = ", ".join(
         f"q{k + 1} = {np.rad2deg(value) + 0.0:.0f}°"
@@ -138,14 +115,10 @@ def map_data(vehicle: str, section: CouplingMap, plans: list[Plan]) -> dict[str,
 
 
 def platform_data(system: System) -> dict[str, Any] | None:
-    """Describe the platform that stands under the arm in mode emulated, and its six legs.
+    """Describe the platform that stands under the arm in mode emulated; None in space.
 
-    Args:
-        system: of a run.
-
-    Returns:
-        Plain data: joints of the legs (6, 3) seen from the platform top at home [m], `heads` in
-        its frame, and limits [m], [m/s]; None in space.
+    Joints of the six legs (6, 3) seen from the platform top at home [m], `heads` in its frame,
+    and limits [m], [m/s].
     """
     if system.mode != "emulated":
         return None
@@ -158,15 +131,9 @@ def platform_data(system: System) -> dict[str, Any] | None:
 
 
 def scene(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
-    """The arm on the swaying base, frame by frame, for every planner's answer.
+    """The arm on the swaying base, frame by frame, for every planner's answer to one query.
 
-    Args:
-        vehicle: its name.
-        runs: answers to the same query.
-
-    Returns:
-        Plain data: points of arm and beam [m], base pose [m, rad], E [J]; the platform of a
-        run in mode emulated.
+    Points of arm and beam [m], base pose [m, rad], E [J]; the platform of an emulated run.
     """
     query = runs[0].plan.query
     rest_beam = beam_line(query.system.vehicle, np.zeros((1, 6)))

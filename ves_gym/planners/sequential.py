@@ -103,9 +103,6 @@ def minimise(
         x0: (free n,) start [rad]; it may break limits.
         iterations: at most, in each round.
         tolerance: relative decrease of E_mean below which a step is the last.
-
-    Returns:
-        The best decision, its energy [J] and by how much of a limit it breaks it.
     """
     done = evaluations = 0
     for _ in range(_ROUNDS):
@@ -121,13 +118,7 @@ def minimise(
 
 
 def about_itself(problem: DecisionProblem, minimum: Minimum, iterations: int = 60) -> Minimum:
-    """Minimise again with the tool on the path that was found, where its error counts.
-
-    Args:
-        problem: its objective is replaced.
-        minimum: found with the tool on another path.
-        iterations: at most.
-    """
+    """Minimise again with the tool on the path that was found, where its error counts."""
     energy = problem.energy
     if not (isinstance(energy, Objective) and energy.follows_path):
         return minimum
@@ -197,8 +188,7 @@ def _subproblem(
 ) -> tuple[Array, float, float]:
     """Least quadratic model within bounds, limits linear, their largest excess priced.
 
-    Returns:
-        The step, the excess it leaves, and the price, raised if it was too low to matter.
+    Returns the step, the excess it leaves, and the price, raised if it was too low to matter.
     """
     size = len(gradient)
     ridge = _RIDGE * np.trace(hessian) / size + 1e-12
@@ -223,17 +213,10 @@ def _subproblem(
 def quadratic_program(
     H: Array, g: Array, A: Array, upper: Array, low: Array, high: Array
 ) -> tuple[Array, Array]:
-    """Minimise 1/2 x^T H x + g^T x with A x <= upper, low <= x <= high.
+    """Minimise 1/2 x^T H x + g^T x with A x <= upper, low <= x <= high, H positive definite.
 
     An active-set method from CasADi's distribution (DAQP, or qpOASES in one without it).
-
-    Args:
-        H: (k, k), positive definite. g: (k,).
-        A: (r, k). upper: (r,).
-        low, high: (k,).
-
-    Returns:
-        x (k,) and the multipliers of the rows of A (r,).
+    Returns x (k,) and the multipliers of the rows of A (r,).
     """
     size = float(np.abs(H[:-1, :-1]).max())  # the last variable is a slack
     solver = _solver(len(g), len(A))

@@ -32,15 +32,7 @@ class Straight:
     summary = "straight joint line, quintic time law"
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """Return the straight quintic; deterministic.
-
-        Args:
-            query: the ends and the duration.
-            seed: not used.
-
-        Returns:
-            The motion.
-        """
+        """Return the straight quintic; deterministic."""
         return query.straight, {}
 
 
@@ -51,15 +43,7 @@ class SmoothJerk:
     summary = "straight joint line, seventh-order law: no jerk at the ends"
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """Pass the straight line by the septic law; deterministic.
-
-        Args:
-            query: the ends and the duration.
-            seed: not used.
-
-        Returns:
-            The motion.
-        """
+        """Pass the straight line by the septic law; deterministic."""
         return _along(query, septic(np.linspace(0, 1, _SAMPLES))), {}
 
 
@@ -77,13 +61,6 @@ class Shaped:
 
         For those only that there is time for, inside the query's limits, and that leave less
         energy in all: a shorter law excites the others more.
-
-        Args:
-            query: the ends, the duration and limits.
-            seed: not used.
-
-        Returns:
-            The motion, and the frequencies it is shaped for [Hz].
         """
         chosen: list[BaseMode] = []
         motion, times, sizes = query.straight, np.zeros(1), np.ones(1)
@@ -121,15 +98,7 @@ class Shaper(NamedTuple):
 
 
 def shaper(kind: str, mode: BaseMode) -> Shaper:
-    """Singer and Seering's impulses for one mode.
-
-    Args:
-        kind: zv or zvd.
-        mode: its frequency [rad/s] and damping ratio.
-
-    Returns:
-        Times [s] and sizes of the impulses.
-    """
+    """Singer and Seering's impulses for one mode, `kind` zv or zvd."""
     damping = min(mode.damping, 0.9)
     root = np.sqrt(1 - damping**2)
     half = np.pi / (mode.frequency * root)
@@ -139,15 +108,7 @@ def shaper(kind: str, mode: BaseMode) -> Shaper:
 
 
 def shaped_motion(query: Query, shape: Shaper) -> Motion:
-    """The straight line by a quintic of what time the impulses leave, shaped.
-
-    Args:
-        query: the ends and the duration.
-        shape: impulses that end before the query's duration.
-
-    Returns:
-        The motion.
-    """
+    """The straight line by a quintic of what time the impulses leave, shaped."""
     t = np.linspace(0, query.duration, _SAMPLES)
     length = query.duration - shape.times.max()
     parts = quintic((t[:, None] - shape.times) / length)
@@ -155,15 +116,7 @@ def shaped_motion(query: Query, shape: Shaper) -> Motion:
 
 
 def excited_modes(system: System, motion: Motion) -> list[BaseMode]:
-    """Modes of the base at the middle of a motion, those it excites most first.
-
-    Args:
-        system: arm and vehicle.
-        motion: of the joints.
-
-    Returns:
-        Modes of frequency > 0, with the energy the motion leaves in each [J].
-    """
+    """Modes of the base at the middle of a motion, those that it excites most first."""
     at = motion.at(motion.duration / 2).q
     frozen, (_, D, K) = modes(system, at), system.base.full()
     t = np.linspace(0, motion.duration, _SAMPLES)

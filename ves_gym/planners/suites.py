@@ -84,9 +84,6 @@ def get_suite(
         quick: ten queries per duration instead of a hundred (reach100).
         obstacles: off, on, or both, the second time among `REACH_OBSTACLES` (reach100).
 
-    Returns:
-        The suite's queries and planners.
-
     Raises:
         ParameterError: an unknown name, or an option that the suite does not have.
     """
@@ -127,8 +124,7 @@ def part_of(
     Args:
         suite: the whole.
         durations: that are asked for [s]; None: all.
-        first: how many of each vehicle and duration; None: all.
-        skip: how many of each to leave out before.
+        first, skip: how many of each vehicle and duration (None: all), after leaving out some.
 
     Raises:
         ParameterError: a duration that the suite does not have, or nothing is left.
@@ -154,12 +150,7 @@ def part_of(
 
 
 def transfer(system: System, vehicle: str, count: int) -> Suite:
-    """Return reach100's first questions, planned on one base and judged on others.
-
-    Args:
-        system: everything but the vehicle; mode ideal.
-        vehicle: name or file of what planners are told.
-        count: questions per duration.
+    """Return reach100's first questions, planned on one base (`vehicle`) and judged on others.
 
     Raises:
         ParameterError: mode emulated, or a system with effects.
@@ -190,9 +181,6 @@ def others_of(described: System) -> dict[str, tuple[System, System]]:
 
     More internal modes, stiffness 20 % off, damping a tenth and twice, a payload known and not,
     joint friction, a late command, and several of these at once.
-
-    Args:
-        described: mode ideal, without effects.
     """
     n = described.arm.n
 
@@ -296,12 +284,6 @@ def reach100(
         obstacles: off, on or both; they grow with the arm (`reach_obstacles`).
         seed: of the question set.
         durations: of the motions [s]; default those of the arm (`reach_durations`).
-
-    Returns:
-        The suite.
-
-    Raises:
-        ParameterError: an unknown vehicle.
     """
     mounted = system.replace(vehicle=get_vehicle(vehicle))
     arm = mounted.arm
@@ -355,8 +337,7 @@ def _groups(width: Array, furthest: Array) -> list[slice]:
     """Joints in a row drawn together: as many as leave one pair in `_RAREST` acceptable.
 
     Args:
-        width: (n,) +- of each joint [rad].
-        furthest: (n,) between start and goal [rad].
+        width: (n,) +- of each joint [rad]. furthest: (n,) between start and goal [rad].
     """
     part = np.minimum(furthest / (2 * width), 1.0)
     firsts, share = [0], 1.0
@@ -374,15 +355,8 @@ def thesis(system: System, vehicle: str | None) -> Suite:
     Shoulder: App. A.3, joint 1 through 180 deg in 2 s, joints 2 and 3 at 0, on the
     horizontal straight beam and the bent beam. Good and bad: two paths between the same
     ends on the bent beam (4.2; the thesis prints no joint angles, these are ours).
-    The beams are condensed as in its Appendix A.
-
-    Args:
-        system: everything but the vehicle.
-        vehicle: only the queries on this one, by finite elements if it is bent or
-            straight-horizontal; None: all.
-
-    Returns:
-        The suite.
+    The beams are condensed as in its Appendix A. With a `vehicle`, bent or straight-horizontal
+    (by finite elements) or one of the suite's own, only the queries on this one.
 
     Raises:
         ParameterError: a vehicle that the suite does not have, or an arm of other than three

@@ -57,7 +57,7 @@ def solve_to_tool(
 
     Returns:
         The plan of least predicted E_mean, feasible ones first; its query has the goal chosen,
-        its `info["tool"]` the pose, the number of goals found and what the tries cost [J].
+        its `info["tool"]` the pose and what the tries cost [J].
 
     Raises:
         ParameterError: the pose is out of reach, or tries < 1.
@@ -79,18 +79,10 @@ def solve_to_tool(
 
 
 def choose_goals(query: Query, pose: ToolPose, *, starts: int = 128) -> Array:
-    """Configurations that bring the tool to a pose, the cheapest straight line first.
+    """Configurations (k, n) that bring the tool to a pose, the cheapest straight line first.
 
     Those too near an obstacle are left out; those the straight line cannot reach inside the
-    speed limits come last.
-
-    Args:
-        query: its start, duration, limits and surroundings; its goal is not used.
-        pose: of the tool, base at rest.
-        starts: of the inverse kinematics.
-
-    Returns:
-        (k, n) [rad]; k = 0: none.
+    speed limits come last. The query's goal is not used; `starts`: of the inverse kinematics.
     """
     arm = query.system.arm
     start, _ = query.ends
