@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.arms import planar_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.damping.configurations import best_configurations, damping_map, estimated_integral
 from ves_gym.damping.plant import GainMatrices, analyse, plant_at
@@ -15,6 +14,8 @@ from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.coupling import coupling_matrix, modes
 from ves_gym.system.system import System
+
+BENT = System(vehicle=BENT_THESIS)
 
 Q = np.deg2rad([45.0, 0.0, 0.0])
 
@@ -32,41 +33,26 @@ def test_the_promise_of_joints_that_give_nothing_is_the_base_alone():
         assert estimated_integral(system, Q, y) == pytest.approx(integral, rel=0.02)
 
 
-def test_joints_that_can_take_over_a_mode_promise_less():
-    links = tuple(dataclasses.replace(k, rotor_inertia=0.0) for k in PUMA_560.links)
-    light = System(vehicle=BENT_THESIS, arm=dataclasses.replace(PUMA_560, links=links))
-    q = np.random.default_rng(0).uniform(-1, 1, (4, 5, 3))
-    light_arm, heavy = (
-        estimated_integral(light, q),
-        estimated_integral(System(vehicle=BENT_THESIS), q),
-    )
-    assert light_arm.shape == (4, 5) and (light_arm < heavy).all()
-
-
 def test_candidates_are_tuned_ranked_and_apart():
     options = {"samples": 300, "candidates": 4, "seed": 3}
     progress = []
-    ranked = best_configurations(
-        System(vehicle=BENT_THESIS), **options, progress=progress.append
-    )
-    repeated = best_configurations(System(vehicle=BENT_THESIS), **options)
+    ranked = best_configurations(BENT, **options, progress=progress.append)
+    repeated = best_configurations(BENT, **options)
     values = [c.tuned.value for c in ranked]
     assert values == sorted(values) and len(ranked) == 4
     assert progress[-1] == 1.0 and len(progress) == 4
     for a, b in zip(ranked, repeated, strict=True):
         np.testing.assert_array_equal(a.q, b.q)
         PUMA_560.require_within_limits(a.q)
-        assert a.estimated == pytest.approx(
-            float(estimated_integral(System(vehicle=BENT_THESIS), a.q))
-        )
-        judged = analyse(plant_at(System(vehicle=BENT_THESIS), a.q), a.tuned.gains).E_int
+        assert a.estimated == pytest.approx(float(estimated_integral(BENT, a.q)))
+        judged = analyse(plant_at(BENT, a.q), a.tuned.gains).E_int
         assert judged == pytest.approx(a.tuned.value, rel=1e-9)
     gaps = [np.abs(a.q - b.q).max() for a in ranked for b in ranked if a is not b]
     assert min(gaps) > 0.5
 
 
 def test_a_map_is_tuned_node_by_node():
-    system = System(vehicle=BENT_THESIS)
+    system = BENT
     section = damping_map(system, (0, 2), Q, points=3)
     assert section.tuned.shape == section.estimated.shape == section.coupling.shape == (3, 3)
     assert section.axes[0] == pytest.approx(np.deg2rad([-160, 0, 160]))
@@ -78,39 +64,15 @@ def test_a_map_is_tuned_node_by_node():
     assert section.tuned[1, 2] == pytest.approx(tune(plant_at(system, q)).value, rel=0.05)
 
 
-def test_other_arms_have_maps():
-    system = System(arm=planar_arm(), vehicle=BENT_THESIS)
-    section = damping_map(system, (0, 1), np.zeros(2), points=2)
-    assert np.isfinite(section.tuned).all()
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (
-            lambda: best_configurations(System(vehicle=BENT_THESIS), samples=3, candidates=4),
-            "candidates <= samples",
-        ),
-        (
-            lambda: damping_map(System(vehicle=BENT_THESIS), (0, 3), Q),
-            "two different numbers in",
-        ),
-        (
-            lambda: damping_map(System(vehicle=BENT_THESIS), (1, 1), Q),
-            "two different numbers in",
-        ),
-        (
-            lambda: damping_map(System(vehicle=BENT_THESIS), (0, 1), Q, points=1),
-            "points must be >= 2, got 1",
-        ),
-        (
-            lambda: damping_map(System(vehicle=BENT_THESIS), (0, 1), [9.0, 0, 0]),
-            "fixed: joint 1",
-        ),
-        (
-            lambda: estimated_integral(System(vehicle=BENT_THESIS), Q, np.zeros(3)),
-            r"y must have shape \(6,\)",
-        ),
+        (lambda: best_configurations(BENT, samples=3, candidates=4), "candidates <= samples"),
+        (lambda: damping_map(BENT, (0, 3), Q), "two different numbers in"),
+        (lambda: damping_map(BENT, (1, 1), Q), "two different numbers in"),
+        (lambda: damping_map(BENT, (0, 1), Q, points=1), "points must be >= 2, got 1"),
+        (lambda: damping_map(BENT, (0, 1), [9.0, 0, 0]), "fixed: joint 1"),
+        (lambda: estimated_integral(BENT, Q, np.zeros(3)), r"y must have shape \(6,\)"),
     ],
 )
 def test_wrong_maps_are_refused(call, message):

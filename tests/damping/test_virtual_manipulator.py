@@ -17,8 +17,8 @@ from ves_gym.damping.tuning import (
     virtual_jacobian,
 )
 from ves_gym.mechanics.arm import Arm, Inertial, diagonal
-from ves_gym.mechanics.arm_library import PUMA_560
-from ves_gym.mechanics.kinematics import frames, joint_positions
+from ves_gym.mechanics.dynamics import frames
+from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING
 from ves_gym.system.system import System
 
@@ -43,8 +43,8 @@ def point_mass_arm(mass: float = 30.0) -> Arm:
 # --------------------------------------------------------------------------- the links
 
 
-def virtual_links(arm: Arm, to: str = "base") -> Array:
-    """(n + 1, 3) virtual links [m] from the centre of mass to the base or the tool.
+def virtual_links(arm: Arm) -> Array:
+    """(n + 1, 3) virtual links [m] from the centre of mass to the base.
 
     Row j turns with link j (row 0 with the base): in its DH frame, as thesis B.5 and B.6
     print them. Row 0 ends in the platform-top origin, theirs in the base link's centre.
@@ -61,8 +61,7 @@ def virtual_links(arm: Arm, to: str = "base") -> Array:
         lengths[j, j + 1] = link.a * link.far_end[0][0]
     lengths[0, 0] += place
     out -= np.tensordot(beyond[1:], lengths, axes=1)
-    out /= arm.mass
-    return out + lengths.sum(axis=0) if to == "tool" else out
+    return out / arm.mass
 
 
 PRINTED_MASS = 93.4  # kg, B.5; the masses it lists sum to 93.7
@@ -78,34 +77,6 @@ def test_links_to_the_base_are_those_printed_in_b6():
     assert links[3, 0] == pytest.approx(-0.0281, abs=6e-5)
     to_centre = virtual_links(PUMA_560)[0, 2] + PUMA_560.base.com[2]
     assert to_centre == pytest.approx(-0.263 * 0.617 / 0.629, abs=5e-4)
-
-
-def test_links_to_the_tool_are_those_of_b5():
-    """V3 and V4 as printed; V1, V2 as its own r and l give them (errata: not as printed)."""
-    links = virtual_links(PUMA_560, "tool")
-    assert links[2, [0, 2]] == pytest.approx([0.377, 0.0855], abs=1e-3)
-    assert links[3, 0] == pytest.approx(0.405, abs=5e-4)
-    assert links[0, 2] == pytest.approx(0.366 * 0.617 / 0.629, abs=5e-4)
-    assert links[1, 2] == pytest.approx(-0.135 - 0.032, abs=5e-4)
-
-
-@pytest.mark.parametrize("name", ARMS)
-@pytest.mark.parametrize("to", ["base", "tool"])
-def test_the_links_lead_from_the_centre_of_mass(name, to):
-    """Turned with their links they add up to where base and tool are seen from there."""
-    arm = ARMS[name]
-    links = virtual_links(arm, to)
-    for q in np.random.default_rng(0).uniform(-2, 2, (5, arm.n)):
-        turns = [np.eye(3), *frames(arm, q).rotation]
-        places = joint_positions(arm, q)
-        bodies = [arm.base, *(k.inertial for k in arm.links)]
-        centre = sum(
-            b.mass * (p + R @ np.array(b.com))
-            for b, R, p in zip(bodies, turns, places, strict=True)
-        )
-        there = sum(R @ v for R, v in zip(turns, links, strict=True))
-        end = np.zeros(3) if to == "base" else places[-1]
-        np.testing.assert_allclose(there, end - centre / arm.mass, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ARMS)

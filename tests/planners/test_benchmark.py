@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.effects import GravityScale, SensorNoise
-from ves_gym.hardware.leg_servo import LEG_SERVOS, leg_clock
+from ves_gym.effects import GravityScale
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, STRAIGHT_HORIZONTAL_THESIS
 from ves_gym.planners.benchmark import (
     SCHEMA,
@@ -27,16 +26,17 @@ from ves_gym.planners.query import NoPlan, Plan, Query
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import Suite, get_suite, reach100
 from ves_gym.simulation.playback import play_motions
-from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.energy import energies
 from ves_gym.system.system import System
+
+BENT = System(vehicle=BENT_THESIS)
 
 DURATIONS = (0.5, 2.0)
 
 
 def small_suite():
     """Two questions: the first of half a second and the first of two."""
-    reach = reach100(System(vehicle=BENT_THESIS), "bent-thesis", 1)
+    reach = reach100(BENT, "bent-thesis", 1)
     queries = tuple((v, q) for v, q in reach.queries if q.duration in DURATIONS)
     return dataclasses.replace(reach, queries=queries)
 
@@ -60,9 +60,6 @@ def result(progress_calls):
 
 # ------------------------------------------------------------------------------ rows
 
-ROW = {"planner", "query", "vehicle", "mode", "duration", "E_mean", "E_res", "E_peak"}
-ROW |= {"E_int", "W_port", "predicted", "plan_seconds", "success"}
-
 
 def test_the_schema(result):
     assert result["schema"] == SCHEMA == "ves-benchmark/1"
@@ -72,25 +69,15 @@ def test_the_schema(result):
     assert (result["suite"], result["mode"], result["drive"]) == ("reach100", "ideal", "motor")
     assert (result["seed"], result["command"]) == (3, "a test")
     assert [p["name"] for p in result["planners"]] == ["straight", "direct"]
-    for row in result["rows"]:
-        assert row.keys() >= ROW
-    assert result["systems"]["bent-thesis"]["hash"] == System(vehicle=BENT_THESIS).hash
-    assert {"python", "mujoco", "numpy"} <= result["versions"].keys()
-
-
-def test_it_is_strict_json(result):
-    """No NaN, no infinity, and nothing lost on the way through a file."""
-    text = json.dumps(result, allow_nan=False)
-    assert json.loads(text) == result
-
-
-def test_every_planner_answers_every_query_once(result):
+    assert {"E_int", "W_port", "predicted", "success"} <= result["rows"][0].keys()
+    assert json.loads(json.dumps(result, allow_nan=False)) == result
     rows = [(r["planner"], r["query"]) for r in result["rows"]]
-    assert rows == [
-        (planner, query)
-        for query in ("reach-0.5s-000", "reach-2s-000")
-        for planner in ("straight", "direct")
-    ]
+    names = "reach-0.5s-000", "reach-2s-000"
+    assert rows == [(planner, query) for query in names for planner in ("straight", "direct")]
+    with pytest.raises(ParameterError, match="planner must be one of"):
+        run_benchmark(small_suite(), planners=["magic"], workers=1)
+    assert result["systems"]["bent-thesis"]["hash"] == BENT.hash
+    assert {"python", "mujoco", "numpy"} <= result["versions"].keys()
 
 
 def test_a_row_holds_what_its_motion_does(result):
@@ -153,6 +140,7 @@ def timeless(result):
     return out
 
 
+@pytest.mark.slow
 def test_two_processes_give_the_same_result(result):
     other = run_benchmark(
         small_suite(), planners=["direct"], seed=3, workers=2, command="a test"
@@ -178,25 +166,6 @@ def test_one_query_alone_gives_the_row(result):
 # -------------------------------------------------------------------------- planners
 
 
-def test_the_straight_line_is_always_included_and_nothing_twice():
-    suite = dataclasses.replace(small_suite(), queries=small_suite().queries[:1])
-    result = run_benchmark(suite, planners=["straight", "straight"], workers=1)
-    assert [r["planner"] for r in result["rows"]] == ["straight"]
-    assert result["summary"][0]["ratio_median"] == 1.0
-
-
-def test_an_unknown_planner_is_refused_before_any_work():
-    progress_calls = []
-    with pytest.raises(ParameterError, match="planner must be one of"):
-        run_benchmark(
-            small_suite(),
-            planners=["magic"],
-            workers=1,
-            progress=lambda *a: progress_calls.append(a),
-        )
-    assert progress_calls == []
-
-
 def test_a_free_base_and_a_query_that_goes_nowhere_are_strict_json_too():
     system = System(vehicle=FREE_FLOATING, drive="prescribed")
     point = (0.2, 0.1, -0.3)
@@ -214,16 +183,6 @@ def test_a_free_base_and_a_query_that_goes_nowhere_are_strict_json_too():
     assert stay["E_mean"] == pytest.approx(0.0, abs=1e-20)
     assert result["summary"][0]["E_res_ratio_median"] is None  # at rest after any motion
     assert all(scene["rest_beam"] is None for scene in result["scenes"])
-
-
-def test_all_planners_of_the_thesis_suite_run():
-    suite = get_suite(
-        "thesis", system=System(vehicle=BENT_THESIS), vehicle="straight-horizontal-thesis"
-    )
-    result = run_benchmark(suite, workers=1)
-    assert [r["planner"] for r in result["rows"]] == list(suite.planners)
-    by_name = {r["planner"]: r["E_mean"] for r in result["rows"]}
-    assert by_name["direct"] < by_name["straight"]
 
 
 # --------------------------------------------------------------------------- summary
@@ -278,38 +237,6 @@ def test_the_summary_of_hand_made_rows():
     assert 0.25 <= direct["ratio_low"] <= 0.5 <= direct["ratio_high"] <= 2.0
 
 
-def test_groups_are_vehicle_duration_and_planner():
-    rows = [
-        row("straight", "a", 1.0),
-        row("straight", "b", 1.0, duration=2.0),
-        row("direct", "a", 0.3),
-        row("direct", "b", 0.2, duration=2.0),
-        {**row("straight", "a", 5.0), "vehicle": "other"},
-    ]
-    groups = {
-        (s["vehicle"], s["duration"], s["planner"]): s["ratio_median"] for s in summarise(rows)
-    }
-    assert groups == {
-        ("bent-thesis", 1.0, "straight"): 1.0,
-        ("bent-thesis", 2.0, "straight"): 1.0,
-        ("bent-thesis", 1.0, "direct"): 0.3,
-        ("bent-thesis", 2.0, "direct"): 0.2,
-        ("other", 1.0, "straight"): 1.0,
-    }
-
-
-def test_the_interval_is_that_of_the_median_and_repeats():
-    """Of 101 ratios evenly spread over [0.5, 1.5]: median 1, interval +-0.05 to 0.2."""
-    ratios = np.linspace(0.5, 1.5, 101)
-    rows = [row("straight", str(i), 1.0) for i in range(101)]
-    rows += [row("direct", str(i), float(r)) for i, r in enumerate(ratios)]
-    first = summarise(rows)[1]
-    assert first == summarise(rows)[1]
-    assert first["ratio_median"] == pytest.approx(1.0)
-    assert 0.8 < first["ratio_low"] < 0.95
-    assert 1.05 < first["ratio_high"] < 1.2
-
-
 def test_no_ratio_to_nothing():
     rows = [row("straight", "a", 1.0, res=0.0), row("direct", "a", 0.5, res=0.0)]
     straight, direct = summarise(rows)
@@ -321,38 +248,6 @@ def test_no_ratio_to_nothing():
     assert summarise(dead)[1]["ratio_median"] is None
     assert summarise(dead)[1]["ratio_low"] is None
     assert summarise([]) == []
-
-
-def test_what_a_summary_says_of_success_and_time():
-    """A query that nobody solved is not solvable; times as a distribution."""
-    rows = [
-        row("straight", "a", 1.0, plan_seconds=1.0),
-        row("straight", "b", 1.0, plan_seconds=2.0, success=False),
-        row("straight", "c", 1.0, plan_seconds=9.0, success=False),
-        row("refined", "a", 0.5),
-        row("refined", "b", 0.5),
-        row("refined", "c", None, success=False, res=1.0, peak=1.0),
-    ]
-    straight, refined = summarise(rows)
-    assert (straight["solvable"], straight["solvable_rate"]) == (2, 0.5)
-    assert (refined["solvable"], refined["solvable_rate"]) == (2, 1.0)
-    assert refined["success_rate"] == pytest.approx(2 / 3)
-    assert straight["plan_seconds_median"] == 2.0
-    assert straight["plan_seconds_max"] == 9.0
-    assert straight["plan_seconds_p95"] == pytest.approx(np.percentile([1, 2, 9], 95))
-    assert refined["ratio_median"] == 0.5  # of two
-
-
-def test_scores_and_what_comes_near_the_best():
-    rows = [
-        row("straight", "a", 1.0, best_known=0.2, score=0.0),
-        row("straight", "b", 1.0, best_known=None, score=None),
-        row("refined", "a", 0.205, best_known=0.2, score=0.99375),
-        row("refined", "b", 0.3, best_known=None, score=None),
-    ]
-    straight, refined = summarise(rows)
-    assert (straight["score_median"], straight["near_best"]) == (0.0, 0.0)
-    assert (refined["score_median"], refined["near_best"]) == (0.99375, 1.0)
 
 
 def test_anytime_curves_are_relative_to_their_end():
@@ -426,10 +321,9 @@ def crashing(job):
     return Plan(job[0], job[1], None, None, 0.0, "answered")
 
 
+@pytest.mark.slow
 def test_a_crash_of_a_planning_process_costs_one_query():
-    suite = get_suite(
-        "reach100", system=System(vehicle=BENT_THESIS), quick=True, vehicle="bent-thesis"
-    )
+    suite = get_suite("reach100", system=BENT, quick=True, vehicle="bent-thesis")
     work = [("straight", q, 0) for _, q in suite.queries[:4]]
     plans = list(_run_workers(work, 2, crashing))
     assert [p.query.name for p in plans] == [q.name for _, q, _ in work]
@@ -438,14 +332,11 @@ def test_a_crash_of_a_planning_process_costs_one_query():
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_among_obstacles():
     """Ends inside one are said so; nothing that is called a success touches anything."""
     suite = get_suite(
-        "reach100",
-        system=System(vehicle=BENT_THESIS),
-        quick=True,
-        obstacles="both",
-        vehicle="bent-thesis",
+        "reach100", system=BENT, quick=True, obstacles="both", vehicle="bent-thesis"
     )
     assert len(suite.queries) == 80
     names = {"reach-1s-000", "reach-4s-001"}
@@ -473,8 +364,6 @@ def test_among_obstacles():
 
 # -------------------------------------------------------------------------- emulated
 
-EXTRA = {"stopped", "E_mean_ideal", "E_res_ideal", "E_peak_ideal"}
-EXTRA |= {"emulation_error", "base_error"}
 NAMES = ["straight", "bad-path"]
 
 
@@ -484,11 +373,7 @@ def lab():
     system = System(mode="emulated", vehicle=STRAIGHT_HORIZONTAL_THESIS)
     ends = {"start": (0.0, -0.4, 0.8), "goal": (0.5, 0.0, 0.3)}
     question = Query(system=system, **ends, duration=2.0, name="go")
-    return Suite(
-        name="lab",
-        queries=(("beam", question),),
-        planners=("bad-path",),
-    )
+    return Suite(name="lab", queries=(("beam", question),), planners=("bad-path",))
 
 
 @pytest.fixture(scope="module")
@@ -503,16 +388,6 @@ def with_effects(suite, *effects):
     return dataclasses.replace(
         suite, queries=((vehicle, dataclasses.replace(query, system=system)),)
     )
-
-
-def test_mode_ideal_has_none_of_the_laboratory_s_keys(result):
-    assert "machine" not in result
-    for row in result["rows"]:
-        assert not row.keys() & EXTRA
-    for row in result["summary"]:
-        assert not row.keys() & {"stopped", "emulation_error_median"}
-    for trace in result["traces"]:
-        assert {k for s in trace["series"] for k in s} == {"planner", "t", "E"}
 
 
 def test_an_emulated_row_stands_beside_the_same_motion_in_space(lab, emulated):
@@ -549,39 +424,6 @@ def test_an_emulated_row_stands_beside_the_same_motion_in_space(lab, emulated):
         assert row["prediction_error"] == pytest.approx(expected)
 
 
-def test_pictures_hold_both_runs_and_say_what_emulated(emulated):
-    json.dumps(emulated, allow_nan=False)
-    assert emulated["machine"]["operation"] == "microgravity"
-    assert emulated["machine"]["platform"] == "pose servo, 8 Hz"
-    assert [p["name"] for p in emulated["planners"]] == NAMES
-    (trace,) = emulated["traces"]
-    assert [s["planner"] for s in trace["series"]] == NAMES
-    for series in trace["series"]:
-        for curves in (series, series["ideal"]):
-            assert {len(curves[k]) for k in ("t", "E", "strain", "distance")} == {
-                len(curves["t"])
-            }
-    assert [r["planner"] for r in emulated["scenes"][0]["runs"]] == NAMES
-    assert [p["planner"] for p in emulated["maps"][0]["paths"]] == NAMES
-
-
-def test_leg_servos_bring_their_own_clock(lab):
-    """Records are whole control periods, next to 12.5 ms."""
-    _, query = lab.queries[0]
-    servo = LEG_SERVOS["filtered"]
-    control_dt, physics_dt = leg_clock(servo)
-    system = query.system.replace(
-        emulator=EmulatorSettings(platform=servo), control_dt=control_dt, physics_dt=physics_dt
-    )
-    suite = dataclasses.replace(
-        lab,
-        queries=(("beam", dataclasses.replace(query, system=system)),),
-    )
-    result = run_benchmark(suite, planners=["straight"], workers=1)
-    assert result["machine"]["platform"] == "six legs, filtered servo"
-    assert abs(result["rows"][0]["emulation_error"]) < 0.2
-
-
 def test_stopped_runs_have_a_reason_and_no_energy(lab):
     """A tenth of the weight drives the platform to the end of its legs."""
     result = run_benchmark(with_effects(lab, GravityScale(error=0.1)), workers=1)
@@ -600,12 +442,3 @@ def test_stopped_runs_have_a_reason_and_no_energy(lab):
     assert result["traces"][0]["series"][0]["t"][-1] < 2
     for run in result["scenes"][0]["runs"]:
         assert run["base"][-1] == run["base"][-2]  # stays where it stopped
-
-
-def test_another_seed_is_other_noise(lab):
-    suite = with_effects(lab, SensorNoise(force=(1.0,) * 3))
-    means = [
-        run_benchmark(suite, planners=["straight"], seed=seed, workers=1)["rows"][0]["E_mean"]
-        for seed in (0, 1)
-    ]
-    assert means[0] != means[1]

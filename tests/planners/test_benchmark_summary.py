@@ -89,7 +89,7 @@ def test_scores(monkeypatch):
         row("fast", "a", 0.15, success=False),
         row("straight", "b", 1.0),
     ]
-    add_scores(rows, {"bent-thesis": HASH}, "straight")
+    add_scores(rows, {"bent-thesis": HASH})
     assert [r["score"] for r in rows] == [
         0.0, pytest.approx(0.5), 1.0, pytest.approx(1.125), None, None, None,
     ]  # fmt: skip

@@ -38,7 +38,7 @@ BEAMS = [BENT_THESIS, STRAIGHT_VERTICAL_THESIS, STRAIGHT_HORIZONTAL_THESIS]
 
 
 @pytest.mark.parametrize("vehicle", BEAMS, ids=["bent-thesis", "vertical", "horizontal"])
-@pytest.mark.parametrize("duration", [None, 0.1, 2.0])
+@pytest.mark.parametrize("duration", [None, 2.0])
 def test_q_is_symmetric_semidefinite_and_works_on_stacks(vehicle, duration):
     system = System(vehicle=vehicle)
     Q = metric(system, CONFIGURATIONS, duration)
@@ -82,12 +82,6 @@ def test_the_band_limited_form_tends_to_q_and_to_nothing():
     for duration in (0.0, -1.0, np.nan):
         with pytest.raises(ParameterError, match="duration must be > 0 s"):
             band_limited(SYSTEM, CONFIGURATIONS, duration)
-
-
-def test_a_free_base_has_no_strain_and_no_coupling():
-    free = System(vehicle=FREE_FLOATING)
-    assert np.abs(coupling_matrix(free, CONFIGURATIONS)).max() == 0
-    assert np.abs(band_limited(free, CONFIGURATIONS, 1.0)).max() < 1e-9
 
 
 def test_q_wants_configurations_of_the_arm():
@@ -154,6 +148,9 @@ def test_lines_stay_on_the_map_and_follow_least_coupling(section):
     """
     lines = section.lines()
     assert len(lines) > 10
+    assert len(lines) > 2 * len(section.lines(spacing=0.2))  # as dense as they are asked for
+    with pytest.raises(ParameterError, match="must be > 0 and <= 1"):
+        section.lines(spacing=0.0)
     x, y = section.axes
     angles = []
     for curve in lines:
@@ -168,15 +165,6 @@ def test_lines_stay_on_the_map_and_follow_least_coupling(section):
             angles.append(np.rad2deg(np.arccos(min(1.0, abs(along @ vectors[:, 0])))))
     assert np.median(angles) < 2
     assert np.percentile(angles, 95) < 10
-
-
-def test_lines_are_as_dense_as_asked(section):
-    counts = [len(section.lines(spacing=s)) for s in (0.2, 0.1, 0.05)]
-    assert counts == sorted(counts)
-    assert counts[-1] > 2 * counts[0]
-    for options in ({"spacing": 0.0}, {"spacing": np.nan}, {"step": 0.0}, {"step": -1.0}):
-        with pytest.raises(ParameterError, match="must be > 0 and <= 1"):
-            section.lines(**options)
 
 
 @pytest.mark.parametrize(
@@ -245,17 +233,12 @@ def test_a_file_that_holds_no_map_is_refused(content, tmp_path):
         CouplingMap.load(path)
 
 
-def test_another_archive_is_refused_with_what_it_lacks(tmp_path):
-    np.savez(tmp_path / "other.npz", joints=np.zeros(2))
-    with pytest.raises(ParameterError, match=r"no coupling map can be read: .*first"):
-        CouplingMap.load(tmp_path / "other.npz")
-
-
 # ------------------------------------------------------------------- the other joints
 
 
-@pytest.mark.parametrize("duration", [None, 2.0], ids=["Q", "Q_T"])
-@pytest.mark.parametrize("others", ["least", "most"])
+@pytest.mark.parametrize(
+    ("others", "duration"), [("most", 2.0), pytest.param("least", None, marks=pytest.mark.slow)]
+)
 def test_the_other_joints_may_be_chosen_at_every_point(others, duration):
     """Against L-BFGS-B from the point found and from four more: within 2 %."""
     system = System(vehicle=BENT_THESIS, arm=seven_joint_arm(), drive="prescribed")
@@ -304,12 +287,3 @@ def test_a_map_with_chosen_joints_comes_back_from_its_file(tmp_path):
     np.testing.assert_array_equal(again.angles, section.angles)
     with pytest.raises(ParameterError, match="others must be one of given, least, most"):
         coupling_map(SYSTEM, (0, 1), (0.0, 0.0, 0.3), points=5, others="best")
-
-
-def test_a_disturbance_map_with_chosen_joints():
-    system = System(vehicle=FREE_FLOATING)
-    section = coupling_map(
-        system, (0, 1), (0.0,) * 3, points=5, disturbance=True, others="most"
-    )
-    given = coupling_map(system, (0, 1), (0.0,) * 3, points=5, disturbance=True)
-    assert (section.most >= given.most).all() and (section.most > 1.001 * given.most).any()

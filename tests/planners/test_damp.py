@@ -77,14 +77,6 @@ def test_it_goes_on_from_moving_joints():
     assert plan.predicted.E_mean < 0.7 * straight.E_mean
 
 
-def test_without_a_moving_base_it_is_one_more_planner():
-    query = Query(system=SYSTEM, start=(0.4, -0.6, 0.9), goal=(0.9, 0.2, 0.1), duration=2.0)
-    plan = solve(DampRelease(), query)
-    assert plan.feasible
-    straight = predict(SYSTEM, query.straight, HIGH_GAINS)
-    assert plan.predicted.E_mean < 0.5 * straight.E_mean
-
-
 def test_what_cannot_be_asked():
     with pytest.raises(ParameterError, match="free must be >= 1 or None, got 0"):
         DampRelease(free=0)

@@ -7,29 +7,28 @@ import time
 import numpy as np
 import pytest
 
-from tests.arms import WRIST_GAINS, seven_joint_arm, six_joint_arm
+from tests.arms import seven_joint_arm
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.kinematics import frames
 from ves_gym.mechanics.limits import limit_ratios
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
+from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners import refine as refine_module
 from ves_gym.planners import sequential
 from ves_gym.planners.direct import MotionProblem
-from ves_gym.planners.obstacles import Box, Sphere, Surroundings, collisions
+from ves_gym.planners.obstacles import Box, Surroundings, collisions
 from ves_gym.planners.prediction import predict
 from ves_gym.planners.query import Query, first_violation, solve
-from ves_gym.planners.refine import Refined, detours, refine
+from ves_gym.planners.refine import Refined, refine
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import SPEED_LIMITS, reach100
 from ves_gym.system.system import System
 
-QUERIES = {
-    q.name: q for _, q in reach100(System(vehicle=BENT_THESIS), "bent-thesis", 3).queries
-}
+BENT = System(vehicle=BENT_THESIS)
+
+QUERIES = {q.name: q for _, q in reach100(BENT, "bent-thesis", 3).queries}
 PILLAR = Surroundings(obstacles=(Box(centre=(0.75, 0.0, 0.7), size=(0.2, 0.2, 0.8)),))
 ACROSS = Query(
-    system=System(vehicle=BENT_THESIS), start=(-1.0, 0.1, 0.2), goal=(1.0, 0.1, 0.2),
+    system=BENT, start=(-1.0, 0.1, 0.2), goal=(1.0, 0.1, 0.2),
     duration=4.0, v_max=SPEED_LIMITS, surroundings=PILLAR,
 )  # fmt: skip
 
@@ -38,7 +37,7 @@ def energy(query, motion):
     return predict(query.system, motion, query.servo).E_mean
 
 
-@pytest.mark.parametrize("name", [n for n in QUERIES if not n.endswith("2")])
+@pytest.mark.parametrize("name", ["reach-0.5s-000", "reach-2s-000"])
 def test_it_is_no_worse_than_direct(name):
     """More control points and more starts; 0.5 % for where an optimiser stops."""
     query = QUERIES[name]
@@ -60,14 +59,7 @@ def test_limits_hold_between_samples():
     assert ratios["torque"].max() <= 1 + 1e-2
 
 
-def test_the_same_seed_gives_the_same_motion():
-    query = QUERIES["reach-4s-000"]
-    assert solve(Refined(), query, 3).motion == solve(Refined(), query, 3).motion
-    problem = MotionProblem(query, 12)
-    assert (detours(problem, 2, 3)[0] != detours(problem, 2, 4)[0]).any()
-
-
-@pytest.mark.parametrize("planner", ["hotspot-q", "bad-path", "straight"])
+@pytest.mark.parametrize("planner", ["bad-path", "straight"])
 def test_any_motion_may_be_refined(planner):
     query = QUERIES["reach-2s-000"]
     start = solve(get_planner(planner), query).motion
@@ -79,47 +71,14 @@ def test_any_motion_may_be_refined(planner):
     assert energy(query, refine(query, [slow, start])[0]) < energy(query, start)
 
 
-def test_another_start_can_find_less():
-    """A query on which the straight line leads to a minimum 15 % above another one."""
-    query = QUERIES["reach-2s-002"]
-    single, several = (solve(Refined(starts=k), query).predicted.E_mean for k in (1, 7))
-    assert several < 0.9 * single
-
-
 def test_it_goes_around_obstacles():
     assert "obstacle 1 (box)" in first_violation(ACROSS, ACROSS.straight)
     plan = solve(Refined(), ACROSS)
     assert plan.feasible
-    checker = collisions(System(vehicle=BENT_THESIS), PILLAR)
+    checker = collisions(BENT, PILLAR)
     assert checker.first_contact(plan.motion.at(np.linspace(0, 4.0, 4001)).q) is None
     rough = solve(get_planner("ompl-qt"), ACROSS)
     assert plan.predicted.E_mean < rough.predicted.E_mean
-
-
-def test_obstacles_that_are_not_in_the_way_change_nothing_much():
-    query = QUERIES["reach-2s-000"]
-    far = Surroundings(obstacles=(Sphere(centre=(5.0, 0.0, 0.0), radius=0.5),))
-    with_room = solve(Refined(), dataclasses.replace(query, surroundings=far))
-    assert with_room.feasible
-    without = solve(Refined(), query).predicted.E_mean
-    assert with_room.predicted.E_mean == pytest.approx(without, rel=0.02)
-
-
-def test_an_end_in_an_obstacle_is_said():
-    inside = Surroundings(obstacles=(Sphere(centre=(0.9, 0.0, 0.9), radius=0.6),))
-    plan = solve(Refined(), dataclasses.replace(ACROSS, surroundings=inside))
-    assert plan.motion is None
-    assert "is too near: " in plan.failure
-
-
-def test_no_way_is_said():
-    """A block in the way of the shoulder, which only joint 1 moves, and only past it."""
-    axis = frames(System(vehicle=BENT_THESIS).arm, np.zeros(3)).axis[1]
-    block = Box(centre=tuple(np.array([0, 0, 0.9]) - 0.2 * axis), size=(0.05, 0.05, 0.05))
-    walled = Surroundings(obstacles=(block,))
-    plan = solve(Refined(), dataclasses.replace(ACROSS, surroundings=walled))
-    assert plan.motion is None
-    assert plan.failure.startswith("no path found within ")
 
 
 @pytest.mark.parametrize(
@@ -153,21 +112,7 @@ def test_what_torque_cannot_do_is_soon_given_up():
     ).feasible
 
 
-def test_any_arm_and_vehicle():
-    six = Query(
-        system=System(vehicle=BENT_THESIS, arm=six_joint_arm()), start=(-0.3,) * 6,
-        goal=(0.3,) * 6, duration=3.0, servo=WRIST_GAINS,
-    )  # fmt: skip
-    floating = Query(
-        system=System(vehicle=FREE_FLOATING), start=(0.0,) * 3, goal=(0.8, 0.4, -0.6),
-        duration=2.0,
-    )  # fmt: skip
-    for query in (six, floating):
-        plan = solve(Refined(starts=2), query)
-        assert plan.feasible
-        assert plan.predicted.E_mean < energy(query, query.straight)
-
-
+@pytest.mark.slow
 def test_of_many_joints_starts_are_compared_with_fewer_points(monkeypatch):
     """Seven joints have 168 variables: five starts of 84, one optimisation of all.
 

@@ -81,6 +81,7 @@ class GainComparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data; what is infinite is None."""
+        best = self.best
         return {
             "schema": SCHEMA,
             "system": self.system.hash,
@@ -88,9 +89,9 @@ class GainComparison:
             "y": self.y.tolist(),
             "bounds": {"K": list(self.bounds.K), "B": list(self.bounds.B)},
             "seed": self.seed,
-            "objective": self.best.objective,
-            "full": self.best.full,
-            **self.best.damping.to_dict(),
+            "objective": best.objective,
+            "full": best.full,
+            **best.damping.to_dict(),
             "gains": [self._row(row, k) for k, row in enumerate(self.rows)],
             "configurations": [
                 {"q": c.q.tolist(), "promised": c.estimated, "E_int": c.tuned.value}
@@ -100,8 +101,8 @@ class GainComparison:
         }
 
     def _row(self, row: GainRow, k: int) -> dict[str, Any]:
-        said = {name: getattr(row, name) for name in ("name", "objective", "full", "seconds")}
-        out = {**said, **row.damping.to_dict(), "simulated": None}
+        facts = {name: getattr(row, name) for name in ("name", "objective", "full", "seconds")}
+        out = {**facts, **row.damping.to_dict(), "simulated": None}
         if (run := self.simulated) is not None:
             t_5 = float(run.t_5[k])
             out["simulated"] = {
@@ -202,15 +203,15 @@ def compare_gains(
         for name, servo in ((_HIGH, HIGH_GAINS), (_PPED, PPED_GAINS)):
             rows.append(GainRow(name=name, damping=analyse(plant, GainMatrices.of(servo), y)))
     searches = list(itertools.product(objectives, (False, True) if full else (False,)))
-    for k, (objective, whole) in enumerate(searches):
+    for k, (objective, symmetric) in enumerate(searches):
         progress("searching gains", k / (len(searches) + 1))
-        tuned = tune(plant, objective, y=y, full=whole, bounds=bounds, seed=seed)
+        tuned = tune(plant, objective, y=y, full=symmetric, bounds=bounds, seed=seed)
         rows.append(
             GainRow(
-                name=f"by {objective}" + (", full" if whole else ""),
+                name=f"by {objective}" + (", full" if symmetric else ""),
                 damping=analyse(plant, tuned.gains, y),
                 objective=objective,
-                full=whole,
+                full=symmetric,
                 seconds=tuned.seconds,
             )
         )

@@ -82,9 +82,9 @@ def objective_of(
         x = plant.start(y)
         if not x.any():
             raise ParameterError("y must be a displacement other than zero")
-        return _strain_objective(plant.strain, np.outer(x, x))
+        return _integral_objective(plant, x)
     if name == "worst":
-        return _worst_objective(plant)
+        return _integral_objective(plant, None)
     if name == "estimator":
         return _estimator_objective
     raise ParameterError(
@@ -93,25 +93,18 @@ def objective_of(
     )
 
 
-def _strain_objective(S: Array, X0: Array) -> Objective:
-    def value(A: Array) -> tuple[float, Array]:
-        equation = Lyapunov(A)
-        P = equation.cost(S)
-        J = float(np.sum(P * X0))
-        return math.log(J), 2 / J * P @ equation.spread(X0)
-
-    return value
-
-
-def _worst_objective(plant: LinearPlant) -> Objective:
+def _integral_objective(plant: LinearPlant, x: Array | None) -> Objective:
+    """Logarithm of the strain integral after a start x (2 w,); None: from the worst one."""
     S = plant.strain
 
     def value(A: Array) -> tuple[float, Array]:
         equation = Lyapunov(A)
         P = equation.cost(S)
-        J, y = worst_displacement(plant, P)
-        x = plant.start(y)  # the eigenvector: J moves as its own cost does
-        return math.log(J), 2 / J * P @ equation.spread(np.outer(x, x))
+        start = x
+        if start is None:  # the eigenvector: J moves as its own cost does
+            start = plant.start(worst_displacement(plant, P)[1])
+        J = float(start @ P @ start)
+        return math.log(J), 2 / J * P @ equation.spread(np.outer(start, start))
 
     return value
 
@@ -243,7 +236,10 @@ def tune(
     points += [np.r_[boxes[0].parameters(g.K), boxes[1].parameters(g.B)] for g in seeds]
     best = _minimise(value, points)
     if objective == "estimator":  # where two poles meet it has a kink, and gradients stop
-        best = min(best, _simplex(value, best[1]), key=_least)
+        result = scipy.optimize.minimize(
+            lambda u: value(u)[0], best[1], method="Nelder-Mead", options={"maxfev": 1000}
+        )
+        best = min(best, (float(result.fun), result.x), key=_least)
     gains = gains_of(best[1])
     return Tuned(
         gains=gains,
@@ -271,13 +267,6 @@ def _minimise(
 
     tried = sorted((search(u, _SCREENING) for u in points), key=_least)
     return min((search(u, 1000) for _, u in tried[:_FINALISTS]), key=_least)
-
-
-def _simplex(value: Callable[[Array], tuple[float, Array]], u: Array) -> tuple[float, Array]:
-    result = scipy.optimize.minimize(
-        lambda x: value(x)[0], u, method="Nelder-Mead", options={"maxfev": 1000}
-    )
-    return float(result.fun), result.x
 
 
 # of the Cartesian spring and damper, far wider than what any joint gives
@@ -342,9 +331,7 @@ def two_masses(system: System, q: npt.ArrayLike) -> LinearPlant:
 class VirtualGains:
     """Gains by way of the virtual manipulator."""
 
-    gains: (
-        GainMatrices  # of the joints, eq. 4.1 and 4.2, and the least gains in every direction
-    )
+    gains: GainMatrices  # of joints, eq. 4.1 and 4.2, and the least gains in every direction
     cartesian: GainMatrices  # K_d, B_d, (3, 3) [N/m, N s/m]
     search: Tuned  # what the two masses promise
 

@@ -35,7 +35,6 @@ from ves_gym._util.process_pool import Workers
 from ves_gym._util.statistics import STATISTICS, bootstrap
 from ves_gym._util.version import __version__
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo
-from ves_gym.mechanics.limits import LimitCheck
 from ves_gym.planners.comparison import measured
 from ves_gym.planners.execution_check import executed_violation, solve_with_reserve
 from ves_gym.planners.ompl_search import Ompl
@@ -45,11 +44,16 @@ from ves_gym.planners.scenes import PlayedPlan, coupling_maps, scene, trace
 from ves_gym.planners.suites import Suite
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.recording import Recording
-from ves_gym.system.disturbance import MEASURES, Disturbance, disturbance_to_plain
+from ves_gym.system.disturbance import MEASURES, disturbance_to_plain
 from ves_gym.system.energy import TAIL, Energies
 from ves_gym.system.system import System
 
 SCHEMA = "ves-benchmark/1"
+FORMAT = "ves-best/1"
+PACKAGED = "best_known.json"
+_NO_LESS = 1e-6  # relative: what is no more than this below is the same
+BASELINE = "straight"
+_NO_RATIO = 1e-4  # of the run's own peak energy: below it there is no ratio to speak of
 _RECORD = 12.5e-3  # s between records, or near it
 _BATCH = 250  # motions played at once: bounds the memory of their records
 
@@ -88,8 +92,10 @@ def run_benchmark(
     report = progress or (lambda stage, done: None)
     questions = [(n, v, q) for v, q in suite.queries for n in names]
     # machines that are described alike are planned for once
-    known = {v: v for v, _ in suite.queries} | {v: s.hash for v, s in suite.described.items()}
-    keys = [(name, known[vehicle], query.name) for name, vehicle, query in questions]
+    machines = {v: v for v, _ in suite.queries} | {
+        v: s.hash for v, s in suite.described.items()
+    }
+    keys = [(name, machines[vehicle], query.name) for name, vehicle, query in questions]
     alone = {
         key: (n, replace(q, system=suite.described.get(v, q.system).ideal()), seed)
         for key, (n, v, q) in zip(keys, questions, strict=True)
@@ -103,7 +109,7 @@ def run_benchmark(
         for (name, vehicle, query), key in zip(questions, keys, strict=True)
     ]
     rows, groups = _simulate_all(runs, seed, report)
-    add_scores(rows, {v: q.system.ideal().hash for v, q in suite.queries}, BASELINE)
+    add_scores(rows, {v: q.system.ideal().hash for v, q in suite.queries})
     first = suite.queries[0][1].system
     return {
         "schema": SCHEMA,
@@ -201,7 +207,7 @@ def _simulate_all(
     rows: dict[int, dict[str, Any]] = {}
     for i, run in enumerate(runs):
         if run.plan.motion is None:
-            rows[i] = _row_without_motion(run)
+            rows[i] = _unplayed(run)
         else:
             batches[run.vehicle, run.system, run.plan.query.duration].append(i)
     pictures: dict[tuple[str, str], list[tuple[int, PlayedPlan]]] = defaultdict(list)
@@ -212,17 +218,12 @@ def _simulate_all(
             plans = [r.plan for r in batch]
             recording = _play(system, plans, _record_dt(system), seed)
             energies = measured(recording)
-            moved = _disturbances(recording, [r.plan.query for r in batch])
             ideal, in_space = None, energies
             if system.mode == "emulated":
                 ideal = _play(system.ideal(), plans, _record_dt(system), seed)
                 in_space = measured(ideal)
             for k, (i, run) in enumerate(zip(part, batch, strict=True)):
-                check = recording.limit_check(k, v_max=run.plan.query.v_max)
-                rows[i] = _row(run, energies[k], in_space[k], check, moved[k])
-                if rows[i]["success"]:
-                    why = executed_violation(run.plan.query, recording, k)
-                    rows[i] |= {"success": why is None, "failure": why}
+                rows[i] = _played(run, energies[k], in_space[k], recording, k)
                 if ideal is not None:
                     rows[i] |= _emulation(recording, ideal, k, rows[i], in_space[k])
                 name = run.plan.query.name
@@ -250,15 +251,6 @@ def _play(system: System, plans: Sequence[Plan], record_dt: float, seed: int) ->
     )
 
 
-def _disturbances(run: Recording, queries: Sequence[Query]) -> list[Disturbance | None]:
-    """Disturbance measures of each run, None for one that was stopped."""
-    stopped = {e.simulation for e in run.events}
-    return [
-        None if i in stopped else run.disturbance(i, as_it_is=True, weight=query.weight)
-        for i, query in enumerate(queries)
-    ]
-
-
 def _showcase_queries(queries: list[Query]) -> set[str]:
     """Queries of a batch whose traces are kept: the first, or all when there are few."""
     names = list(dict.fromkeys(q.name for q in queries))
@@ -276,49 +268,9 @@ def _showcase(groups: list[Group]) -> list[Group]:
     return [group for _, group in first[:3]]
 
 
-def _row(
-    run: _Run,
-    measured: Energies | None,
-    in_space: Energies | None,
-    arm: LimitCheck,
-    moved: Disturbance | None,
-) -> dict[str, Any]:
-    """The row of a motion that was played; `arm`: the limits of the joints as they moved."""
-    plan = run.plan
-    assert in_space is not None  # nothing stops a run in space
-    assert plan.predicted is not None
-    return {
-        **_labels(run),
-        **(dict.fromkeys(_MEASURES) if measured is None else measured.to_dict()),
-        **disturbance_to_plain(moved),
-        "predicted": plan.predicted.E_mean,
-        "prediction_error": _excess(plan.predicted.E_mean, in_space.E_mean),
-        "plan_seconds": plan.seconds,
-        "success": plan.feasible and measured is not None,
-        "failure": plan.failure,
-        "reference_breaks": None if plan.reference is None else plan.reference.reasons,
-        "arm_breaks": arm.reasons,
-        "info": plan.info,
-    }
-
-
-def _row_without_motion(run: _Run) -> dict[str, Any]:
+def _unplayed(run: _Run) -> dict[str, Any]:
     """The row of a query that the planner had no answer to."""
-    emulated = _EMULATED_COLUMNS if run.system.mode == "emulated" else ()
-    return {
-        **_labels(run),
-        **dict.fromkeys((*_MEASURES, *MEASURES, "predicted", "prediction_error")),
-        "plan_seconds": run.plan.seconds,
-        "success": False,
-        "failure": run.plan.failure,
-        **dict.fromkeys(("reference_breaks", "arm_breaks")),
-        "info": run.plan.info,
-        **dict.fromkeys(emulated),
-    }
-
-
-def _labels(run: _Run) -> dict[str, Any]:
-    query = run.plan.query
+    query, emulated = run.plan.query, run.system.mode == "emulated"
     return {
         "planner": run.planner,
         "query": query.name,
@@ -326,17 +278,46 @@ def _labels(run: _Run) -> dict[str, Any]:
         "mode": run.system.mode,
         "duration": query.duration,
         "obstacles": query.surroundings is not None,
+        **dict.fromkeys((*_MEASURES, *MEASURES, "predicted", "prediction_error")),
+        "plan_seconds": run.plan.seconds,
+        "success": False,
+        "failure": run.plan.failure,
+        **dict.fromkeys(("reference_breaks", "arm_breaks")),
+        "info": run.plan.info,
+        **dict.fromkeys(_EMULATED_COLUMNS if emulated else ()),
     }
 
 
-_EMULATED_COLUMNS = (
-    "stopped",
-    "E_mean_ideal",
-    "E_res_ideal",
-    "E_peak_ideal",
-    "emulation_error",
-    "base_error",
-)
+def _played(
+    run: _Run,
+    measured: Energies | None,
+    in_space: Energies | None,
+    recording: Recording,
+    k: int,
+) -> dict[str, Any]:
+    """The row of a motion that was played, run k of a recording."""
+    plan, query = run.plan, run.plan.query
+    assert in_space is not None  # nothing stops a run in space
+    assert plan.predicted is not None and plan.reference is not None
+    why, moved = plan.failure, None
+    if measured is not None:
+        moved = recording.disturbance(k, as_it_is=True, weight=query.weight)
+        why = why or executed_violation(query, recording, k)
+    return {
+        **_unplayed(run),
+        **({} if measured is None else measured.to_dict()),
+        **disturbance_to_plain(moved),
+        "predicted": plan.predicted.E_mean,
+        "prediction_error": _excess(plan.predicted.E_mean, in_space.E_mean),
+        "success": why is None and measured is not None,
+        "failure": why,
+        "reference_breaks": plan.reference.reasons,
+        "arm_breaks": recording.limit_check(k, v_max=query.v_max).reasons,
+    }
+
+
+_EMULATED_COLUMNS = ("stopped", "E_mean_ideal", "E_res_ideal", "E_peak_ideal",
+                     "emulation_error", "base_error")  # fmt: skip
 _MEASURES = tuple(field.name for field in fields(Energies))
 
 
@@ -352,12 +333,9 @@ def _emulation(
         largest = float(np.linalg.norm(reference, axis=-1).max())
         if largest > 0:
             base_error = float(np.linalg.norm(place - reference, axis=-1).max()) / largest
-    return {
-        "stopped": stop,
-        **{f"{key}_ideal": getattr(in_space, key) for key in ("E_mean", "E_res", "E_peak")},
-        "emulation_error": _excess(row["E_mean"], in_space.E_mean),
-        "base_error": base_error,
-    }
+    energies = (getattr(in_space, key) for key in ("E_mean", "E_res", "E_peak"))
+    values = (stop, *energies, _excess(row["E_mean"], in_space.E_mean), base_error)
+    return dict(zip(_EMULATED_COLUMNS, values, strict=True))
 
 
 def _excess(value: float | None, reference: float) -> float | None:
@@ -404,14 +382,6 @@ def _machine(system: System) -> dict[str, str]:
     }
 
 
-FORMAT = "ves-best/1"
-PACKAGED = "best_known.json"
-_NO_LESS = 1e-6  # relative: what is no more than this below is the same
-
-BASELINE = "straight"
-_NO_RATIO = 1e-4  # of the run's own peak energy: below it there is no ratio to speak of
-
-
 def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Medians per vehicle, duration and planner; ratios are to the straight line's.
 
@@ -423,14 +393,29 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     planner of the run solved it.
     """
     baseline = {(r["vehicle"], r["query"]): r for r in rows if r["planner"] == BASELINE}
+
+    def ratios(members: Sequence[dict[str, Any]], name: str, least: float) -> list[float]:
+        """Of a column to the straight line's, where that is more than `least` of its peak."""
+        pairs = [(r, baseline[r["vehicle"], r["query"]]) for r in members]
+        return [
+            r[name] / base[name]
+            for r, base in pairs
+            if r.get(name) is not None
+            and base.get(name) is not None
+            and base[name] > least * (base["E_peak"] or 0.0)
+        ]
+
     solvable = {(r["vehicle"], r["query"]) for r in rows if r["success"]}
     groups: dict[tuple[str, float, str], list[dict[str, Any]]] = defaultdict(list)
     for row in rows:
         groups[row["vehicle"], row["duration"], row["planner"]].append(row)
     out = []
     for (vehicle, duration, planner), members in groups.items():
-        ratios = {key: _ratios(members, baseline, key) for key in ("E_mean", "E_res", "E_peak")}
-        low, high = _interval(ratios["E_mean"])
+        # a free base is at rest after any motion: its E_res has no ratio
+        mean, residual, peak = (
+            ratios(members, name, _NO_RATIO) for name in ("E_mean", "E_res", "E_peak")
+        )
+        low, high = _interval(mean)
         emulated = {}
         if "stopped" in members[0]:
             emulated = {
@@ -452,16 +437,13 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "reference_breaks": sum(_outside(r, "reference_breaks") for r in members),
                 "arm_breaks": sum(_outside(r, "arm_breaks") for r in members),
                 "E_mean_median": _median(_numbers(members, "E_mean")),
-                "ratio_median": _median(ratios["E_mean"]),
+                "ratio_median": _median(mean),
                 "ratio_low": low,
                 "ratio_high": high,
-                "E_res_ratio_median": _median(ratios["E_res"]),
-                "E_peak_ratio_median": _median(ratios["E_peak"]),
+                "E_res_ratio_median": _median(residual),
+                "E_peak_ratio_median": _median(peak),
                 **{f"{k}_median": _median(_numbers(members, k)) for k in MEASURES},
-                **{
-                    f"{k}_ratio_median": _median(_shares(members, baseline, k))
-                    for k in MEASURES
-                },
+                **{f"{k}_ratio_median": _median(ratios(members, k, 0.0)) for k in MEASURES},
                 "solvable": len(possible),
                 "solvable_rate": float(np.mean(possible)) if possible else None,
                 "prediction_error_median": _median(errors),
@@ -537,31 +519,6 @@ def rank_correlation(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         {"vehicle": v, "duration": d, "n": len(rho), "rho_median": _median(rho)}
         for (v, d), rho in groups.items()
     ]
-
-
-def _ratios(
-    rows: Sequence[dict[str, Any]], baseline: dict[tuple[str, str], dict[str, Any]], key: str
-) -> list[float]:
-    """Energy over the straight line's, where that is not nothing.
-
-    A free base is at rest after any motion: its E_res has no ratio.
-    """
-    out = []
-    for row in rows:
-        reference = baseline[row["vehicle"], row["query"]]
-        if None in (row[key], reference[key]):
-            continue
-        if reference[key] > _NO_RATIO * reference["E_peak"]:
-            out.append(row[key] / reference[key])
-    return out
-
-
-def _shares(
-    rows: Sequence[dict[str, Any]], baseline: dict[tuple[str, str], dict[str, Any]], key: str
-) -> list[float]:
-    """Disturbance measures over the straight line's."""
-    pairs = [(row.get(key), baseline[row["vehicle"], row["query"]].get(key)) for row in rows]
-    return [value / whole for value, whole in pairs if value is not None and whole]
 
 
 def _outside(row: dict[str, Any], key: str) -> bool:
@@ -647,7 +604,7 @@ def merge_best(path: str | os.PathLike[str], result: dict[str, Any]) -> int:
     return sum(before.get(name) != entry for name, entry in entries.items())
 
 
-def add_scores(rows: Iterable[dict[str, Any]], hashes: dict[str, str], baseline: str) -> None:
+def add_scores(rows: Iterable[dict[str, Any]], hashes: dict[str, str]) -> None:
     """Add `best_known` [J] and `score` [1] to rows, None where nothing is known.
 
     The score is 0 for the energy of the straight line and 1 for the best known one; only
@@ -655,21 +612,16 @@ def add_scores(rows: Iterable[dict[str, Any]], hashes: dict[str, str], baseline:
     system.
     """
     every = list(rows)
-    baselines = {
-        (r["vehicle"], r["query"]): r["E_mean"] for r in every if r["planner"] == baseline
+    straights = {
+        (r["vehicle"], r["query"]): r["E_mean"] for r in every if r["planner"] == BASELINE
     }
     for row in every:
         entry = packaged().get(key(hashes[row["vehicle"]], row["query"]))
         best = row["best_known"] = None if entry is None else entry["E_mean"]
-        straight_energy, energy = baselines.get((row["vehicle"], row["query"])), row["E_mean"]
+        straight = straights.get((row["vehicle"], row["query"]))
         row["score"] = None
-        if (
-            row["success"]
-            and best is not None
-            and straight_energy is not None
-            and straight_energy > best
-        ):
-            row["score"] = (straight_energy - energy) / (straight_energy - best)
+        if row["success"] and best is not None and straight is not None and straight > best:
+            row["score"] = (straight - row["E_mean"]) / (straight - best)
 
 
 def near_best(rows: Sequence[dict[str, Any]], share: float = 1.05) -> float | None:

@@ -203,9 +203,9 @@ class Case:
                 table["log"] = str(folder / table["log"])
             case: Case = from_plain(Case, table, where)
         except ParameterError as error:
-            said = str(error)
+            message = str(error)
             raise ParameterError(
-                said if said.startswith(where) else f"{where}: {said}"
+                message if message.startswith(where) else f"{where}: {message}"
             ) from None
         return case
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -56,18 +56,27 @@ class ComparisonRow:
         """'simulated arm NOT inside the limits' where it is not, else nothing."""
         return "simulated arm NOT inside the limits" if self.arm_breaks else ""
 
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """The row as text, see `Comparison.table`."""
+        moved = self.disturbance
+        return (
+            self.planner,
+            "-" if self.predicted is None else f"{self.predicted['E_mean']:.4g} J",
+            "-" if self.simulated is None else f"{self.simulated.E_mean:.4g} J",
+            "-" if self.ratio is None else f"{self.ratio:.3f}",
+            "-" if moved is None else f"{moved.acceleration_peak:.3g} m/s^2",
+            "-" if moved is None else f"{1e3 * moved.tip_peak:.3g} mm",
+            f"{self.seconds:.2f} s",
+            self.failure or self.arm_verdict,
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         return {
-            "planner": self.planner,
-            "predicted": self.predicted,
+            **vars(self),
             "simulated": None if self.simulated is None else self.simulated.to_dict(),
-            "ratio": self.ratio,
-            "seconds": self.seconds,
-            "failure": self.failure,
             "energy": None if self.energy is None else self.energy.tolist(),
-            "reference_breaks": self.reference_breaks,
-            "arm_breaks": self.arm_breaks,
             "disturbance": None if self.disturbance is None else self.disturbance.to_dict(),
         }
 
@@ -94,8 +103,8 @@ class Comparison(Viewable):
         for row in self.rows:
             if row.planner == planner:
                 return row
-        known = ", ".join(row.planner for row in self.rows)
-        raise ParameterError(f"planner must be one of {known}, got {planner!r}")
+        names = ", ".join(row.planner for row in self.rows)
+        raise ParameterError(f"planner must be one of {names}, got {planner!r}")
 
     @property
     def best(self) -> ComparisonRow | None:
@@ -110,28 +119,14 @@ class Comparison(Viewable):
         peak: largest acceleration of the arm's mount; tip: largest error of the tool.
         """
         head = ("planner", "predicted", "simulated", "ratio", "peak", "tip", "planned in", "")
-        lines = [head]
-        for row in self.rows:
-            moved = row.disturbance
-            lines.append(
-                (
-                    row.planner,
-                    "-" if row.predicted is None else f"{row.predicted['E_mean']:.4g} J",
-                    "-" if row.simulated is None else f"{row.simulated.E_mean:.4g} J",
-                    "-" if row.ratio is None else f"{row.ratio:.3f}",
-                    "-" if moved is None else f"{moved.acceleration_peak:.3g} m/s^2",
-                    "-" if moved is None else f"{1e3 * moved.tip_peak:.3g} mm",
-                    f"{row.seconds:.2f} s",
-                    row.failure or row.arm_verdict,
-                )
-            )
-        widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
+        table = [head, *(row.cells for row in self.rows)]
+        widths = [max(len(cells[k]) for cells in table) for k in range(len(head))]
         return "\n".join(
             "  ".join(
                 text.ljust(width) if k in (0, len(head) - 1) else text.rjust(width)
-                for k, (text, width) in enumerate(zip(line, widths, strict=True))
+                for k, (text, width) in enumerate(zip(cells, widths, strict=True))
             ).rstrip()
-            for line in lines
+            for cells in table
         )
 
     def __str__(self) -> str:
@@ -195,35 +190,30 @@ def compare_planners(query: Query, planners: Sequence[Planner], *, seed: int = 0
     run = simulate_motions(query, motions)
     energies = measured(run)
     straight = energies[-1]
-    rows = []
+    rows: list[ComparisonRow] = []
     i = -1
     for plan in plans:
-        i += plan.motion is not None  # its run
-        simulated = None if plan.motion is None else energies[i]
-        ratio = None
-        if simulated is not None and straight is not None and straight.E_mean > 0:
-            ratio = simulated.E_mean / straight.E_mean
-        trace = moved = None
-        if simulated is not None:
-            moved = run.disturbance(i, weight=query.weight)
-            motion = run.q[i], run.y[i], run.yd[i]
-            trace = base_energy(query.system, *motion, run.internal(i)).total
-        rows.append(
-            ComparisonRow(
-                planner=plan.planner,
-                predicted=None if plan.predicted is None else plan.predicted.to_dict(),
-                simulated=simulated,
-                ratio=ratio,
-                seconds=plan.seconds,
-                failure=plan.failure,
-                energy=trace,
-                reference_breaks=None if plan.reference is None else plan.reference.reasons,
-                arm_breaks=None
-                if plan.motion is None
-                else run.limit_check(i, v_max=query.v_max).reasons,
-                disturbance=moved,
+        row = ComparisonRow(plan.planner, None, None, None, plan.seconds, plan.failure, None)
+        if plan.motion is not None and plan.predicted and plan.reference:
+            i += 1  # its run
+            row = replace(
+                row,
+                predicted=plan.predicted.to_dict(),
+                reference_breaks=plan.reference.reasons,
+                arm_breaks=run.limit_check(i, v_max=query.v_max).reasons,
             )
-        )
+            if (simulated := energies[i]) is not None:
+                motion = run.q[i], run.y[i], run.yd[i]
+                row = replace(
+                    row,
+                    simulated=simulated,
+                    ratio=simulated.E_mean / straight.E_mean
+                    if straight is not None and straight.E_mean > 0
+                    else None,
+                    energy=base_energy(query.system, *motion, run.internal(i)).total,
+                    disturbance=run.disturbance(i, weight=query.weight),
+                )
+        rows.append(row)
     name = query.name or query.ends_in_words
     return Comparison(name, query.duration, run.t, tuple(rows), straight, tuple(plans))
 
@@ -272,8 +262,8 @@ class PlanReport:
             return plan
         return {
             **plan,
-            **{name: one.to_dict() for name, one in self.energies.items()},
-            "disturbance": {name: one.to_dict() for name, one in self.disturbances.items()},
+            **{name: part.to_dict() for name, part in self.energies.items()},
+            "disturbance": {name: part.to_dict() for name, part in self.disturbances.items()},
             "frequency_weight": str(self.plan.query.weight),
             "limits": {
                 "reference": self.reference.to_dict(),

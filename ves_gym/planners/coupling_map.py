@@ -79,20 +79,9 @@ class CouplingMap(Viewable):
         buffer = io.BytesIO()
         duration = np.nan if self.duration is None else self.duration
         chosen: dict[str, Any] = {} if self.angles is None else {"angles": self.angles}
-        np.savez_compressed(
-            buffer,
-            joints=np.array(self.joints),
-            first=self.axes[0],
-            second=self.axes[1],
-            fixed=self.fixed,
-            duration=duration,
-            least=self.least,
-            most=self.most,
-            direction=self.direction,
-            disturbance=self.disturbance,
-            others=self.others,
-            **chosen,
-        )
+        values = (np.array(self.joints), *self.axes, self.fixed, duration, self.least,
+                  self.most, self.direction, self.disturbance, self.others)  # fmt: skip
+        np.savez_compressed(buffer, **dict(zip(_ARRAYS, values, strict=True)), **chosen)
         write_bytes(path, buffer.getvalue())
 
     @staticmethod
@@ -107,30 +96,16 @@ class CouplingMap(Viewable):
                 arrays = {name: file[name] for name in _ARRAYS}
                 if "angles" in file:  # where the others were chosen
                     arrays["angles"] = file["angles"]
-        except (
-            OSError,
-            EOFError,
-            ValueError,
-            KeyError,
-            AttributeError,
-            TypeError,
-            BadZipFile,
-        ) as error:
+        except (OSError, EOFError, ValueError, KeyError, AttributeError, TypeError,
+                BadZipFile) as error:  # fmt: skip
             raise ParameterError(f"{path}: no coupling map can be read: {error}") from None
-        duration = float(arrays["duration"])
-        i, j = (int(k) for k in arrays["joints"])
-        return CouplingMap(
-            joints=(i, j),
-            axes=(arrays["first"], arrays["second"]),
-            fixed=arrays["fixed"],
-            duration=None if np.isnan(duration) else duration,
-            least=arrays["least"],
-            most=arrays["most"],
-            direction=arrays["direction"],
-            disturbance=bool(arrays["disturbance"]),
-            others=str(arrays["others"]),
-            angles=arrays.get("angles"),
-        )
+        i, j = (int(k) for k in arrays.pop("joints"))
+        axes = arrays.pop("first"), arrays.pop("second")
+        duration = float(arrays.pop("duration"))
+        scalars = {"duration": None if np.isnan(duration) else duration,
+                   "disturbance": bool(arrays.pop("disturbance")),
+                   "others": str(arrays.pop("others"))}  # fmt: skip
+        return CouplingMap(joints=(i, j), axes=axes, **scalars, **arrays)
 
     def lines(self, spacing: float = 0.05, step: float = 0.2) -> list[Array]:
         """Minimum-energy lines: curves (k, 2) [rad] along the least-coupling direction.
@@ -245,18 +220,9 @@ def coupling_map(
             progress,
         )
     values, vectors = np.linalg.eigh(block(q))
-    return CouplingMap(
-        (i, j),
-        axes,
-        np.asarray(fixed, float),
-        duration,
-        values[..., 0],
-        values[..., 1],
-        vectors[..., :, 0],
-        disturbance,
-        others,
-        q if chosen else None,
-    )
+    least, most, direction = values[..., 0], values[..., 1], vectors[..., :, 0]
+    return CouplingMap((i, j), axes, np.asarray(fixed, float), duration, least, most, direction,
+                       disturbance, others, q if chosen else None)  # fmt: skip
 
 
 def _larger(block: Array) -> Array:
@@ -314,55 +280,46 @@ def minimise_on_grid(
         low, high: (n,) bounds of all coordinates.
         progress: called with the fraction done.
     """
-    best = _Best(value, grid)
     if not free:
         return grid
+
+    def of(q: Array) -> Array:
+        return value(q.reshape(-1, q.shape[-1])).reshape(q.shape[:2])
+
     steps, done = _SAMPLES + _SWEEPS * (2 * len(free) + 5), 0
+    best = grid.astype(float)
+    values = of(best)
 
     def compare(trial: Array) -> npt.NDArray[np.bool_]:
+        """Take over where a trial is better, and return where (ni, nj)."""
         nonlocal done
         done += 1
         if progress is not None:
             progress(done / steps)
-        return best.compare(trial)
+        tried = of(trial)
+        better = np.asarray(tried < values)
+        best[better], values[better] = trial[better], tried[better]
+        return better
 
     for sample in qmc.Halton(len(free), scramble=False).random(_SAMPLES):
-        trial = best.q.copy()
+        trial = best.copy()
         trial[..., free] = low[free] + sample * (high - low)[free]
         compare(trial)
     size = np.full(grid.shape[:2], _FIRST)
     for _ in range(_SWEEPS):
-        before, better = best.q.copy(), np.zeros(grid.shape[:2], bool)
+        before, better = best.copy(), np.zeros(grid.shape[:2], bool)
         for rows, columns in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            trial = best.q.copy()
-            trial[..., free] = _shifted(best.q, rows, columns)[..., free]
+            trial = best.copy()
+            trial[..., free] = _shifted(best, rows, columns)[..., free]
             better |= compare(trial)
         for k in free:
             for sign in (1.0, -1.0):
-                trial = best.q.copy()
+                trial = best.copy()
                 trial[..., k] += sign * size * (high - low)[k]
                 better |= compare(np.clip(trial, low, high))
-        compare(np.clip(2 * best.q - before, low, high))  # on in the direction that was good
+        compare(np.clip(2 * best - before, low, high))  # on in the direction that was good
         size = np.where(better, size, size / 2)
-    return best.q
-
-
-class _Best:
-    """The best points so far and their values."""
-
-    def __init__(self, value: Callable[[Array], Array], grid: Array) -> None:
-        self._value, self.q = value, grid.astype(float)
-        self.least = self._of(self.q)
-
-    def _of(self, q: Array) -> Array:
-        return self._value(q.reshape(-1, q.shape[-1])).reshape(q.shape[:2])
-
-    def compare(self, trial: Array) -> npt.NDArray[np.bool_]:
-        """Take over where a trial is better, and return where (ni, nj)."""
-        values = self._of(trial)
-        better = np.asarray(values < self.least)
-        self.q[better], self.least[better] = trial[better], values[better]
-        return better
+    return best
 
 
 def _shifted(q: Array, rows: int, columns: int) -> Array:

@@ -26,6 +26,7 @@ from ves_gym.planners.objective import (
     ENERGY,
     MeanEnergy,
     Objective,
+    QuadraticForm,
     checked_weights,
     weighted_name,
 )
@@ -94,7 +95,7 @@ class MotionProblem:
         self,
         query: Query,
         free: int,
-        energy: MeanEnergy | Objective | None = None,
+        energy: QuadraticForm | None = None,
         nodes: int = NODES,
         weights: Mapping[str, float] | None = None,
     ) -> None:
@@ -105,31 +106,24 @@ class MotionProblem:
         self.first = np.array([self.start] * _FIXED)  # control points
         if query.is_moving:
             self.first = leading_points(self.m, query.duration, self.start, *query.start_motion)
-        self.energy = energy or self._judged(weights)
+        if energy is None:
+            energy = self.form_at((self.start + self.goal) / 2)
+            if weights and set(weights) != {ENERGY}:
+                energy = Objective(energy, weights, query.straight, query.weight, query.base)
+        self.energy: QuadraticForm = energy
         self._bases = self._sampled(self.energy.t / query.duration, 2)
         self._torque_times = graded(_SAMPLES * self.m + 1)
         self._torque_bases = self._sampled(self._torque_times, 3)
         self._tau_max = _TORQUE_SHARE * self.arm.column("tau_max")
-        self._given: Response | None = None  # what the base makes the joints do
+        self._response: Response | None = None  # what the base makes the joints do
         # the straight quintic lies in the spline space, so its fit is exact
         self.straight = self.of(query.straight)
         self._checker: Collisions | None = None
         if query.surroundings is not None:
             self._checker = collisions(query.system.ideal(), query.surroundings)
 
-    def _judged(self, weights: Mapping[str, float] | None) -> MeanEnergy | Objective:
-        """E_mean, with weights the objective that holds it."""
-        energy = self.form_at((self.start + self.goal) / 2)
-        if not weights or set(weights) == {ENERGY}:
-            return energy
-        query = self.query
-        return Objective(energy, weights, query.straight, query.weight, query.base)
-
     def form_at(
-        self,
-        at: Array | Motion,
-        system: System | None = None,
-        described: Arm | None = None,
+        self, at: Array | Motion, system: System | None = None, described: Arm | None = None
     ) -> MeanEnergy:
         """E_mean as a function of the momentum, the inertia frozen or that along a motion.
 
@@ -142,16 +136,8 @@ class MotionProblem:
         momentum = None
         if query.is_moving:
             momentum = inertia(system.arm, self.start)[:6, 6:] @ query.start_motion[0]
-        return MeanEnergy(
-            system,
-            at,
-            query.duration,
-            query.servo,
-            self.nodes,
-            base=query.base,
-            momentum=momentum,
-            described=described,
-        )
+        return MeanEnergy(system, at, query.duration, query.servo, self.nodes,
+                          base=query.base, momentum=momentum, described=described)  # fmt: skip
 
     def follow(self, motion: Motion) -> None:
         """Linearise about a motion: inertia along it, limits less what the servo adds there.
@@ -160,19 +146,19 @@ class MotionProblem:
         how fast they yield, is that of the linear base under the motion. A base at rest is
         taken to stand still, as where the answer is checked (`query.check_motion`).
         """
-        self.energy = self.form_at(motion)
-        linear = self.energy.linear
+        self.energy = form = self.form_at(motion)
+        linear = form.linear
         if self.query.base is not None and linear.size > linear.b:
             nodes = steps_of_joints(self.query.duration)
-            self._given = respond(linear, motion, nodes, self.query.base)
+            self._response = respond(linear, motion, nodes, self.query.base)
             self.__dict__.pop("_linear", None)
 
     def _pushed(self, t: Array) -> tuple[Array, Array]:
         """Servo torque (N, n) [N m] and yielding rate [rad/s] of pushed joints at t [s]."""
-        if self._given is None:
+        if self._response is None:
             zero = np.zeros((len(t), self.n))
             return zero, zero
-        return self._given.at(t, self.query.servo)
+        return self._response.at(t, self.query.servo)
 
     def _sampled(self, u: Array, orders: int) -> list[Array]:
         """Basis functions and their derivatives at times u T: each (N, m)."""
@@ -226,11 +212,6 @@ class MotionProblem:
         slope += np.einsum("kcj,km->kcmj", sample.by_v, velocity[:, inner])
         return sample.u.ravel(), slope.reshape(sample.u.size, -1)
 
-    def value(self, x: Array) -> tuple[float, Array]:
-        """E_mean [J] and its gradient."""
-        u, slope = self.momentum(x)
-        return self.energy.value(u), slope.T @ self.energy.force(u)
-
     # ------------------------------------------------------------------------ limits
 
     def limits(self, x: Array) -> tuple[Array, Array]:
@@ -260,15 +241,13 @@ class MotionProblem:
             polygon = degree * np.diff(polygon, axis=0) / span[:, None]
             if limit is None:
                 continue
-            most = (_SHARE if self._given is None else _MOVED_SHARE) * np.array(limit)
+            most = (_SHARE if self._response is None else _MOVED_SHARE) * np.array(limit)
             up, down = self._yielding(t, order) / most
             rows = np.kron(polygon[:, free], np.diag(1 / most))
             at_rest = (polygon @ ends) / most
             active = np.abs(rows).max(axis=1) > 0
-            offsets += [
-                (at_rest + up).ravel()[active] - 1,
-                -(at_rest + down).ravel()[active] - 1,
-            ]
+            both = (at_rest + up).ravel(), -(at_rest + down).ravel()
+            offsets += [part[active] - 1 for part in both]
             slopes += [rows[active], -rows[active]]
         return np.concatenate(offsets), np.vstack(slopes)
 
@@ -278,12 +257,12 @@ class MotionProblem:
         Only rates (order 1 of the derivative) are limited as the joints move; t: knots.
         """
         count, degree = self.m - order, DEGREE + 1 - order
-        if self._given is None or order != 1:
+        if self._response is None or order != 1:
             return np.zeros((2, count, self.n))
-        rate = self._pushed(self._given.t)[1]
+        rate = self._pushed(self._response.t)[1]
         out = np.empty((2, count, self.n))
         for i in range(count):
-            low, high = np.searchsorted(self._given.t, (t[i + order], t[i + degree + order]))
+            low, high = np.searchsorted(self._response.t, (t[i + order], t[i + degree + order]))
             part = rate[max(low - 1, 0) : high + 1]
             out[:, i] = part.max(axis=0), part.min(axis=0)
         return out
@@ -316,12 +295,8 @@ class MotionProblem:
             return False
         fine = graded(12 * len(self._torque_times))
         control = self.control(x)
-        bases = self._sampled(fine, 3)
-        tau = (
-            torque(self.arm, *(b @ control for b in bases)).tau
-            + self._pushed(fine * self.query.duration)[0]
-        )
-        tau = np.abs(tau / self._tau_max)
+        tau = torque(self.arm, *(b @ control for b in self._sampled(fine, 3))).tau
+        tau = np.abs((tau + self._pushed(fine * self.query.duration)[0]) / self._tau_max)
         inner = (tau[1:-1] >= tau[:-2]) & (tau[1:-1] >= tau[2:]) & (tau[1:-1] > _CLOSER)
         peaks = fine[1:-1][inner.any(axis=1)]
         if not len(peaks):

@@ -64,14 +64,14 @@ def _touched(query: Query, q: Array, y: Array) -> str | None:
     if query.surroundings is None:
         return None
     checker = collisions(query.system.ideal(), query.surroundings)
-    for k in _apart(q, RESOLUTION / 8):
+    for k in _spaced(q, RESOLUTION / 8):
         names = checker.touching(q[k], y[k])
         if names:
             return f"the arm touches: {', '.join(names)}"
     return None
 
 
-def _apart(q: Array, step: float) -> list[int]:
+def _spaced(q: Array, step: float) -> list[int]:
     """Records (N, n) to look at: the first, then each that is a step from the one before."""
     out = [0]
     for k in range(1, len(q)):
@@ -100,5 +100,5 @@ def solve_with_reserve(
         and first_violation(query, plan.motion) is None
     ):
         return replace(plan, query=query)
-    again = solve(planner, query, seed)
-    return replace(again, seconds=plan.seconds + again.seconds)
+    plan_again = solve(planner, query, seed)
+    return replace(plan_again, seconds=plan.seconds + plan_again.seconds)

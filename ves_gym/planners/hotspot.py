@@ -2,20 +2,17 @@
 
 The coupling matrix is a metric on joint space: a path's length in it is small when it
 runs along minimum-energy lines and keeps out of hot spots. The planner finds a short
-path on a lattice or, with more than three joints, on a roadmap of points spread evenly
-through the whole joint space, relaxes it into a smooth geodesic, and times it with a quintic.
+path on a roadmap of points spread evenly through the whole joint space, relaxes it into a
+smooth geodesic, and times it with a quintic. Its opposite is the bad path.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.optimize
 import scipy.sparse
 import scipy.spatial
@@ -23,7 +20,6 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.stats import qmc
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.motion import Motion, quintic
 from ves_gym.planners.coupling import coupling_length, coupling_matrix, metric
 from ves_gym.planners.metric import LEAST, Metric
@@ -31,11 +27,12 @@ from ves_gym.planners.paths import feasible_part, resample
 from ves_gym.planners.query import NoPlan, Query
 from ves_gym.system.system import System
 
-Ints = npt.NDArray[np.signedinteger[Any]]
-_PITCH = np.deg2rad(15.0)  # lattice spacing
-_LARGEST = 200_000  # lattice edges; beyond that a lattice is the wrong tool
 _ROADMAP = 4000  # points of a roadmap
 _POINTS = 16  # segments of the relaxed path
+_CONTROLS = 64  # of the joint-by-joint motion: follows it to about 1e-4 rad
+_STEPS = 60  # of a joint's part of the path
+_MOST = 12  # joints: beyond, 2^n sets of joints are too many
+_AT_ONCE = 200_000  # configurations
 _DIFFERENCE = 1e-5  # rad
 
 
@@ -62,8 +59,8 @@ class HotSpot:
         duration = query.duration if self.band_limited else None
         start, goal = query.ends
         straight = np.linspace(start, goal, _POINTS + 1)
-        network = _network(query.system, duration)
-        routes = [straight, resample(network.route(start, goal), _POINTS + 1)]
+        route = _roadmap(query.system, duration).route(start, goal)
+        routes = [straight, resample(route, _POINTS + 1)]
         relaxed = [_relax(query.system, route, duration) for route in routes]
         lengths = [coupling_length(query.system, path, duration) for path in relaxed]
         best = int(np.argmin(lengths))
@@ -71,131 +68,53 @@ class HotSpot:
         info = {
             "coupling_length": lengths[best],
             "straight_coupling_length": coupling_length(query.system, straight, duration),
-            "from": ("straight", network.name)[best],
+            "from": ("straight", "roadmap")[best],
             "share": share,  # of the way from the straight line that the limits allow
         }
         return motion, info
 
 
-# ------------------------------------------------------------------------- networks
+class Roadmap:
+    """Halton's points in joint space of any dimension, joined to their neighbours.
 
-
-class SpotNetwork:
-    """Joint space as points, with the coupling lengths of straight ways between neighbours.
-
-    Args:
-        name: lattice or roadmap.
-        points: (N, n) [rad].
-        edges: neighbours, two (E,) of their numbers.
-        costs: (E,) their lengths.
-        lengths: of ways from (k, n) to (k, n), (k,).
-        near: numbers of the points that a configuration (n,) is joined to.
-        joins_ends: start and goal are neighbours, too.
+    As many as in PRM* (Karaman and Frazzoli 2011); an edge costs its length in Q_T of a
+    duration [s], in raw Q for None.
     """
 
-    def __init__(
-        self,
-        name: str,
-        points: Array,
-        edges: tuple[Ints, Ints],
-        costs: Array,
-        lengths: Callable[[Array, Array], Array],
-        near: Callable[[Array], Ints],
-        joins_ends: bool,
-    ) -> None:
-        self.name, self.points, self.edges, self.costs = name, points, edges, costs
-        self._lengths, self._near, self._joins_ends = lengths, near, joins_ends
+    def __init__(self, system: System, duration: float | None) -> None:
+        arm = system.arm
+        halton = qmc.Halton(arm.n, scramble=False).random(_ROADMAP)
+        self.points = qmc.scale(halton, arm.column("q_min"), arm.column("q_max"))
+        self._count = int(np.ceil(math.e * (1 + 1 / arm.n) * np.log(_ROADMAP)))
+        self._tree = scipy.spatial.cKDTree(self.points)
+        _, neighbours = self._tree.query(self.points, self._count + 1)
+        heads = np.repeat(np.arange(_ROADMAP), self._count)
+        self._edges = heads, neighbours[:, 1:].ravel()
+        self._lengths = Metric(system, "q" if duration is None else "qt", duration).lengths
+        self._costs = self._lengths(*(self.points[k] for k in self._edges))
 
     def route(self, start: Array, goal: Array) -> Array:
         """Return the shortest path (k, n) [rad] through the network."""
+        places = np.vstack([self.points, start, goal])
         size = len(self.points)
-        a, b, costs = [self.edges[0]], [self.edges[1]], [self.costs]
-        for k, q in enumerate((start, goal)):
-            near = self._near(q)
-            a.append(np.full(len(near), size + k))
-            b.append(near)
-            places = self.points[near]
-            costs.append(self._lengths(np.broadcast_to(q, places.shape), places))
-        if self._joins_ends:
-            a.append(np.array([size]))
-            b.append(np.array([size + 1]))
-            costs.append(self._lengths(start[None], goal[None]))
+        near = self._tree.query([start, goal], self._count)[1].ravel()
+        heads = np.r_[np.repeat([size, size + 1], self._count), size]
+        tails = np.r_[near, size + 1]  # start and goal are neighbours, too
+        costs = self._lengths(places[heads], places[tails])
         # 32-bit indices: what SciPy's graph routines take in every supported release
-        ends = tuple(np.concatenate(k).astype(np.int32) for k in (a, b))
-        shape = (size + 2, size + 2)
-        graph = scipy.sparse.csr_array((np.concatenate(costs), ends), shape=shape)
+        ends = tuple(
+            np.concatenate(k).astype(np.int32)
+            for k in zip(self._edges, (heads, tails), strict=True)
+        )
+        graph = scipy.sparse.csr_array((np.r_[self._costs, costs], ends), shape=(size + 2,) * 2)
         _, before = dijkstra(graph, directed=False, indices=size, return_predecessors=True)
         nodes = [size + 1]
         while nodes[-1] != size:
             nodes.append(int(before[nodes[-1]]))
-        return np.vstack([self.points, start, goal])[nodes[::-1]]
+        return places[nodes[::-1]]
 
 
-def lattice(system: System, duration: float | None) -> SpotNetwork:
-    """A regular lattice of `_PITCH`, every point joined to all around it."""
-    axes = _axes(system.arm)
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
-    index = np.arange(len(points)).reshape([len(axis) for axis in axes])
-    heads, tails = [], []
-    for move in itertools.product((-1, 0, 1), repeat=len(axes)):
-        if move > (0,) * len(axes):
-            pairs = list(zip(move, index.shape, strict=True))
-            heads.append(index[tuple(slice(max(0, -m), s - max(0, m)) for m, s in pairs)])
-            tails.append(index[tuple(slice(max(0, m), s - max(0, -m)) for m, s in pairs)])
-    a, b = (np.concatenate([k.ravel() for k in part]) for part in (heads, tails))
-    Q = metric(system, (points[a] + points[b]) / 2, duration)
-    least = float(LEAST * np.mean(np.trace(Q, axis1=-2, axis2=-1)) / len(axes))
-
-    def size(step: Array, Q: Array) -> Array:
-        squares = np.einsum("ki,kij,kj->k", step, Q, step) + least * np.sum(step**2, axis=-1)
-        return np.sqrt(np.maximum(squares, 0))
-
-    def lengths(start: Array, end: Array) -> Array:
-        return size(end - start, metric(system, (start + end) / 2, duration))
-
-    def near(q: Array) -> Ints:
-        return np.flatnonzero((np.abs(points - q) <= 1.5 * _PITCH).all(axis=1))
-
-    costs = size(points[b] - points[a], Q)
-    return SpotNetwork("lattice", points, (a, b), costs, lengths, near, joins_ends=False)
-
-
-def roadmap(system: System, duration: float | None) -> SpotNetwork:
-    """Halton's points in joint space of any dimension, joined to their neighbours.
-
-    As many as in PRM* (Karaman and Frazzoli 2011).
-    """
-    arm = system.arm
-    halton = qmc.Halton(arm.n, scramble=False).random(_ROADMAP)
-    points = qmc.scale(halton, arm.column("q_min"), arm.column("q_max"))
-    count = int(np.ceil(math.e * (1 + 1 / arm.n) * np.log(_ROADMAP)))
-    tree = scipy.spatial.cKDTree(points)
-    _, neighbours = tree.query(points, count + 1)
-    edges = np.repeat(np.arange(_ROADMAP), count), neighbours[:, 1:].ravel()
-    # "qt" and "q" as the lattice has them, compiled
-    lengths = Metric(system, "q" if duration is None else "qt", duration).lengths
-
-    def near(q: Array) -> Ints:
-        return np.asarray(tree.query(q, count)[1])
-
-    costs = lengths(points[edges[0]], points[edges[1]])
-    return SpotNetwork("roadmap", points, edges, costs, lengths, near, joins_ends=True)
-
-
-def _axes(arm: Arm) -> list[Array]:
-    low, high = arm.column("q_min"), arm.column("q_max")
-    return [
-        np.arange(np.ceil(a / _PITCH), np.floor(b / _PITCH) + 1) * _PITCH
-        for a, b in zip(low, high, strict=True)
-    ]
-
-
-@lru_cache(maxsize=16)
-def _network(system: System, duration: float | None) -> SpotNetwork:
-    """A lattice where it is small enough."""
-    nodes = int(np.prod([len(axis) for axis in _axes(system.arm)]))
-    small = nodes * (3**system.arm.n - 1) // 2 <= _LARGEST
-    return (lattice if small else roadmap)(system, duration)
+_roadmap = lru_cache(maxsize=16)(Roadmap)
 
 
 # ---------------------------------------------------------------------- relaxation
@@ -236,12 +155,6 @@ def _relax(system: System, path: Array, duration: float | None) -> Array:
         options={"maxiter": 200},
     )
     return np.vstack([path[0], result.x.reshape(-1, n), path[-1]])
-
-
-_CONTROLS = 64  # of the joint-by-joint motion: follows it to about 1e-4 rad
-_STEPS = 60  # of a joint's part of the path
-_MOST = 12  # joints: beyond, 2^n sets of joints are too many
-_AT_ONCE = 200_000  # configurations
 
 
 class BadPath:

@@ -93,7 +93,7 @@ class Metric:
         return self._form(at, self._p)[..., 0]
 
     def lengths(self, a: npt.ArrayLike, b: npt.ArrayLike) -> Array:
-        """Lengths (...) of straight edges, roots of the unit of `squares`; a, b (..., n) ends."""
+        """Lengths (...) of straight edges from a to b (..., n); roots of `squares`'s unit."""
         start, step = np.asarray(a, float), np.asarray(b, float) - np.asarray(a, float)
         at = start[..., None, :] + _NODES[:, None] * step[..., None, :]
         squares = self.squares(at, np.broadcast_to(step[..., None, :], at.shape))

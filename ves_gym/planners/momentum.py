@@ -32,15 +32,9 @@ class BaseMomentum(NamedTuple):
 
 
 def momentum(arm: Arm, q: Array, v: Array) -> BaseMomentum:
-    """Base momentum of joint rates, with derivatives.
-
-    Args:
-        arm: n joints.
-        q, v: (..., n) [rad], [rad/s].
-    """
-    n = arm.n
-    out = _function(_momentum, arm)(points((q, n, "q"), (v, n, "v")))
-    slopes = out[..., 6:].reshape(*out.shape[:-1], 2, n, 6)
+    """Base momentum of joint rates v at q (..., n) [rad/s, rad], with derivatives."""
+    out = _evaluate("momentum", _momentum, arm, (q, v), 6 + 12 * arm.n)
+    slopes = out[..., 6:].reshape(*out.shape[:-1], 2, arm.n, 6)
     by_q, by_v = np.moveaxis(np.swapaxes(slopes, -1, -2), -3, 0)
     return BaseMomentum(out[..., :6], by_q, by_v)
 
@@ -60,10 +54,14 @@ def torque(arm: Arm, q: Array, v: Array, a: Array) -> InverseDynamics:
         q, v, a: (..., n) [rad], [rad/s], [rad/s^2].
     """
     n = arm.n
-    at = points((q, n, "q"), (v, n, "v"), (a, n, "a"))
-    out = _function(_torque, arm)(at)
+    out = _evaluate("torque", _torque, arm, (q, v, a), n + 3 * n * n)
     slopes = out[..., n:].reshape(*out.shape[:-1], 3, n, n)
     return InverseDynamics(out[..., :n], np.swapaxes(slopes, -1, -2))
+
+
+def _evaluate(name: str, graph: Any, arm: Arm, x: tuple[Array, ...], outputs: int) -> Array:
+    at = points(*((k, arm.n, symbol) for k, symbol in zip(x, "qva", strict=False)))
+    return evaluate(f"{name} {_digest(arm)}", partial(graph, arm), at, _NO_PARAMETERS, outputs)
 
 
 @lru_cache(maxsize=16)

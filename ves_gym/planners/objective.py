@@ -41,12 +41,41 @@ from ves_gym.system.frequency_weight import FrequencyWeight
 from ves_gym.system.system import System
 
 
-class MeanEnergy:
-    """E_mean of a motion as a quadratic function, with the inertia frozen at `at`.
+class QuadraticForm:
+    """1/2 u^T W u + g^T u + c: W `hessian`, g `gradient`, c `constant`, u momenta at `t`."""
 
-    E_mean = 1/2 u^T W u + g^T u + c over the samples u (N + 1, 6) of the joint momentum
-    H_bm(q) q' at the times `t`; u is held linear between them. W is `hessian`, g `gradient`
-    and c `constant`; the latter are zero where base and joints start at rest.
+    t: Array  # (N,) s
+    system: System
+
+    def __init__(self, form: Array) -> None:
+        """Of (u, 1)^T form (u, 1), symmetric."""
+        self.hessian: Array = np.ascontiguousarray(2 * form[:-1, :-1])
+        self.gradient: Array = 2 * form[:-1, -1]
+        self.constant = float(form[-1, -1])
+
+    def of(self, motion: Motion) -> float:
+        """Value of a motion [J]."""
+        return self.value(joint_momentum(self.system, motion, self.t).ravel())
+
+    def value(self, u: Array) -> float:
+        return float(0.5 * u @ self.hessian @ u + self.gradient @ u) + self.constant
+
+    def force(self, u: Array) -> Array:
+        """Derivative of `value`."""
+        out: Array = self.hessian @ u + self.gradient
+        return out
+
+    def curvature(self, u: Array, slope: Array) -> Array:
+        """slope^T W slope (k, k): second derivative of `value` along `slope` of u."""
+        out: Array = slope.T @ (self.hessian @ slope)
+        return out
+
+
+class MeanEnergy(QuadraticForm):
+    """E_mean of a motion [J] as a quadratic form, with the inertia frozen at `at`.
+
+    Of the samples u (N + 1, 6) of the joint momentum H_bm(q) q' at the times `t`, held linear
+    between them; `gradient` and `constant` are zero where base and joints start at rest.
 
     With `described`, the arm that the servo's feed-forward goes by, a sample has 6 + n numbers:
     the torque that the arm needs beyond that, integrated over time [N m s], is an input of the
@@ -84,14 +113,14 @@ class MeanEnergy:
         self.t = np.linspace(0, duration, nodes + 1)
         self.system, self.at = system, at
         u0 = np.zeros(6) if momentum is None else momentum
-        self._M, middle = inertia_along(self.linear, at, self.t)
+        M, middle = inertia_along(self.linear, at, self.t)
         A, B = self.linear.plant(middle)
-        driven = self.linear.seen[: self.inputs]
-        self._steps = list(zip(*hold(A, B[..., driven], self.t[1]), strict=True))
-        self._start = None
+        driven = self.linear.coupled[: self.inputs]
+        steps = hold(A, B[..., driven], self.t[1])
+        start = np.zeros(2 * self.linear.size)
         if base is not None or u0.any():
-            self._start = self.linear.begin(self._mass_at(0), base, u0)
-        self._form()
+            start = self.linear.begin(M[0], base, u0)
+        super().__init__(self._form(M, steps, start))
 
     def of(self, motion: Motion) -> float:
         """E_mean of a motion [J]."""
@@ -105,61 +134,34 @@ class MeanEnergy:
             u = np.hstack([u, running_integral(self.t) @ (needed - fed)])
         return self.value(u.ravel())
 
-    def value(self, u: Array) -> float:
-        """E_mean [J] of momenta u (6 (N + 1),)."""
-        quadratic_part = 0.5 * float(u @ self.hessian @ u)
-        if self._start is None:
-            return quadratic_part
-        return quadratic_part + float(self.gradient @ u) + self.constant
-
-    def force(self, u: Array) -> Array:
-        """Derivative of `value` (6 (N + 1),)."""
-        out: Array = self.hessian @ u
-        return out if self._start is None else out + self.gradient
-
-    def curvature(self, u: Array, slope: Array) -> Array:
-        """slope^T W slope (k, k): the same for all u, for slopes (6 (N + 1), k)."""
-        out: Array = slope.T @ (self.hessian @ slope)
-        return out
-
-    def _mass_at(self, k: int) -> Array:
-        out: Array = self._M[k if len(self._M) > 1 else 0]
-        return out
-
-    def _form(self) -> None:
-        """Make W [J / (kg m/s)^2], g [J / (kg m/s)] and c [J] of N + 1 samples."""
+    def _form(self, M: Array, steps: tuple[Array, Array, Array], start: Array) -> Array:
+        """E_mean as a form of all samples and 1, from the response to each of them."""
         linear, N, duration, m = self.linear, len(self.t), float(self.t[-1]), self.inputs
         size, b = linear.size, linear.b
         # response of the state at node k to u at node j, and last of all to the start
         states = np.zeros((N, 2 * size, m * N + 1))
-        if self._start is not None:
-            states[0, :, -1] = self._start
+        states[0, :, -1] = start
         for k in range(N - 1):
-            Phi, first, second = self._steps[k if len(self._steps) > 1 else 0]
+            Phi, first, second = (part[k if len(part) > 1 else 0] for part in steps)
             done = m * k + m
             states[k + 1, :, :done] = Phi @ states[k, :, :done]
             states[k + 1, :, -1] = Phi @ states[k, :, -1]
             states[k + 1, :, done - m : done] += first
             states[k + 1, :, done : done + m] = second
         # E_k = 1/2 |R_K z|^2 + 1/2 |R_M z'|^2 with z' = (M^-1 (P - u))[:b]
-        pose = root(linear.base_stiffness)
-        speed = np.stack([root(M[:b, :b]) @ np.linalg.inv(M)[:b] for M in self._M])
-        driven = linear.seen[:m]
+        speed = np.stack([root(Mk[:b, :b]) @ np.linalg.inv(Mk)[:b] for Mk in M])
         rows = np.empty((N, 2 * b, m * N + 1))
-        rows[:, :b] = pose @ states[:, :b]
+        rows[:, :b] = root(linear.base_stiffness) @ states[:, :b]
         rows[:, b:] = speed @ states[:, size:]
         for k in range(N):
-            rows[k, b:, m * k : m * k + m] -= speed[k if len(speed) > 1 else 0][:, driven]
+            direct = speed[k if len(speed) > 1 else 0][:, linear.coupled[:m]]
+            rows[k, b:, m * k : m * k + m] -= direct
         weight = np.full(N, self.t[1])
         weight[[0, -1]] /= 2
         rows *= np.sqrt(weight / (duration + TAIL))[:, None, None]
-        flat = rows.reshape(2 * b * N, -1)
-        tail = 2 / (duration + TAIL) * linear.tail(self._mass_at(-1))
-        last = states[-1]
-        whole = flat.T @ flat + last.T @ tail @ last
-        self.hessian: Array = np.ascontiguousarray(whole[:-1, :-1])
-        self.gradient: Array = whole[:-1, -1].copy()
-        self.constant = 0.5 * float(whole[-1, -1])
+        flat, last = rows.reshape(2 * b * N, -1), states[-1]
+        tail = linear.tail(M[-1]) / (duration + TAIL)
+        return np.asarray(flat.T @ flat / 2 + last.T @ tail @ last, np.float64)
 
 
 def running_integral(t: Array) -> Array:
@@ -236,7 +238,7 @@ def weighted_name(planner: str, weights: Mapping[str, float]) -> str:
     return f"{planner}:{listed}" if listed else planner
 
 
-class Objective:
+class Objective(QuadraticForm):
     """J of motions as a function of their momentum, where `MeanEnergy` is E_mean.
 
     Args:
@@ -295,12 +297,13 @@ class Objective:
             self.linear, at, path, self.t, inputs, self._filter, base=self._base
         )
 
-    def _form(self, name: str) -> _Square | _Peak:
+    def _form(self, name: str) -> QuadraticForm | _Peak:
         if name in _MEANS:
-            return _Square.of(*self._response.mean_square(_MEANS[name]))
+            rows, after = self._response.mean_square(_MEANS[name])
+            return QuadraticForm(rows.T @ rows + after)
         if name in _ENDS:
             rows = self._response.quantity(_ENDS[name]).nodes[-1]
-            return _Square.of(rows, np.zeros((rows.shape[1],) * 2))
+            return QuadraticForm(rows.T @ rows)
         step = _AFTER / _SAMPLES
         return _Peak(self._response.samples(_PEAKS[name], step, _AFTER))
 
@@ -310,8 +313,8 @@ class Objective:
         self.hessian = w * self.mean.hessian
         self.gradient, self.constant = w * self.mean.gradient, w * self.mean.constant
         self._peaks: list[tuple[float, _Peak]] = []
-        for name in self._measures:
-            form, share = self._form(name), self.shares[name]
+        for name, share in self.shares.items():
+            form = self._form(name)
             if isinstance(form, _Peak):
                 self._peaks.append((share, form))
                 continue
@@ -324,49 +327,17 @@ class Objective:
         square = self._form(name).value(u)
         return square if name == "E_weighted" else max(square, 0.0) ** 0.5
 
-    def of(self, motion: Motion) -> float:
-        """J of a motion [J]."""
-        return self.value(joint_momentum(self.system, motion, self.t).ravel())
-
     def value(self, u: Array) -> float:
         """J [J] of momenta u (6 (N + 1),)."""
-        out = 0.5 * float(u @ self.hessian @ u) + float(self.gradient @ u) + self.constant
-        return out + sum(share * peak.value(u) for share, peak in self._peaks)
+        return super().value(u) + sum(share * peak.value(u) for share, peak in self._peaks)
 
     def force(self, u: Array) -> Array:
-        """Derivative of `value` (6 (N + 1),)."""
-        out: Array = self.hessian @ u + self.gradient
-        for share, peak in self._peaks:
-            out = out + share * peak.force(u)
-        return out
+        return sum((w * peak.force(u) for w, peak in self._peaks), start=super().force(u))
 
     def curvature(self, u: Array, slope: Array) -> Array:
         """slope^T W slope (k, k), W the second derivative of `value` at u."""
-        out: Array = slope.T @ (self.hessian @ slope)
-        for share, peak in self._peaks:
-            out = out + share * peak.curvature(u, slope)
-        return out
-
-
-class _Square:
-    """1/2 u^T H u + g^T u + c."""
-
-    def __init__(self, form: Array) -> None:
-        self.hessian: Array = np.ascontiguousarray(2 * form[:-1, :-1])
-        self.gradient: Array = 2 * form[:-1, -1]
-        self.constant = float(form[-1, -1])
-
-    @classmethod
-    def of(cls, rows: Array, added: Array) -> _Square:
-        """|rows (u, 1)|^2 + (u, 1)^T more (u, 1).
-
-        Args:
-            rows: (k, C). more: (C, C).
-        """
-        return cls(rows.T @ rows + added)
-
-    def value(self, u: Array) -> float:
-        return float(0.5 * u @ self.hessian @ u + self.gradient @ u) + self.constant
+        parts = (w * peak.curvature(u, slope) for w, peak in self._peaks)
+        return sum(parts, start=super().curvature(u, slope))
 
 
 class _Peak:

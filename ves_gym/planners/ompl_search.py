@@ -20,7 +20,7 @@ import time
 import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 
@@ -104,15 +104,7 @@ class Ompl:
             NoPlan: no path within the budget, or the child failed.
         """
         require(f"planner {self.name}", "ompl")
-        ideal = replace(query, system=query.system.ideal())
-        request = Request(
-            query=ideal,
-            objective=self.objective,
-            algorithm=self.algorithm,
-            seed=seed,
-            evaluations=self.evaluations,
-            seconds=self.seconds,
-        )
+        request = Request(self, replace(query, system=query.system.ideal()), seed)
         result = SEARCH_PROCESS.request(request, self.seconds + _GRACE)
         if result.path is None:
             raise NoPlan(
@@ -164,15 +156,15 @@ class SearchProcess:
 
     def _start(self) -> subprocess.Popen[bytes]:
         paths = os.pathsep.join(p or os.getcwd() for p in sys.path)
-        self._said = tempfile.TemporaryFile()  # noqa: SIM115 - `_stop` closes it
+        self._messages = tempfile.TemporaryFile()  # noqa: SIM115 - `_stop` closes it
         process = subprocess.Popen(
             [sys.executable, "-c", self.program],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._said,
+            stderr=self._messages,
             env={**os.environ, "PYTHONPATH": paths, **ONE_THREAD},
         )
-        self._stop = weakref.finalize(self, _stop, process, self._said)
+        self._stop = weakref.finalize(self, _stop, process, self._messages)
         self._process, self._owner = process, os.getpid()
         return process
 
@@ -185,8 +177,8 @@ class SearchProcess:
             how = f"exit status {process.wait(timeout=1.0)}"
         except subprocess.TimeoutExpired:
             how = "killed"
-        self._said.seek(0)
-        messages = self._said.read().decode(errors="replace").strip().splitlines()
+        self._messages.seek(0)
+        messages = self._messages.read().decode(errors="replace").strip().splitlines()
         self._stop()
         return f"{how}; {messages[-1][:200]}" if messages else how
 
@@ -218,16 +210,12 @@ ALGORITHMS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Request:
+class Request(NamedTuple):
     """One search. The same request gives the same path while `seconds` is not reached."""
 
+    planner: Ompl
     query: Query
-    objective: str  # q, qt or time
-    algorithm: str  # of ALGORITHMS
     seed: int
-    evaluations: int  # of edge costs
-    seconds: float
 
 
 @dataclass(frozen=True)
@@ -263,7 +251,7 @@ def serve() -> None:
             request = pickle.load(requests)
         except EOFError:
             return
-        signal.alarm(math.ceil(min(request.seconds + _ORPHAN, 1e9)))
+        signal.alarm(math.ceil(min(request.planner.seconds + _ORPHAN, 1e9)))
         try:
             answer: PathSearchResult | str = search(request)
         except Exception as error:  # all of it is the parent's to report
@@ -299,7 +287,7 @@ def search(request: Request) -> PathSearchResult:
             state[i] = float(angle)
     problem.setStartAndGoalStates(*ends)
     problem.setOptimizationObjective(objective)
-    planner = getattr(og, ALGORITHMS[request.algorithm])(information)
+    planner = getattr(og, ALGORITHMS[request.planner.algorithm])(information)
     planner.setProblemDefinition(problem)
     planner.setup()
     for k in range(CHECKPOINTS):
@@ -324,7 +312,7 @@ class _Search:
 
     def __init__(self, request: Request) -> None:
         self.request, self.n = request, request.query.system.arm.n
-        self.edge, self.least = _costs(request.query, request.objective)
+        self.edge, self.least = _costs(request.query, request.planner.objective)
         self.bound = self.least(request.query.start, request.query.goal)
         self.begin = time.perf_counter()
         self.share = 0.0  # of the budget that may be used now
@@ -336,10 +324,10 @@ class _Search:
     @property
     def used(self) -> float:
         """Share of the budget used up; alike on every machine until the time is up."""
-        if time.perf_counter() - self.begin > self.request.seconds:
+        if time.perf_counter() - self.begin > self.request.planner.seconds:
             return math.inf
         work = max(self.evaluations, self.checks / _CHECKS, self.guesses / _GUESSES)
-        return work / self.request.evaluations
+        return work / self.request.planner.evaluations
 
     def is_enough(self) -> bool:
         """OMPL's termination condition."""
@@ -347,7 +335,7 @@ class _Search:
 
     def stop_if_overrun(self) -> None:
         """Leave a planner that looks at its termination condition too seldom."""
-        if self.used > _OVERRUN + 1000 / self.request.evaluations:
+        if self.used > _OVERRUN + 1000 / self.request.planner.evaluations:
             raise _BudgetSpent
 
     def consider(self, path: Array) -> None:

@@ -25,7 +25,7 @@ import scipy.linalg
 from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.modes import natural_modes, sum_quadratic
+from ves_gym.mechanics.modes import Modes, natural_modes, sum_quadratic
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.spatial import matvec, quadratic
@@ -82,14 +82,22 @@ class Prediction:
         return asdict(self)
 
 
-def spectral_energy(system: System, motion: Motion, nodes: int | None = None) -> float:
+def spectral_energy(system: System, motion: Motion) -> float:
     """E_res = 1/2 sum_i omega_i^2 |int e^(-j omega_i t) g_i(q)^T q' dt|^2 [J].
 
-    Undamped; modes frozen at the motion's middle configuration. `nodes`: samples, by default
-    sixteen per cycle of the fastest mode and at least 200.
+    Undamped; modes frozen at the motion's middle configuration.
     """
-    T = motion.duration
-    linear = LinearBase(system)
+    return float(modal_energies(system, motion)[1].sum())
+
+
+def modal_energies(
+    system: System, motion: Motion, nodes: int | None = None
+) -> tuple[Modes, Array]:
+    """Modes of the base at a motion's middle, and what the motion leaves in each [J].
+
+    `nodes`: samples, by default sixteen per cycle of the fastest mode and at least 200.
+    """
+    T, linear = motion.duration, LinearBase(system)
     frozen = natural_modes(linear.K, linear.mass(inertia(system.arm, motion.at(T / 2).q)))
     if nodes is None:
         nodes = int(min(20_000, max(200, 16 * frozen.omega[-1] * T / (2 * np.pi))))
@@ -97,7 +105,7 @@ def spectral_energy(system: System, motion: Motion, nodes: int | None = None) ->
     momentum = joint_momentum(system, motion, t)  # vanishes at both ends: the trapezoid rule
     phase = np.exp(-1j * frozen.omega * t[:, None])  # is of high order there
     integral = np.trapezoid(phase * (momentum @ frozen.shapes[:6]), t, axis=0)
-    return float(0.5 * np.sum(frozen.omega**2 * np.abs(integral) ** 2))
+    return frozen, np.asarray(0.5 * frozen.omega**2 * np.abs(integral) ** 2, float)
 
 
 def joint_momentum(system: System, motion: Motion, t: Array) -> Array:
@@ -126,13 +134,13 @@ class LinearBase:
             self.D = scipy.linalg.block_diag(self.D, np.diag(servo.kd))
             self.K = scipy.linalg.block_diag(self.K, np.diag(servo.kp))
         # of x, what the arm's inertia matrix (6 + n) acts on
-        self.seen = np.r_[np.arange(6), np.arange(self.b, self.size)]
+        self.coupled = np.r_[np.arange(6), np.arange(self.b, self.size)]
 
     def mass(self, H: Array) -> Array:
         """Inertia of x (..., size, size) from the arm's inertia matrices."""
         M = np.zeros((*H.shape[:-2], self.size, self.size))
-        k = len(self.seen)
-        M[..., self.seen[:, None], self.seen] = H[..., :k, :k]
+        k = len(self.coupled)
+        M[..., self.coupled[:, None], self.coupled] = H[..., :k, :k]
         M[..., : self.b, : self.b] += self.base_mass
         return M
 

@@ -25,7 +25,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.coupling import blocks
 from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.momentum import BaseMomentum, momentum
-from ves_gym.planners.objective import MeanEnergy
+from ves_gym.planners.objective import QuadraticForm
 from ves_gym.planners.paths import feasible_part
 from ves_gym.planners.prediction import NODES, predict
 from ves_gym.planners.query import NoPlan, Query
@@ -286,28 +286,17 @@ class ReactionProblem(MotionProblem):
         return float(np.sqrt(2 * self.energy.value(self.momentum(x)[0])))
 
 
-class MeanSquare(MeanEnergy):
-    """Half the mean over time of u^T weight u, in the place of E_mean.
-
-    Args:
-        weight: (k, k) of the samples u (N + 1, k) at the times `t`.
-        duration: of the motions [s].
-    """
+class MeanSquare(QuadraticForm):
+    """Half the mean over time of u^T weight u, u (N + 1, k), in the place of E_mean."""
 
     def __init__(self, weight: Array, duration: float) -> None:
         self.t = np.linspace(0, duration, NODES + 1)
         share = np.full(NODES + 1, 1 / NODES)  # of the trapezoid rule
         share[[0, -1]] /= 2
-        self.hessian = np.asarray(np.kron(np.diag(share), weight), np.float64)
-
-    def value(self, u: Array) -> float:
-        """Half the mean square of samples u (k (N + 1),)."""
-        return 0.5 * float(u @ self.hessian @ u)
-
-    def force(self, u: Array) -> Array:
-        """Its derivative by the samples (k (N + 1),)."""
-        out: Array = self.hessian @ u
-        return out
+        size = len(share) * len(weight)
+        form = np.zeros((size + 1, size + 1))
+        form[:-1, :-1] = np.kron(np.diag(share), weight) / 2
+        super().__init__(form)
 
 
 def _weight(system: System, at: Array) -> Array:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, MutableMapping
+from collections import UserDict
+from collections.abc import Mapping
 from importlib import import_module
 from typing import Any, TypeVar
 
@@ -37,35 +38,21 @@ _HOMES: dict[str, tuple[str, dict[str, Any]]] = {
 _WEIGHTED = ("direct", "refined", "refined-long")
 
 
-class _Planners(MutableMapping[str, Planner]):
+class _Planners(UserDict[str, Any]):
     """Planners by name, those of `_HOMES` made when first asked for."""
 
-    def __init__(self) -> None:
-        self._made: dict[str, Planner | None] = dict.fromkeys(_HOMES)
-
     def __getitem__(self, name: str) -> Planner:
-        planner = self._made[name]
-        if planner is None:
-            home, settings = _HOMES[name]
-            module, _, kind = home.partition(":")
-            made = getattr(import_module(f"ves_gym.planners.{module}"), kind)(**settings)
-            planner = self._made[name] = made
-        return planner
-
-    def __setitem__(self, name: str, planner: Planner) -> None:
-        self._made[name] = planner
-
-    def __delitem__(self, name: str) -> None:
-        del self._made[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._made)
-
-    def __len__(self) -> int:
-        return len(self._made)
+        planner = self.data[name]
+        if isinstance(planner, tuple):
+            home, settings = planner
+            module, kind = home.split(":")
+            cls = getattr(import_module(f"ves_gym.planners.{module}"), kind)
+            planner = self.data[name] = cls(**settings)
+        out: Planner = planner
+        return out
 
 
-PLANNERS = _Planners()
+PLANNERS = _Planners(_HOMES)
 
 
 def register_planner(planner: P) -> P:

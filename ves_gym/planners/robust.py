@@ -83,13 +83,8 @@ class Robust:
             )
         if not (price >= 1 and math.isfinite(price)):
             raise ParameterError(f"price must be >= 1, got {price}")
-        self.uncertain, self.price, self.objective, self.free = (
-            uncertain,
-            price,
-            objective,
-            free,
-        )
-        self.name, self.around = name, around
+        self.uncertain, self.price, self.objective = uncertain, price, objective
+        self.free, self.name, self.around = free, name, around
         self.summary = (
             f"least {objective} predicted E_mean over an uncertain machine, each over what it"
             f" could be, at most {price:g} x the nominal optimum on the machine as described"
@@ -107,20 +102,22 @@ class Robust:
         )
         x0 = problem.of(nominal)
         before = problem.energies(x0)
-        known, found = problem.known(x0), x0
-        if (known > 0).all():
-            found = self._least(problem, x0, before, known)
-        after = problem.energies(found)
-        return (nominal if found is x0 else problem.motion(found)), {
+        informed, best_x = problem.informed(x0), x0
+        if (informed > 0).all():
+            best_x = self._least(problem, x0, before, informed)
+        after = problem.energies(best_x)
+        return (nominal if best_x is x0 else problem.motion(best_x)), {
             "scenarios": len(after) - 1,
             "price": float(after[0] / before[0]) if before[0] > 0 else 1.0,
             "nominal": {"energies": before.tolist()},
             "energies": after.tolist(),
-            "known": known.tolist(),
+            "known": informed.tolist(),
             "message": info.get("message", ""),
         }
 
-    def _least(self, problem: ScenarioProblem, x0: Array, before: Array, known: Array) -> Array:
+    def _least(
+        self, problem: ScenarioProblem, x0: Array, before: Array, informed: Array
+    ) -> Array:
         """Return the best decision whose price is kept, x0 where there is none better.
 
         Where the torque of every arm cannot be kept at the price, that of the described one is.
@@ -131,17 +128,17 @@ class Robust:
             known: least energies [J], the scales.
         """
         risk = problem.risk
-        risk.scale = np.r_[before[0], known[1:]]
+        risk.scale = np.r_[before[0], informed[1:]]
         if self.objective == "worst":
             risk.sharpness = _SHARPNESS / float((before / risk.scale)[1:].max())
-        best, least = x0, self._objective(problem, x0)
+        best, least = x0, problem.objective(x0)
         for limited in (range(len(problem.arms)), range(1)):
             problem.limited = limited
             for x in self._tried(problem, x0):
-                if not self._stands(problem, x):
+                if first_violation(problem.query, problem.motion(x)) is not None:
                     continue
-                value = self._objective(problem, x)
-                if self._price(problem, x) <= self.price and value < least:
+                value = problem.objective(x)
+                if problem.price(x) <= self.price and value < least:
                     best, least = x, value
             if best is not x0:
                 break
@@ -156,10 +153,10 @@ class Robust:
         """
         risk = problem.risk
         most = self.price - 1
-        start = self._objective(problem, x0)
+        start = problem.objective(x0)
         x = free = minimise(problem, x0, tolerance=_TOLERANCE).x
         yield x
-        spent, gained = self._price(problem, x) - 1, start - self._objective(problem, x)
+        spent, gained = problem.price(x) - 1, start - problem.objective(x)
         if spent <= most or most == 0 or gained <= 0:
             return
         s = math.sqrt(most / spent)
@@ -170,7 +167,7 @@ class Robust:
             x = minimise(problem, x0 + s * (free - x0), tolerance=_TOLERANCE).x
             risk.price = 0.0
             yield x
-            paid = self._price(problem, x) - 1
+            paid = problem.price(x) - 1
             if most - _NEAR_PRICE <= paid <= most:
                 return
             low, high = (low, (level, paid)) if paid <= most else ((level, paid), high)
@@ -179,20 +176,6 @@ class Robust:
                 continue
             share = (low[1] - most + _NEAR_PRICE / 2) / (low[1] - high[1])
             level = low[0] + min(max(share, 0.2), 0.8) * (high[0] - low[0])
-
-    @staticmethod
-    def _objective(problem: ScenarioProblem, x: Array) -> float:
-        """Risk of a decision; its price is added where the problem has one."""
-        return problem.risk.value(problem.momentum(x)[0])
-
-    @staticmethod
-    def _price(problem: ScenarioProblem, x: Array) -> float:
-        """Energy on the machine as described over that of the nominal optimum."""
-        return float(problem.energies(x)[0] / problem.risk.scale[0])
-
-    @staticmethod
-    def _stands(problem: ScenarioProblem, x: Array) -> bool:
-        return first_violation(problem.query, problem.motion(x)) is None
 
 
 def scenarios(system: System, uncertain: Ranges) -> list[System]:
@@ -290,12 +273,8 @@ class Risk:
         if self.sharpness == 0 or self.only is not None:
             return out
         scaled = list(zip(self.forms, self.groups, self.scale, strict=True))[1:]
-        rows = np.array(
-            [
-                slope[self._slices[g]].T @ form.force(u[self._slices[g]]) / size
-                for form, g, size in scaled
-            ]
-        )
+        parts = [(form, self._slices[g], size) for form, g, size in scaled]
+        rows = np.array([slope[at].T @ form.force(u[at]) / size for form, at, size in parts])
         share = weights[1:] * self.scale[1:]
         mean = share @ rows
         out += self.sharpness * ((rows.T * share) @ rows - np.outer(mean, mean))
@@ -328,18 +307,13 @@ class ScenarioProblem(MotionProblem):
         assert isinstance(self.energy, MeanEnergy)
         forms = [self.energy, *(self.form_at(middle, system) for system in others)]
         self._others = [
-            _OtherArm(
-                replace(query, system=query.system.replace(arm=arm)),
-                free,
-                forms[groups.index(k)],
-            )
-            for k, arm in enumerate(arms)
-            if k
+            _OtherArm(replace(query, system=query.system.replace(arm=arm)), free, forms[first])
+            for arm, first in ((arm, groups.index(k)) for k, arm in enumerate(arms) if k)
         ]
         self.risk = Risk(forms, groups)
         self.energy = self.risk  # type: ignore[assignment]
 
-    def known(self, x: Array) -> Array:
+    def informed(self, x: Array) -> Array:
         """Least energy on every machine [J] of a motion made for it alone, starting from x."""
         risk, out = self.risk, []
         for k, group in enumerate(risk.groups):
@@ -356,9 +330,17 @@ class ScenarioProblem(MotionProblem):
         """E_mean of a decision on every machine [J]."""
         return self.risk.energies(self.momentum(x)[0])
 
+    def objective(self, x: Array) -> float:
+        """Risk of a decision; its price is added where the problem has one."""
+        return self.risk.value(self.momentum(x)[0])
+
+    def price(self, x: Array) -> float:
+        """Energy on the machine as described over that of the nominal optimum."""
+        return float(self.energies(x)[0] / self.risk.scale[0])
+
     def momentum(self, x: Array) -> tuple[Array, Array]:
         """Samples of every arm's momentum, one after another, and their derivative."""
-        parts = [super().momentum(x), *(own.momentum(x) for own in self._others)]
+        parts = [super().momentum(x), *(other.momentum(x) for other in self._others)]
         return np.concatenate([u for u, _ in parts]), np.vstack([slope for _, slope in parts])
 
     def _torque(self, x: Array) -> tuple[Array, Array]:
@@ -369,10 +351,10 @@ class ScenarioProblem(MotionProblem):
 
     def add_torque_samples(self, x: Array) -> bool:
         """Sample each arm's torque also at its peaks; True if any passes its share."""
-        found = [self._others[k - 1].add_torque_samples(x) for k in self.limited if k]
+        best_x = [self._others[k - 1].add_torque_samples(x) for k in self.limited if k]
         if 0 in self.limited:
-            found.append(super().add_torque_samples(x))
-        return any(found)
+            best_x.append(super().add_torque_samples(x))
+        return any(best_x)
 
 
 class _OtherArm(MotionProblem):
@@ -393,10 +375,10 @@ class _OtherArm(MotionProblem):
     def _lacking(self, described: Arm, x: Array) -> tuple[Array, Array]:
         """Torque beyond the described arm's, over time [N m s] (N, n), and by x."""
         bases = self._sampled(self.energy.t / self.query.duration, 3)
-        own, fed = self.torque(x, bases), self.torque(x, bases, described)
+        other, fed = self.torque(x, bases), self.torque(x, bases, described)
         total = running_integral(self.energy.t)
-        lacking: Array = total @ (own.tau - fed.tau)
-        by = np.tensordot(total, own.by - fed.by, axes=1)
+        lacking: Array = total @ (other.tau - fed.tau)
+        by = np.tensordot(total, other.by - fed.by, axes=1)
         return lacking, by.reshape(*lacking.shape, -1)
 
 
@@ -449,7 +431,11 @@ def read_uncertainty(path: str | os.PathLike[str]) -> Uncertainty:
             continue
         for name, ends in _ends(better, entry).items():
             fields = ranges.setdefault(entry["kind"], {})
-            fields[name] = ends if name not in fields else _joined(fields[name], ends)
+            # of an effect that is named in two places each is zero where the other is not
+            before = fields.get(name, (np.zeros_like(ends[0]), np.zeros_like(ends[1])))
+            fields[name] = tuple(
+                np.add(a, b).tolist() for a, b in zip(before, ends, strict=True)
+            )
     if not ranges:
         named = ", ".join(entry["name"] for entry in plain["effects"]) or "none"
         raise ParameterError(
@@ -465,10 +451,10 @@ def _ends(system: System, entry: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
     candidate = _candidate(system, entry)
     values = np.array([entry["value"][name] for name in candidate.names])
     estimate = candidate.effect(values)
-    lowest, highest = (
-        {f.name: np.asarray(getattr(estimate, f.name), float) for f in _fields(estimate)}
-        for _ in range(2)
-    )
+    fields = dataclasses.fields(estimate)
+    named = [f.name for f in fields if getattr(estimate, f.name) != f.default]
+    lowest = {name: np.asarray(getattr(estimate, name), float) for name in named}
+    highest = dict(lowest)
     for k, name in enumerate(candidate.names):
         interval = entry["interval"][name]
         for end in () if interval is None else interval:
@@ -488,14 +474,3 @@ def _candidate(system: System, entry: dict[str, Any]) -> Candidate:
         if candidate.slot == entry["slot"]:
             return candidate
     raise ParameterError(f"the diagnosis names {entry['name']}, which this machine lacks")
-
-
-def _fields(effect: Any) -> list[dataclasses.Field[Any]]:
-    """Numbers of an effect that differ from its defaults."""
-    return [f for f in dataclasses.fields(effect) if getattr(effect, f.name) != f.default]
-
-
-def _joined(first: tuple[Any, Any], second: tuple[Any, Any]) -> tuple[Any, Any]:
-    """Ends of an effect that was named in two places, zero where it was not."""
-    low, high = (np.add(a, b).tolist() for a, b in zip(first, second, strict=True))
-    return low, high

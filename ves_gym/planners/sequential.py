@@ -15,7 +15,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.motion import Motion
-from ves_gym.planners.objective import MeanEnergy, Objective
+from ves_gym.planners.objective import Objective, QuadraticForm
 
 _ROUNDS = 4  # of looking for torque between samples
 _PATHS = 2  # that the tool's error is linearised about, after the straight line
@@ -30,25 +30,16 @@ _ACCEPTED = 1e-6  # of a limit by which an answer may break it; `_SHARE` is for 
 
 
 class DecisionProblem(Protocol):
-    """Motions by the decision x (free n,) [rad], a quadratic form of momenta, and limits."""
+    """Motions by the decision x (free n,) [rad], their energy, and limits: `MotionProblem`."""
 
-    energy: MeanEnergy | Objective
+    energy: QuadraticForm
 
     @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest x."""
-
-    def momentum(self, x: Array) -> tuple[Array, Array]:
-        """Samples of the momentum that the energy is a form of, and their derivative by x."""
-
-    def limits(self, x: Array) -> tuple[Array, Array]:
-        """Shares of the limits less 1, <= 0 where they hold, and their derivative by x."""
-
-    def motion(self, x: Array) -> Motion:
-        """The motion of x."""
-
-    def add_torque_samples(self, x: Array) -> bool:
-        """Sample torques at their peaks between samples too; True if one is passed there."""
+    def bounds(self) -> tuple[Array, Array]: ...
+    def momentum(self, x: Array) -> tuple[Array, Array]: ...
+    def limits(self, x: Array) -> tuple[Array, Array]: ...
+    def motion(self, x: Array) -> Motion: ...
+    def add_torque_samples(self, x: Array) -> bool: ...
 
 
 @dataclass(frozen=True)
@@ -107,11 +98,8 @@ def minimise(
     done = evaluations = 0
     for _ in range(_ROUNDS):
         minimum = _minimise(problem, x0, iterations, tolerance)
-        x0, done, evaluations = (
-            minimum.x,
-            done + minimum.iterations,
-            evaluations + minimum.evaluations,
-        )
+        x0 = minimum.x
+        done, evaluations = done + minimum.iterations, evaluations + minimum.evaluations
         if minimum.excess > _NEARLY or not problem.add_torque_samples(x0):
             break
     return replace(minimum, iterations=done, evaluations=evaluations)
@@ -150,14 +138,8 @@ def _minimise(
         gradient = point.slope.T @ problem.energy.force(point.u) / scale
         step = None
         while radius > _LEAST_STEP:
-            step, slack, price = _subproblem(
-                hessian,
-                gradient,
-                point,
-                np.maximum(low - point.x, -radius),
-                np.minimum(high - point.x, radius),
-                price,
-            )
+            box = np.maximum(low - point.x, -radius), np.minimum(high - point.x, radius)
+            step, slack, price = _subproblem(hessian, gradient, point, *box, price)
             trial = at(point.x + step)
             evaluations += 1
             model = -(gradient @ step + 0.5 * step @ hessian @ step)

@@ -14,9 +14,9 @@ import scipy.linalg
 
 from ves_gym._util.params import Array, require_choice
 from ves_gym.mechanics.motion import Motion, quintic
-from ves_gym.planners.coupling import blocks, modes
+from ves_gym.planners.coupling import blocks
 from ves_gym.planners.paths import septic
-from ves_gym.planners.prediction import joint_momentum, spectral_energy
+from ves_gym.planners.prediction import modal_energies, spectral_energy
 from ves_gym.planners.query import Query, first_violation
 from ves_gym.system.system import System
 
@@ -118,11 +118,7 @@ def shaped_motion(query: Query, shape: Shaper) -> Motion:
 def excited_modes(system: System, motion: Motion) -> list[BaseMode]:
     """Modes of the base at the middle of a motion, those that it excites most first."""
     at = motion.at(motion.duration / 2).q
-    frozen, (_, D, K) = modes(system, at), system.base.full()
-    t = np.linspace(0, motion.duration, _SAMPLES)
-    u = joint_momentum(system, motion, t) @ frozen.shapes[:6]  # (N, modes)
-    phase = np.exp(-1j * frozen.omega * t[:, None])
-    energy = 0.5 * frozen.omega**2 * np.abs(np.trapezoid(phase * u, t, axis=0)) ** 2
+    (frozen, energy), (_, D, K) = modal_energies(system, motion, _SAMPLES), system.base.full()
     damping = _damping(blocks(system, at).Mt, D, K, frozen.omega)
     base_modes = [
         BaseMode(float(w), float(z), float(e))

@@ -62,9 +62,7 @@ class Suite:
     name: str
     queries: tuple[tuple[str, Query], ...]
     planners: tuple[str, ...]
-    described: Mapping[str, System] = field(
-        default_factory=dict
-    )  # vehicle name -> what is known
+    described: Mapping[str, System] = field(default_factory=dict)  # what is known of vehicles
 
 
 def get_suite(
@@ -100,16 +98,14 @@ def get_suite(
             raise ParameterError(
                 f"suite {name} asks {arm}, got {system.arm.name} (reach100 asks any arm)"
             )
-        asked = system.replace(arm=get_arm(arm))
+        questions = system.replace(arm=get_arm(arm))
         count = 10 if quick else 100
-        return replace(reach100(asked, vehicle or "bent", count, obstacles), name=name)
+        return replace(reach100(questions, vehicle or "bent", count, obstacles), name=name)
+    if name in ("thesis", "transfer") and obstacles != "off":
+        raise ParameterError(f"suite {name} has no obstacles, got {obstacles!r}")
     if name == "thesis":
-        if obstacles != "off":
-            raise ParameterError(f"suite thesis has no obstacles, got {obstacles!r}")
         return thesis(system, vehicle)
     if name == "transfer":
-        if obstacles != "off":
-            raise ParameterError(f"suite transfer has no obstacles, got {obstacles!r}")
         return transfer(system, vehicle or "bent", 3 if quick else 10)
     raise ParameterError(
         f"suite must be one of {', '.join(SUITES)}, got {name!r}{did_you_mean(name, SUITES)}"
@@ -160,19 +156,19 @@ def transfer(system: System, vehicle: str, count: int) -> Suite:
             "suite transfer needs mode ideal and no effects (it judges on machines with its"
             f" own), got mode {system.mode} and {len(system.effects)} effects"
         )
-    asked = reach100(system, vehicle, count).queries
-    described = asked[0][1].system
+    questions = reach100(system, vehicle, count).queries
+    described = questions[0][1].system
     machines = others_of(described)
     queries = tuple(
         (name, replace(query, system=machine))
         for name, (machine, _) in machines.items()
-        for _, query in asked
+        for _, query in questions
     )
     return Suite(
         name="transfer",
         queries=queries,
         planners=("straight", "direct", "refined", "robust", "robust-worst"),
-        described={name: told for name, (_, told) in machines.items()},
+        described={name: known_as for name, (_, known_as) in machines.items()},
     )
 
 
@@ -292,20 +288,11 @@ def reach100(
     for duration in reach_durations(arm) if durations is None else durations:
         rng = np.random.default_rng((seed, round(1000 * duration)))
         for k in range(count):
-            start, goal = _drawn(arm, duration, rng)
-            queries.append(
-                (
-                    vehicle,
-                    Query(
-                        system=mounted,
-                        start=tuple(start.tolist()),
-                        goal=tuple(goal.tolist()),
-                        duration=duration,
-                        v_max=limits,
-                        name=f"reach-{duration:g}s-{k:03d}",
-                    ),
-                )
-            )
+            start, goal = (tuple(end.tolist()) for end in _drawn(arm, duration, rng))
+            label = f"reach-{duration:g}s-{k:03d}"
+            query = Query(system=mounted, start=start, goal=goal, duration=duration,
+                          v_max=limits, name=label)  # fmt: skip
+            queries.append((vehicle, query))
     room = reach_obstacles(arm)
     among = [
         (v + OBSTACLE_SUFFIX, replace(q, name=f"{q.name}-obstacles", surroundings=room))
@@ -367,31 +354,21 @@ def thesis(system: System, vehicle: str | None) -> Suite:
             "suite thesis asks the thesis's arm, of 3 joints: got"
             f" {system.arm.n} ({system.arm.name}); reach100 asks any arm"
         )
-    shoulder = (np.deg2rad([-90.0, 0, 0]), np.deg2rad([90.0, 0, 0]), 2.0, "shoulder-180")
-    ends = np.deg2rad([0.0, -45, 90]), np.deg2rad([90.0, 45, -45])
+    shoulder = ([-90.0, 0, 0], [90.0, 0, 0], 2.0, "shoulder-180")  # deg, deg, s
     questions = [
         ("straight-horizontal-thesis", *shoulder),
         ("bent-thesis", *shoulder),
-        ("bent-thesis", *ends, 3.0, "good-and-bad"),
+        ("bent-thesis", [0.0, -45, 90], [90.0, 45, -45], 3.0, "good-and-bad"),
     ]
     queries = []
-    for beam, start, goal, duration, label in questions:
-        if vehicle is not None:
-            if vehicle not in (beam, beam.removesuffix("-thesis")):
-                continue
-            beam = vehicle
-        queries.append(
-            (
-                beam,
-                Query(
-                    system=system.replace(vehicle=get_vehicle(beam)),
-                    start=tuple(start.tolist()),
-                    goal=tuple(goal.tolist()),
-                    duration=duration,
-                    name=label,
-                ),
-            )
-        )
+    for beam, *degrees, duration, label in questions:
+        if vehicle not in (None, beam, beam.removesuffix("-thesis")):
+            continue
+        name = vehicle or beam
+        start, goal = (tuple(np.deg2rad(end).tolist()) for end in degrees)
+        on = system.replace(vehicle=get_vehicle(name))
+        query = Query(system=on, start=start, goal=goal, duration=duration, name=label)
+        queries.append((name, query))
     if not queries:
         beams = sorted({q[0] for q in questions})
         beams += [beam.removesuffix("-thesis") for beam in beams]
