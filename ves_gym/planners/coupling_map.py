@@ -78,10 +78,11 @@ class CouplingMap(Viewable):
             raise ParameterError(f"{path}: expected a .npz name, got {Path(path).suffix!r}")
         buffer = io.BytesIO()
         duration = np.nan if self.duration is None else self.duration
-        chosen: dict[str, Any] = {} if self.angles is None else {"angles": self.angles}
+        arrays: dict[str, Any] = {} if self.angles is None else {"angles": self.angles}
         values = (np.array(self.joints), *self.axes, self.fixed, duration, self.least,
                   self.most, self.direction, self.disturbance, self.others)  # fmt: skip
-        np.savez_compressed(buffer, **dict(zip(_ARRAYS, values, strict=True)), **chosen)
+        arrays |= zip(_ARRAYS, values, strict=True)
+        np.savez_compressed(buffer, **arrays)
         write_bytes(path, buffer.getvalue())
 
     @staticmethod
@@ -93,19 +94,22 @@ class CouplingMap(Viewable):
         """
         try:
             with np.load(io.BytesIO(Path(path).read_bytes())) as file:  # unpickles nothing
-                arrays = {name: file[name] for name in _ARRAYS}
+                arrays: dict[str, Any] = {name: file[name] for name in _ARRAYS}
                 if "angles" in file:  # where the others were chosen
                     arrays["angles"] = file["angles"]
         except (OSError, EOFError, ValueError, KeyError, AttributeError, TypeError,
                 BadZipFile) as error:  # fmt: skip
             raise ParameterError(f"{path}: no coupling map can be read: {error}") from None
         i, j = (int(k) for k in arrays.pop("joints"))
-        axes = arrays.pop("first"), arrays.pop("second")
         duration = float(arrays.pop("duration"))
-        scalars = {"duration": None if np.isnan(duration) else duration,
-                   "disturbance": bool(arrays.pop("disturbance")),
-                   "others": str(arrays.pop("others"))}  # fmt: skip
-        return CouplingMap(joints=(i, j), axes=axes, **scalars, **arrays)
+        return CouplingMap(
+            joints=(i, j),
+            axes=(arrays.pop("first"), arrays.pop("second")),
+            duration=None if np.isnan(duration) else duration,
+            disturbance=bool(arrays.pop("disturbance")),
+            others=str(arrays.pop("others")),
+            **arrays,
+        )
 
     def lines(self, spacing: float = 0.05, step: float = 0.2) -> list[Array]:
         """Minimum-energy lines: curves (k, 2) [rad] along the least-coupling direction.

@@ -275,11 +275,10 @@ class MotionProblem:
         control = self.control(x)
         dynamics = torque(arm or self.arm, *(b @ control for b in bases))
         inner = slice(_FIXED, self.m - _FIXED)
-        slope = sum(
-            np.einsum("kij,km->kimj", dynamics.by[:, order], b[:, inner])
-            for order, b in enumerate(bases)
-        )
-        return InverseDynamics(dynamics.tau, np.asarray(slope))
+        slope = np.zeros((*dynamics.tau.shape, self.m - 2 * _FIXED, self.n))
+        for order, b in enumerate(bases):
+            slope += np.einsum("kij,km->kimj", dynamics.by[:, order], b[:, inner])
+        return InverseDynamics(dynamics.tau, slope)
 
     def _torque(self, x: Array) -> tuple[Array, Array]:
         """Joint torque over its limit at sampled times, on a base that stands still."""

@@ -33,8 +33,9 @@ class BaseMomentum(NamedTuple):
 
 def momentum(arm: Arm, q: Array, v: Array) -> BaseMomentum:
     """Base momentum of joint rates v at q (..., n) [rad/s, rad], with derivatives."""
-    out = _evaluate("momentum", _momentum, arm, (q, v), 6 + 12 * arm.n)
-    slopes = out[..., 6:].reshape(*out.shape[:-1], 2, arm.n, 6)
+    n = arm.n
+    out = _evaluate("momentum", _momentum, arm, points((q, n, "q"), (v, n, "v")), 6 + 12 * n)
+    slopes = out[..., 6:].reshape(*out.shape[:-1], 2, n, 6)
     by_q, by_v = np.moveaxis(np.swapaxes(slopes, -1, -2), -3, 0)
     return BaseMomentum(out[..., :6], by_q, by_v)
 
@@ -54,14 +55,14 @@ def torque(arm: Arm, q: Array, v: Array, a: Array) -> InverseDynamics:
         q, v, a: (..., n) [rad], [rad/s], [rad/s^2].
     """
     n = arm.n
-    out = _evaluate("torque", _torque, arm, (q, v, a), n + 3 * n * n)
+    at = points((q, n, "q"), (v, n, "v"), (a, n, "a"))
+    out = _evaluate("torque", _torque, arm, at, n + 3 * n * n)
     slopes = out[..., n:].reshape(*out.shape[:-1], 3, n, n)
     return InverseDynamics(out[..., :n], np.swapaxes(slopes, -1, -2))
 
 
-def _evaluate(name: str, graph: Any, arm: Arm, x: tuple[Array, ...], outputs: int) -> Array:
-    at = points(*((k, arm.n, symbol) for k, symbol in zip(x, "qva", strict=False)))
-    return evaluate(f"{name} {_digest(arm)}", partial(graph, arm), at, _NO_PARAMETERS, outputs)
+def _evaluate(name: str, graph: Any, arm: Arm, x: Array, outputs: int) -> Array:
+    return evaluate(f"{name} {_digest(arm)}", partial(graph, arm), x, _NO_PARAMETERS, outputs)
 
 
 @lru_cache(maxsize=16)

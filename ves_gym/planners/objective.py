@@ -142,7 +142,8 @@ class MeanEnergy(QuadraticForm):
         states = np.zeros((N, 2 * size, m * N + 1))
         states[0, :, -1] = start
         for k in range(N - 1):
-            Phi, first, second = (part[k if len(part) > 1 else 0] for part in steps)
+            i = k if len(steps[0]) > 1 else 0  # one step is all of them where inertia is frozen
+            Phi, first, second = steps[0][i], steps[1][i], steps[2][i]
             done = m * k + m
             states[k + 1, :, :done] = Phi @ states[k, :, :done]
             states[k + 1, :, -1] = Phi @ states[k, :, -1]
