@@ -26,7 +26,7 @@ from ves_gym.damping.plant import (
     respond,
 )
 from ves_gym.damping.tuning import Tuned, tune, tune_virtual
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.coupling import coupling_matrix

@@ -14,7 +14,7 @@ from tests.arms import six_joint_arm
 from ves_gym._util.params import to_plain, write_table
 from ves_gym.cli.main import COMMANDS, main
 from ves_gym.damping.plant import GainMatrices, analyse, plant_at
-from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED
 from ves_gym.planners.benchmark import read_best

@@ -17,8 +17,8 @@ from ves_gym.damping.tuning import (
     virtual_jacobian,
 )
 from ves_gym.mechanics.arm import Arm, Inertial, diagonal
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import frames
-from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING
 from ves_gym.system.system import System
 

@@ -8,8 +8,9 @@ import scipy.signal
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Mount
-from ves_gym.mechanics.dynamics import inertia, joint_positions
-from ves_gym.mechanics.puma import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import get_vehicle
 from ves_gym.planners.direct import Direct

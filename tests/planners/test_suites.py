@@ -7,9 +7,8 @@ import pytest
 
 from tests.arms import planar_arm, seven_joint_arm, six_joint_arm
 from ves_gym._util.params import ParameterError, content_hash
-from ves_gym.mechanics.arm_library import arm_names, get_arm
+from ves_gym.mechanics.arm_library import PUMA_560, arm_names, get_arm
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
-from ves_gym.mechanics.puma import PUMA_560
 from ves_gym.mechanics.vehicle import BENT_THESIS, STRAIGHT_HORIZONTAL_THESIS
 from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.query import first_violation

@@ -8,7 +8,7 @@ import pytest
 import ves_gym as vg
 from tests.arms import seven_joint_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.dynamics import joint_positions
+from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.tool_pose import ToolPose, pose_error, tool_pose
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.obstacles import Sphere, Surroundings, collisions

@@ -31,8 +31,9 @@ from ves_gym.damping.plant import (
     require_decay,
     worst_displacement,
 )
-from ves_gym.mechanics.arm import Arm, skew
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.spatial import skew
 from ves_gym.system.system import System
 
 Objective = Callable[[Array], tuple[float, Array]]  # closed A -> value to minimise, d / dA
@@ -100,11 +101,14 @@ def _integral_objective(plant: LinearPlant, x: Array | None) -> Objective:
     def value(A: Array) -> tuple[float, Array]:
         equation = Lyapunov(A)
         P = equation.cost(S)
-        start = x
-        if start is None:  # the eigenvector: J moves as its own cost does
-            start = plant.start(worst_displacement(plant, P)[1])
-        J = float(start @ P @ start)
-        return math.log(J), 2 / J * P @ equation.spread(np.outer(start, start))
+        if x is not None:
+            X0 = np.outer(x, x)
+            J = float(np.sum(P * X0))
+        else:
+            J, y = worst_displacement(plant, P)
+            start = plant.start(y)  # the eigenvector: J moves as its own cost does
+            X0 = np.outer(start, start)
+        return math.log(J), 2 / J * P @ equation.spread(X0)
 
     return value
 

@@ -19,9 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError, finite
-from ves_gym.mechanics.arm import skew
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.spatial import skew
 from ves_gym.planners.coupling import blocks
 from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.momentum import BaseMomentum, momentum

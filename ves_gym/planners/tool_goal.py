@@ -22,7 +22,6 @@ from ves_gym.mechanics.tool_pose import (
     CLOSE,
     ToolPose,
     configurations_at,
-    tool_twists,
     towards_pose,
 )
 from ves_gym.planners.objective import MeanEnergy
