@@ -27,7 +27,7 @@ from ves_gym._util.params import ParameterError, write_bytes, write_text  # noqa
 from ves_gym._util.statistics import Estimate  # noqa: E402
 from ves_gym.cli.main import main as ves_gym  # noqa: E402
 from ves_gym.experiments.matrix import MatrixEntry, read_matrix  # noqa: E402
-from ves_gym.report.figures import write_figure  # noqa: E402
+from ves_gym.report.figures import write_figures  # noqa: E402
 from ves_gym.report.matrix_page import crossover_figure  # noqa: E402
 
 PICTURES = ROOT / "docs" / "pictures"
@@ -88,9 +88,8 @@ def crossover(target: Path) -> None:
                 numbers = estimate(success, 100), estimate(energy, 1) if energy else None
                 entries.append(MatrixEntry(task, machine, cells[0], numbers[0],
                                            numbers[0], numbers[1], 0, 0))  # fmt: skip
-    write_figure(
-        crossover_figure(read_matrix(ROOT / "examples" / "matrix.toml"), entries), target
-    )
+    figure = crossover_figure(read_matrix(ROOT / "examples" / "matrix.toml"), entries)
+    write_figures({target.with_suffix(""): figure})
 
 
 def estimate(text: str, unit: float) -> Estimate:

@@ -5,7 +5,7 @@ import pytest
 
 from ves_gym.damping.configurations import damping_map
 from ves_gym.damping.free_vibration import linear_free_vibration, simulate_free_vibration
-from ves_gym.damping.plant import GainMatrices, plant_at
+from ves_gym.damping.plant import GainMatrices, analyse, plant_at
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LOW_GAINS
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS

@@ -11,6 +11,7 @@ from scipy.integrate import cumulative_trapezoid
 from ves_gym.damping.configurations import DampingMap
 from ves_gym.damping.free_vibration import FreeVibration
 from ves_gym.damping.gain_comparison import GainComparison
+from ves_gym.damping.plant import Complexes
 from ves_gym.report.figures import IN_SPACE, darker, panels_of
 from ves_gym.report.planner_styles import COLOURS
 from ves_gym.simulation.stability import poles_in_space
