@@ -32,9 +32,18 @@ class BaseMomentum(NamedTuple):
 
 
 def momentum(arm: Arm, q: Array, v: Array) -> BaseMomentum:
-    """Base momentum of joint rates v at q (..., n) [rad/s, rad], with derivatives."""
+    """Base momentum of joint rates, with derivatives.
+
+    Args:
+        arm: n joints.
+        q: (..., n) configurations [rad].
+        v: (..., n) joint rates [rad/s].
+
+    Returns:
+        u = H_bm(q) v (..., 6), and its derivatives by q and v, (..., 6, n) each.
+    """
     n = arm.n
-    out = _evaluate("momentum", _momentum, arm, points((q, n, "q"), (v, n, "v")), 6 + 12 * n)
+    out = _function(_momentum, arm)(points((q, n, "q"), (v, n, "v")))
     slopes = out[..., 6:].reshape(*out.shape[:-1], 2, n, 6)
     by_q, by_v = np.moveaxis(np.swapaxes(slopes, -1, -2), -3, 0)
     return BaseMomentum(out[..., :6], by_q, by_v)
@@ -52,17 +61,16 @@ def torque(arm: Arm, q: Array, v: Array, a: Array) -> InverseDynamics:
 
     Args:
         arm: n joints.
-        q, v, a: (..., n) [rad], [rad/s], [rad/s^2].
+        q: (..., n) [rad]. v: (..., n) [rad/s]. a: (..., n) [rad/s^2].
+
+    Returns:
+        Joint torque (..., n) [N m], and its derivatives (..., 3, n, n).
     """
     n = arm.n
     at = points((q, n, "q"), (v, n, "v"), (a, n, "a"))
-    out = _evaluate("torque", _torque, arm, at, n + 3 * n * n)
+    out = _function(_torque, arm)(at)
     slopes = out[..., n:].reshape(*out.shape[:-1], 3, n, n)
     return InverseDynamics(out[..., :n], np.swapaxes(slopes, -1, -2))
-
-
-def _evaluate(name: str, graph: Any, arm: Arm, x: Array, outputs: int) -> Array:
-    return evaluate(f"{name} {_digest(arm)}", partial(graph, arm), x, _NO_PARAMETERS, outputs)
 
 
 @lru_cache(maxsize=16)

@@ -20,7 +20,6 @@ from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED, Motion
 from ves_gym.mechanics.spatial import matvec
 from ves_gym.mechanics.tool_pose import (
     CLOSE,
-    ToolPose,
     configurations_at,
     towards_pose,
 )
