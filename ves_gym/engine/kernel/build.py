@@ -44,11 +44,11 @@ NOT_HERE = (
 _RUN = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
 _functions: dict[
     str, Any
-] = {}  # by key: `Code`, or the error where none can be; a GPU's kernel
+] = {}  # by key: `MachineCode`, or the error where none can be; a GPU's kernel
 
 
 @dataclass(frozen=True)
-class Code:
+class MachineCode:
     """A compiled `void run(i64 *table, i64 lo, i64 hi)`; threads may call it side by side."""
 
     run: Callable[[int, int, int], None]
@@ -70,7 +70,7 @@ def digest(description: str) -> str:
     return hashlib.sha256(f"{_source()}\0{description}".encode()).hexdigest()[:32]
 
 
-def code(key: str, text: Callable[[], str], sizes: Callable[[], Any]) -> Code:
+def code(key: str, text: Callable[[], str], sizes: Callable[[], Any]) -> MachineCode:
     """Return a function from this process or from disk, or compile it.
 
     A file that is damaged is made anew. Writing is atomic, so that processes that start
@@ -84,13 +84,15 @@ def code(key: str, text: Callable[[], str], sizes: Callable[[], Any]) -> Code:
     Raises:
         ImportError, RuntimeError, OSError: nothing compiles here.
     """
-    result: Code | Exception = once(key, lambda: _built(key, text, sizes))
+    result: MachineCode | Exception = once(key, lambda: _built(key, text, sizes))
     if isinstance(result, Exception):
         raise result
     return result
 
 
-def _built(key: str, text: Callable[[], str], sizes: Callable[[], Any]) -> Code | Exception:
+def _built(
+    key: str, text: Callable[[], str], sizes: Callable[[], Any]
+) -> MachineCode | Exception:
     try:
         name = hashlib.sha256(f"{key} {machine()}".encode()).hexdigest()[:32]
         path = cache_folder() / f"{name}.code"
@@ -151,7 +153,7 @@ def _source() -> str:
     return total.hexdigest()
 
 
-def _loaded(stored: bytes) -> Code:
+def _loaded(stored: bytes) -> MachineCode:
     import llvmlite.binding as llvm
 
     head, _, object_code = stored.partition(b"\n")
@@ -160,7 +162,7 @@ def _loaded(stored: bytes) -> Code:
     engine.finalize_object()
     address = engine.get_function_address("run")
     inputs, outputs = map(tuple, json.loads(head))
-    return Code(_RUN(address), address, inputs, outputs, engine)
+    return MachineCode(_RUN(address), address, inputs, outputs, engine)
 
 
 def _target() -> Any:

@@ -83,7 +83,7 @@ class CompiledFunction:
         return build.digest(f"{type(self).__name__} {self._in_place} {what}")
 
     @property
-    def code(self) -> build.Code:
+    def code(self) -> build.MachineCode:
         """The machine code.
 
         Raises:
@@ -94,7 +94,7 @@ class CompiledFunction:
         )
 
     @property
-    def _compiled(self) -> build.Code | None:
+    def _compiled(self) -> build.MachineCode | None:
         try:
             return self.code
         except build.NOT_HERE:
@@ -255,7 +255,7 @@ class Stepper(CompiledFunction):
         return self._trace()
 
     @property
-    def code(self) -> build.Code:
+    def code(self) -> build.MachineCode:
         """The machine code.
 
         Raises:
@@ -321,7 +321,7 @@ class Piece:
 
     def __init__(
         self,
-        code: build.Code | None,
+        code: build.MachineCode | None,
         words: Sequence[int],
         owners: Sequence[Array],
         interpreted: Callable[[int, int], None] | None = None,
