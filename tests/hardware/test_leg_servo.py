@@ -192,7 +192,6 @@ def test_servos_out_of_range_are_refused(change, message):
         Filter(order=2.5)
 
 
-@servos
 # ----------------------------------------------------------------------- six legs
 
 
