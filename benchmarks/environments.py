@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -22,6 +23,13 @@ from benchmarks.timing import Pair, side_by_side
 
 ID = "ves_gym:ves/PumaRestToRest-v0"
 EMULATED = "ves_gym:ves/PumaRestToRestEmulated-v0"
+SPACE = tuple(
+    f"ves_gym:ves/{name}-v0"
+    for name in (
+        "PumaReach", "PumaReachGoal", "PumaTrack", "MacroMicro", "PumaDamp", "FreeFlyerReach",
+        "BeamLQR", "PoseReach", "PayloadTransfer",
+    )
+)  # fmt: skip
 PERIODS = 20  # vector steps of ours in one measurement
 RUNS = 7
 
@@ -56,6 +64,38 @@ def against_workers(
         return side_by_side(random_steps(ours, steps), random_steps(theirs, steps), runs)
     finally:
         theirs.close()
+
+
+def with_ends(id: str, n: int = 256, calls: int | None = None) -> dict[str, float]:
+    """A vector of n on one thread, random actions, ends and resets included.
+
+    Args:
+        id: of the environment.
+        n: how many.
+        calls: vector steps that are timed; None: two episodes' length.
+
+    Returns:
+        Steps per second of processor time, the same of calls in which nothing ends or begins,
+        and microseconds that an end and a beginning add.
+    """
+    env: Any = gym.make_vec(id, num_envs=n, threads=1)
+    calls = 2 * env.unwrapped.task.steps if calls is None else calls
+    size = (64, n, *env.single_action_space.shape)
+    moves = np.random.default_rng(0).uniform(-1, 1, size).astype(np.float32)
+    env.reset(seed=0)
+    seconds, ends = np.zeros(calls), np.zeros(calls)
+    for warm in (True, False):  # the first round compiles what ends and beginnings run
+        for k in range(calls):
+            begin = time.process_time()
+            _, _, terminated, truncated, _ = env.step(moves[k % len(moves)])
+            seconds[k], ends[k] = time.process_time() - begin, (terminated | truncated).sum()
+        if warm:
+            env.reset(seed=0)
+    quiet = (ends == 0) & (np.roll(ends, 1) == 0)
+    alone = float(np.median(seconds[quiet])) if quiet.any() else float(np.min(seconds))
+    more = (seconds.sum() - alone * calls) / max(ends.sum(), 1)
+    speed = n / float(seconds.mean())
+    return {"steps/s": speed, "without ends": n / alone, "us per end": more * 1e6}
 
 
 def has_envpool() -> bool:
@@ -194,6 +234,13 @@ def report(small: bool = False) -> dict[str, object]:
         steps = 2 if small else 1000
         pair = single(steps=steps, mine=id, runs=runs)
         tell(f"Pusher-v5{note}", "gym.make", pair, steps)
+    for id in (ID,) if small else (ID, EMULATED, *SPACE):
+        name = id.rpartition("/")[2]
+        results[f"with ends {name}"] = figures = with_ends(id, many, 4 if small else None)
+        print(
+            f"{many} environments, one thread: " + name,
+            *(f"{k} {v:,.0f}" for k, v in figures.items()),
+        )
     first = first_step(runs)
     results["first step"] = first
     print(

@@ -1,17 +1,19 @@
-"""`free_decay_energy`, the closed form, against ten simulated seconds with the joints held."""
+"""`FreeDecay`, the closed form, against ten simulated seconds with the joints held."""
 
 import numpy as np
 import pytest
 
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
-from ves_gym.envs.tail import free_decay_energy
-from ves_gym.mechanics.servo import HIGH_GAINS
+from ves_gym.envs.tail import FreeDecay
+from ves_gym.mechanics.arm_library import PUMA_560
+from ves_gym.mechanics.servo import HIGH_GAINS, own_gains
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES, MatrixVehicle
 from ves_gym.system.energy import base_energy
 from ves_gym.system.system import System
 
 TAIL = 10.0  # s
+GAINS = own_gains(PUMA_560).kp, own_gains(PUMA_560).kd
 N = 32
 
 
@@ -69,6 +71,31 @@ def state(batch, away):
     return np.concatenate([s.y, u, away, s.yd, ud, s.v], axis=1)
 
 
+def decay(batch, **settings):
+    return FreeDecay(batch.system.ideal(), N, TAIL, **settings)
+
+
+@pytest.mark.parametrize("name", ["bent", "decoupled", "free-flying", "prescribed joints"])
+def test_coupled_modes_are_the_exact_motion(name):
+    """Against the matrix exponential, from anywhere; a state's numbers are its own."""
+    vehicle, rng = VEHICLES.get(name, BENT_THESIS), np.random.default_rng(0)
+    drive = "prescribed" if name == "prescribed joints" else "motor"
+    system = System(vehicle=vehicle, drive=drive, physics_dt=2.5e-3)
+    b = len(system.base.full()[0])
+    q, kp, kd = rng.uniform(-2, 2, (N, 3)), *(np.tile(k, (N, 1)) for k in GAINS)
+    parts = [((N, 6), 1e-2), ((N, b - 6), 0.0), ((N, 3), 1e-2)]
+    x = np.hstack([rng.normal(size=size) * s for size, s in parts + parts])
+    compiled = FreeDecay(system, N, TAIL)
+    exact = FreeDecay(system, N, TAIL, coupled=True)(q, x, kp, kd)
+    found = compiled(q, x, kp, kd)
+    np.testing.assert_allclose(compiled(q[:3], x[:3], kp[:3], kd[:3]), np.stack(found)[:, :3])
+    for ours, truth in zip(found, exact, strict=True):
+        error = np.abs(ours - truth) / np.maximum(truth, 1e-12)
+        print(f"{name}: median {np.median(error):.1e}, max {error.max():.1e}")
+        assert np.median(error) <= 1e-3
+        assert error.max() <= 1e-2
+
+
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("duration", [0.5, 2.0])
 def test_tail_is_the_simulated_one(name, duration):
@@ -76,9 +103,7 @@ def test_tail_is_the_simulated_one(name, duration):
     batch = ended(SYSTEMS[name], duration=duration)
     s = batch.scene
     away = s.q - s.ref[:, 0]
-    predicted = free_decay_energy(
-        batch.system.ideal(), s.q, state(batch, away), s.kp, s.kd, seconds=TAIL
-    )
+    predicted = decay(batch)(s.q, state(batch, away), s.kp, s.kd)
     for ours, truth in zip(predicted, simulated(batch, batch._command()), strict=True):
         error = np.abs(ours / truth - 1)
         print(f"{name}, {duration} s: median {np.median(error):.1e}, max {error.max():.1e}")
@@ -100,7 +125,7 @@ def test_tail_of_an_episode_is_part_of_its_mean(vehicle):
         during += (before + batch.scene.energy) * batch.dt / 2
     s = batch.scene
     away = s.q - s.ref[:, 0]
-    tail, _ = free_decay_energy(batch.system, s.q, state(batch, away), s.kp, s.kd, seconds=TAIL)
+    tail, _ = decay(batch)(s.q, state(batch, away), s.kp, s.kd)
     mean = (during + tail) / (batch.task.duration + TAIL)
     np.testing.assert_allclose(info["energy/E_mean"], mean, rtol=1e-12)
     scale = s.goal[:, 3] * (batch.task.duration + TAIL)
@@ -112,10 +137,10 @@ def test_free_joints_are_caught_where_they_are():
     batch = ended(
         System(vehicle=BENT_THESIS, physics_dt=2.5e-3), control="torque", duration=0.25
     )
-    s, space = batch.scene, batch.system
+    s = batch.scene
     np.testing.assert_array_equal(s.kp, np.tile(HIGH_GAINS.kp, (N, 1)))
     none = np.zeros_like(s.q)
-    predicted, _ = free_decay_energy(space, s.q, state(batch, none), s.kp, s.kd, seconds=TAIL)
+    predicted, _ = decay(batch)(s.q, state(batch, none), s.kp, s.kd)
     batch.sim.set_gains(s.kp, s.kd)
     truth, _ = simulated(batch, batch.sim.servo_command(s.q, none))
     error = np.abs(predicted / truth - 1)

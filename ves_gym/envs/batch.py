@@ -7,29 +7,33 @@ import dataclasses
 import math
 import os
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError, content_hash
+from ves_gym.engine.backends.kernel import KernelBackend
 from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
-from ves_gym.envs.compiled import Shape, plain_command
+from ves_gym.envs.beginnings import Beginnings
+from ves_gym.envs.compiled import Shape, carry_rows, plain_command
+from ves_gym.envs.compiled_step import CompiledStep, compiled_step
 from ves_gym.envs.corners import warn_of_unstable_corners
 from ves_gym.envs.dump import Recorder
 from ves_gym.envs.episode import (
     Episodes,
     bounded,
     count,
+    ended_energies,
     endings,
     judge,
     outcome,
     scaled_observation,
 )
-from ves_gym.envs.period import Period, period_of
 from ves_gym.envs.randomize import Draws
-from ves_gym.envs.tail import free_decay_energy
-from ves_gym.envs.task import Scene, Task
+from ves_gym.envs.tail import FreeDecay
+from ves_gym.envs.task import Scene, Start, Task
 from ves_gym.mechanics.servo import own_gains
 from ves_gym.simulation.simulator import Simulator
 
@@ -79,7 +83,7 @@ class Batch:
         compiled: bool = True,
     ) -> None:
         self.task, self.n = task, n
-        self._period: Period | None = None
+        self._compiled: CompiledStep | None = None
         self._draws = Draws(task.system, task.randomize)
         self.system = self._draws.system
         control, arm = task.control, self.system.arm
@@ -113,19 +117,20 @@ class Batch:
         self.observations = sum(f.size for f in task.parts())
         self._observation: npt.NDArray[np.float32] | None = None  # as of the last compiled step
         joints = arm.n
-        z, zj = np.zeros((n, 6)), np.zeros((n, joints))
         goals = task.start(np.zeros((1, task.draws))).goal.shape[1]
         table_values = task.lookup(np.zeros((1, goals)), np.zeros(1, np.intp)).shape[1]
         follows = motor and control.level != "torque"
         hold = control.servo_for(arm) if follows else own_gains(arm)
+        self._hold = np.asarray(hold.kp, float), np.asarray(hold.kd, float)
+        widths = {
+            "q": joints, "v": joints, "y": 6, "yd": 6, "y_seen": 6, "yd_seen": 6, "tool": 3,
+            "tool_seen": 3, "energies": 2, "goal": goals, "memory": task.memory,
+            "table_values": table_values, "tau": joints,
+        }  # fmt: skip
         self.scene = Scene(
-            time=np.zeros(n), q=zj, v=zj, y=z, yd=z, y_seen=z, yd_seen=z,
-            tool=np.zeros((n, 3)), tool_seen=np.zeros((n, 3)), energies=np.zeros((n, 2)),
-            ref=np.zeros((n, 3, joints)), goal=np.zeros((n, goals)),
-            memory=np.zeros((n, task.memory)), table_values=np.zeros((n, table_values)),
-            tau=zj.copy(), tail=np.zeros(n),
-            kp=np.tile(np.asarray(hold.kp, float), (n, 1)),
-            kd=np.tile(np.asarray(hold.kd, float), (n, 1)),
+            time=np.zeros(n), tail=np.zeros(n), ref=np.zeros((n, 3, joints)),
+            kp=np.tile(self._hold[0], (n, 1)), kd=np.tile(self._hold[1], (n, 1)),
+            **{name: np.zeros((n, width)) for name, width in widths.items()},
         )  # fmt: skip
         self.episodes = Episodes(
             np.zeros(n, np.uint64), np.arange(n), np.full(n, -1),
@@ -134,25 +139,32 @@ class Batch:
         )  # fmt: skip
         self.drawn: dict[str, Array] = {r.label: np.zeros((n, r.size)) for r in task.randomize}
 
-        if compiled and self.sim.base_actuators is None:  # they act period by period
-            self._period = period_of(self, self._scenes, self._torques)
+        if compiled:
+            parts = self._scene, self._scenes, self._torques
+            self._compiled = compiled_step(self.sim, task, *parts)
+        # all that a beginning needs can be written where it belongs
+        self._direct = (
+            self._compiled is not None and self._compiled.direct and not task.randomize
+        )
+        complete = self._first_rows if self._direct else self._first_states
+        self._beginnings = Beginnings(task, n, self._draws.size, complete)
         self.recorder = None if dump is None else Recorder(self, dump)
 
     @property
     def shape(self) -> Shape | None:
         """Rows of the compiled steps; None where they stay in NumPy."""
-        return None if self._period is None else self._period.shape
+        return None if self._compiled is None else self._compiled.shape
 
     @property
     def compiled(self) -> bool:
         """Steps run in compiled code."""
-        return self._period is not None
+        return self._compiled is not None
 
     @property
     def scene(self) -> Scene:
         """Every simulation at this instant."""
-        if self._period is not None and self._period.ahead:
-            self._period.store()
+        if self._compiled is not None and self._compiled.ahead:
+            self._compiled.store(self._scene, self._episodes)
         return self._scene
 
     @scene.setter
@@ -162,8 +174,8 @@ class Batch:
     @property
     def episodes(self) -> Episodes:
         """Counters and sums of the episodes."""
-        if self._period is not None and self._period.ahead:
-            self._period.store()
+        if self._compiled is not None and self._compiled.ahead:
+            self._compiled.store(self._scene, self._episodes)
         return self._episodes
 
     @episodes.setter
@@ -181,45 +193,89 @@ class Batch:
         """Restart the sequences of episodes of some simulations."""
         e = self.episodes
         e.root[ids], e.index[ids], e.number[ids] = roots, index, -1
+        self._beginnings.forget(ids)
 
     def reset(self, ids: Index, options: Mapping[str, Array] | None = None) -> None:
         """Begin the next episode in some simulations; `options` as in `Task.start`."""
-        e, task, sim = self.episodes, self.task, self.sim
         if not len(ids):
             return
+        e, sim = self._episodes, self.sim
+        rows = self._beginnings.take(ids, e, options)
         e.number[ids] += 1
-        u = np.empty((len(ids), task.draws + self._draws.size))
-        keys = np.column_stack([k[ids].astype(np.uint64) for k in (e.root, e.index, e.number)])
-        for i, key, row in zip(ids.tolist(), keys.tolist(), u, strict=True):
-            seeds = np.random.SeedSequence(key)
-            sim.generators[i] = np.random.Generator(np.random.PCG64(seeds))
-            sim.generators[i].random(out=row)
+        for i in ids.tolist():
+            sim.generators[i] = self._beginnings.generators[i]
+        self._scene.goal[ids] = rows["goal"]
+        if self._direct:
+            assert self._compiled is not None
+            self._compiled.begin(ids, rows)
+            self._keep_rows(ids, rows["observation"])
+        else:
+            self._begin(ids, rows)
+        if self.recorder is not None:
+            self.recorder.begin(ids)
+
+    def _begin(self, ids: Index, rows: dict[str, Array]) -> None:
+        """Put simulations where episodes begin, and look at them there."""
+        e, s, task, sim = self.episodes, self.scene, self.task, self.sim
         if task.randomize:
-            self._randomise(ids, u[:, task.draws :])
-        begin = task.start(u[:, : task.draws], **(options or {}))
-        s, joints = self.scene, self.system.arm.n
-        q = np.broadcast_to(begin.q, (len(ids), joints))
-        v = np.broadcast_to(begin.v, (len(ids), joints))
-        sim.reset(q=q, v=v, y=begin.y, yd=begin.yd, ids=ids)
-        s.ref[ids, 0], s.ref[ids, 1], s.ref[ids, 2] = q, v, 0.0
-        s.goal[ids], s.memory[ids], s.tail[ids] = begin.goal, 0.0, 0.0
+            self._randomise(ids, self._beginnings.uniform[ids, task.draws :])
+        sim.reset(q=rows["q"], v=rows["v"], y=rows["y"], yd=rows["yd"], ids=ids)
+        s.ref[ids] = np.stack([rows["q"], rows["v"], np.zeros_like(rows["q"])], axis=1)
+        s.memory[ids], s.tail[ids] = 0.0, 0.0
+        s.kp[ids], s.kd[ids] = self._hold
         for k in (e.steps, e.clipped, e.once, e.total, e.sums):
             k[ids] = 0
         if task.interacts:
-            task.on_reset(sim, ids, begin.goal)
-        self._update_scene()
+            task.on_reset(sim, ids, rows["goal"])
+        self._update_scene(ids)
         if task.interacts and task.on_period_end(sim, s, ids):
             self._update_scene()
-        s.tau[ids] = self._command()[ids]
+        some = s.rows(ids)
+        s.tau[ids] = some.tau = self._command(some)
         e.peaks[ids] = s.energies[ids]
-        if self._period is not None:
-            self._period.load(ids)
+        if self._compiled is not None:
+            self._compiled.load(ids, s.rows(ids), e.rows(ids))
         if self._observation is not None:
-            self._observation[ids] = scaled_observation(task, s, self.scale)[ids].astype(
-                np.float32
-            )
-        if self.recorder is not None:
-            self.recorder.begin(ids)
+            self._observation[ids] = scaled_observation(task, some, self.scale)
+
+    def _first_states(self, begin: Start) -> dict[str, Array]:
+        """States (k, ...) of joints and base, and the goal."""
+        k, joints = len(begin.goal), self.system.arm.n
+        sizes = {"q": joints, "v": joints, "y": 6, "yd": 6}
+        rows = {n: np.broadcast_to(getattr(begin, n), (k, w)) for n, w in sizes.items()}
+        return rows | {"goal": begin.goal}
+
+    def _first_rows(self, begin: Start) -> dict[str, Array]:
+        """All that compiled steps go on from, where no simulation differs from the others."""
+        rows, backend = self._first_states(begin), self.sim.backend
+        assert self._compiled is not None
+        assert isinstance(backend, KernelBackend)
+        q, v, y, yd, goal = rows.values()
+        k, shape = len(goal), self._compiled.shape
+        pose, rate = np.hstack([y, q]), np.hstack([yd, v])
+        x = backend.states_of(np.zeros(k, np.intp), pose, rate)
+        modes = self._compiled.modes
+        hidden = None if modes is None else (x[:, modes[0]], x[:, modes[1]])
+        energies, tool, _ = self._scenes(q, v, y, yd, y, hidden)
+        zero = np.zeros(k)
+        s = Scene(
+            time=zero, q=q, v=v, y=y, yd=yd, y_seen=y, yd_seen=yd, tool=tool, tool_seen=tool,
+            energies=energies, ref=np.stack([q, v, np.zeros_like(q)], axis=1), goal=goal,
+            memory=np.zeros((k, self.task.memory)),
+            table_values=self.task.lookup(goal, np.zeros(k, np.intp)), tau=zero, tail=zero,
+            kp=np.tile(self._hold[0], (k, 1)), kd=np.tile(self._hold[1], (k, 1)),
+        )  # fmt: skip
+        s.tau = self._command(s)
+        none = np.zeros(k, np.int64)
+        e = Episodes(none, none, none, none, none, none, zero, np.zeros((k, 2)), energies)  # type: ignore[arg-type]
+        return {
+            "x": x,
+            "carry": carry_rows(shape, s, e),
+            "scene": np.hstack([energies, tool, tool]),
+            "goal": goal,
+            "table_values": s.table_values,
+            "observation": scaled_observation(self.task, s, self.scale).astype(np.float32),
+        }
 
     def episode_ids(self) -> npt.NDArray[np.uint64]:
         """Return (n, 3) seed, index and number that the episodes' random numbers come from."""
@@ -253,8 +309,11 @@ class Batch:
         Returns:
             reward (n,), terminated (n,), truncated (n,), and what is known of the step.
         """
-        if self._period is not None:
-            return self._period.step(actions, over)
+        if self._compiled is not None:
+            out = self._compiled.step(actions, over, self.goals, lambda: self.free_decay)
+            self._observation = out.observation
+            out.info.update(self.account(out.stopped, over))
+            return out.reward, out.terminated, out.truncated, out.info
         e, s, task = self.episodes, self.scene, self.task
         actions = bounded(e, actions)
         before = s.energies
@@ -283,7 +342,10 @@ class Batch:
                 ids = np.flatnonzero(ended & ~diverged)
                 ref = s.ref[ids, 0]
                 s.tail[ids], strain[ids] = self.tail(ids, ref, s.kp[ids], s.kd[ids])
-            info.update(self.energies_at_end(strain, ended))
+            length = e.steps * self.dt + task.tail
+            peak, strain_peak = e.peaks.T.copy()
+            mean, sway = (e.sums[:, 0] + s.tail) / length, e.sums[:, 1] + strain
+            info |= ended_energies(mean, s.energy.copy(), peak, strain_peak, sway, ended)
         terms, reward, solved = judge(task, s, e, self.dt, last, failed, waiting, diverged)
         info.update((f"reward/{name}", term) for name, term in terms.items())
         info["success"], info["success_once"] = solved, e.once.copy()
@@ -313,31 +375,12 @@ class Batch:
             info.update(self.recorder.step(diverged if over is None else diverged & ~over))
         return info
 
-    def energies_at_end(self, strain: Array, ended: Mask) -> dict[str, Any]:
-        """Energies of episodes that have ended, with their mask, as entries of an info.
-
-        Args:
-            strain: (n,) integral of the strain energy over the tail [J s].
-            ended: (n,).
-        """
-        e, s = self.episodes, self.scene
-        energies = {
-            "E_mean": (e.sums[:, 0] + s.tail) / (e.steps * self.dt + self.task.tail),
-            "E_res": s.energy.copy(),
-            "E_peak": e.peaks[:, 0].copy(),
-            "E_strain_peak": e.peaks[:, 1].copy(),
-            "E_int": e.sums[:, 1] + strain,
-        }
-        info: dict[str, Any] = {}
-        for name, energy in energies.items():
-            info[f"energy/{name}"], info[f"_energy/{name}"] = energy, ended
-        return info
-
-    def _command(self) -> Array:
-        """Drive command that follows the reference as it is now."""
-        out = plain_command(self.task, self.scene)
+    def _command(self, s: Scene | None = None) -> Array:
+        """Drive command that follows the reference as it is now, of all or of `s`."""
+        s = self.scene if s is None else s
+        out = plain_command(self.task, s)
         if self._feedforward and self.task.control.level != "torque":
-            out = out + self._torques(self.scene.ref)
+            out = out + self._torques(s.ref)
         return out
 
     def measured(self) -> tuple[Array, Array, Mask]:
@@ -346,16 +389,34 @@ class Batch:
         assert loop is not None
         return loop.y_measured, loop.vehicle_state[:, 6:].copy(), loop.frozen
 
-    def _update_scene(self) -> None:
-        """Read the state into the scene."""
-        s = self.scene
-        s.time, s.y, s.yd, s.q, s.v = self.sim.last_state
-        s.y_seen, s.yd_seen = s.y, s.yd
+    def _update_scene(self, ids: Index | None = None) -> None:
+        """Read the state into the scene, of all or of some simulations."""
+        s, rows = self.scene, slice(None) if ids is None else ids
+        time, y, yd, q, v = (part[rows] for part in self.sim.last_state)
+        y_seen, yd_seen = y, yd
         if self._emulated:
-            s.y_seen, s.yd_seen, _ = self.measured()
-        motion = s.q, s.v, s.y, s.yd, s.y_seen
-        s.energies, s.tool, s.tool_seen = self._scenes(*motion, self.sim.base_modes)
-        s.table_values = self.task.lookup(s.goal, np.rint(s.time / self.dt).astype(np.intp))
+            y_seen, yd_seen = (part[rows] for part in self.measured()[:2])
+        modes = self.sim.base_modes
+        if modes is not None:
+            modes = modes[0][rows], modes[1][rows]
+        energies, tool, tool_seen = self._scenes(q, v, y, yd, y_seen, modes)
+        table_values = self.task.lookup(s.goal[rows], np.rint(time / self.dt).astype(np.intp))
+        parts = {
+            "time": time, "y": y, "yd": yd, "q": q, "v": v, "y_seen": y_seen,
+            "yd_seen": yd_seen, "energies": energies, "tool": tool, "tool_seen": tool_seen,
+            "table_values": table_values,
+        }  # fmt: skip
+        for name, values in parts.items():
+            if ids is None:
+                setattr(s, name, values)
+            else:
+                getattr(s, name)[ids] = values
+
+    @cached_property
+    def free_decay(self) -> FreeDecay:
+        """Energies that the base keeps after the end."""
+        coupled = self.task.control.level == "gains"
+        return FreeDecay(self._space, self.n, self.task.tail, coupled)
 
     def tail(self, ids: Index, ref: Array, kp: Array, kd: Array) -> tuple[Array, Array]:
         """Energy left in the base after the end [J s]: of E and of the strain energy.
@@ -367,10 +428,10 @@ class Batch:
         """
         _, y, yd, q, v = (part[ids] for part in self.sim.last_state)
         away = np.zeros_like(q) if self.task.control.level == "torque" else q - ref
-        x = np.concatenate([y, away, yd, v], axis=1)
-        if (modes := self.sim.base_modes) is not None:
-            x = np.concatenate([y, modes[0][ids], away, yd, modes[1][ids], v], axis=1)
-        return free_decay_energy(self._space, q, x, kp, kd, seconds=self.task.tail)
+        modes = self.sim.base_modes
+        u, ud = (y[:, :0], yd[:, :0]) if modes is None else (part[ids] for part in modes)
+        x = np.concatenate([y, u, away, yd, ud, v], axis=1)
+        return self.free_decay(q, x, kp, kd)
 
     def observe(self) -> npt.NDArray[np.float32]:
         """(n, observations) in the fields' scales, clipped; what is not a number becomes 0."""
@@ -386,15 +447,11 @@ class Batch:
         context = [np.clip(r.context(values), -clip, clip) for r, values in pairs]
         return np.concatenate([observation, *(k.astype(np.float32) for k in context)], axis=1)
 
-    def keep_observation(self, rows: Array) -> None:
-        """Take observations (observations, n) from a compiled step."""
-        self._observation = rows.T.astype(np.float32, order="C")
-
-    def probe(self) -> Scene:
-        """Two simulations with any numbers, to ask formulas for theirs."""
-        rng, s = np.random.default_rng(0), self._scene
-        rows = {f.name: getattr(s, f.name) for f in dataclasses.fields(s)}
-        return Scene(**{k: rng.uniform(0.1, 0.5, (2, *v.shape[1:])) for k, v in rows.items()})
+    def _keep_rows(self, ids: Index, rows: Array) -> None:
+        """Take observations (k, observations) of episodes that begin."""
+        if self._observation is None:
+            self._observation = np.zeros((self.n, rows.shape[1]), np.float32)
+        self._observation[ids] = rows
 
     def begin_at(self, scene: Scene, episodes: Episodes) -> None:
         """Go on from where other episodes are: joints, base as measured, reference, sums.
@@ -405,8 +462,8 @@ class Batch:
             scene, episodes: of n simulations with the same task and control.
         """
         sim, s = self.sim, scene
-        if self._period is not None:
-            self._period.ahead = False
+        if self._compiled is not None:
+            self._compiled.ahead = False
         self._observation = None
         if self.system.drive == "motor":
             sim.set_gains(s.kp, s.kd)
@@ -414,9 +471,10 @@ class Batch:
         tables = self._scene.table_values
         self.scene = dataclasses.replace(s, table_values=tables, tail=np.zeros(self.n))
         self.episodes = episodes
+        self._beginnings.forget(np.arange(self.n))
         self._update_scene()
-        if self._period is not None:
-            self._period.load(np.arange(self.n))
+        if self._compiled is not None:
+            self._compiled.load(np.arange(self.n), self._scene, self._episodes)
 
     # ---------------------------------------------------------------- snapshot
 
@@ -441,10 +499,11 @@ class Batch:
             )
         self.sim.restore(snapshot)  # refuses what does not fit, before anything changes
         self._observation = None
-        if self._period is not None:
-            self._period.ahead = False
+        self._beginnings.forget(np.arange(self.n))
+        if self._compiled is not None:
+            self._compiled.ahead = False
         self.scene, self.episodes, self.drawn = copy.deepcopy(episodes_state)
-        if self._period is not None:
-            self._period.load(np.arange(self.n))
+        if self._compiled is not None:
+            self._compiled.load(np.arange(self.n), self._scene, self._episodes)
         if self.recorder is not None:
             self.recorder.set_state(recorded)

@@ -1,24 +1,28 @@
 """A task's control period as graphs, from the NumPy text of task, control and bookkeeping.
 
-The state of an episode is a slate of rows beside the engine's: reference and command, what the
+The state of an episode is a carry of rows beside the engine's: reference and command, what the
 task remembers, sums and counters. `move` turns an action into the moved reference, `follow`
 into the engine's commands; the physics comes between; `close` gives reward, observation and
-the next slate.
+the next carry.
 """
 
 from __future__ import annotations
 
 import hashlib
+import inspect
 import itertools
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ves_gym._util.params import Array, Mask, content_hash
+from ves_gym._util.params import Array, Mask, ParameterError, content_hash
 from ves_gym.engine.backends.base import MEANINGLESS
+from ves_gym.engine.kernel import symbolic
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
 from ves_gym.engine.kernel.numbers import is_ours
 from ves_gym.engine.kernel.symbolic import Traced, batch_of_symbols, column, per_row
@@ -79,13 +83,13 @@ class Shape:
         return follows and control.servo.feedforward
 
     @cached_property
-    def moved(self) -> dict[str, slice]:
+    def reference(self) -> dict[str, slice]:
         """Columns of the outputs of `move`."""
         n = self.joints
         return layout(("ref", 3 * n), ("kp", n), ("kd", n), ("clipped", 1), ("command", n))
 
     @cached_property
-    def slate(self) -> dict[str, slice]:
+    def carry(self) -> dict[str, slice]:
         """Columns of all that is carried from period to period."""
         n = self.joints
         return layout(
@@ -95,7 +99,7 @@ class Shape:
         )  # fmt: skip
 
     @cached_property
-    def external(self) -> dict[str, slice]:
+    def inputs(self) -> dict[str, slice]:
         """Columns of further inputs of `close`: tables, measurements, marks set by Python."""
         return layout(
             ("table_values", self.table_values), ("y_seen", 6), ("yd_seen", 6), ("stopped", 1),
@@ -116,6 +120,17 @@ class Shape:
         return 1 if self.task.control.held else self.system.substeps + 1
 
 
+def carry_rows(shape: Shape, s: Scene, e: Episodes) -> Array:
+    """Rows (k, ...) of what is carried from period to period, from scene and episodes.
+
+    Args:
+        shape: of the rows.
+        s, e: of k simulations.
+    """
+    parts = [getattr(s if hasattr(s, name) else e, name) for name in shape.carry]
+    return np.hstack([np.reshape(k, (len(s.q), -1)) for k in parts], dtype=np.float64)
+
+
 def compiles(task: Task) -> bool:
     """Task and control say of themselves that they are formulas."""
     control, drive = type(task.control), type(task.control).drive
@@ -132,7 +147,7 @@ def functions(shape: Shape, probe: bytes | None = None) -> dict[str, CompiledFun
             other code. Without them the graphs themselves tell.
 
     Raises:
-        Untraceable: a formula needs numbers to go on.
+        FormulaError: when the first is compiled, with file and line of what cannot be followed.
     """
     task = shape.task
     what: Any = None  # text that may change under the same name
@@ -144,12 +159,34 @@ def functions(shape: Shape, probe: bytes | None = None) -> dict[str, CompiledFun
         )
         what = (*settings, shape.coordinates, shape.terms, shape.signals)
     return {
-        name: CompiledFunction(what and (name, what), make)
+        name: CompiledFunction(what and (name, what), partial(_followed, shape.task, make))
         for name, make in _graphs(shape).items()
     }
 
 
 # ------------------------------------------------------------------------------- graphs
+
+
+class FormulaError(ParameterError):
+    """What a task or control says is a formula cannot be followed with symbols."""
+
+
+def _followed(task: Task, make: Callable[[], casadi.Function]) -> casadi.Function:
+    """Make a graph; an error names the last line of task or control."""
+    try:
+        return make()
+    except Exception as error:
+        frames = traceback.extract_tb(error.__traceback__)
+        machinery = str(Path(symbolic.__file__).parent), __file__, str(Path(np.__file__).parent)
+        formulas = [k for k in frames if not k.filename.startswith(machinery)]
+        where = str(inspect.getsourcefile(type(task)))
+        if formulas:
+            where = f"{formulas[-1].filename}:{formulas[-1].lineno}, `{formulas[-1].line}`"
+        raise FormulaError(
+            f"task {task.kind} with control {task.control.kind} says `compiled`, but cannot be:"
+            f" {where}: {error}. Write array formulas, a simulation per row, or leave"
+            " `compiled` out: its steps then run in NumPy"
+        ) from error
 
 
 def _graphs(shape: Shape) -> dict[str, Callable[[], casadi.Function]]:
@@ -172,14 +209,14 @@ def _graphs(shape: Shape) -> dict[str, Callable[[], casadi.Function]]:
 def _keep(shape: Shape) -> casadi.Function:
     import casadi as ca
 
-    carried = ca.SX.sym("slate", width(shape.slate))
+    carried = ca.SX.sym("carry", width(shape.carry))
     return ca.Function("keep", [carried], [carried])
 
 
 def _scene(shape: Shape, carried: Traced, z: Traced, zd: Traced, goal: Traced) -> Scene:
     """A scene of symbols, to be completed by what there is."""
     n, rows = shape.joints, len(carried)
-    k = {name: carried[:, at].copy() for name, at in shape.slate.items()}
+    k = {name: carried[:, at].copy() for name, at in shape.carry.items()}
     none = np.zeros((rows, 0))
     return Scene(
         time=k["steps"][:, 0] * shape.system.substeps * shape.system.physics_dt,
@@ -191,7 +228,7 @@ def _scene(shape: Shape, carried: Traced, z: Traced, zd: Traced, goal: Traced) -
 
 
 def _episodes(shape: Shape, carried: Traced) -> Episodes:
-    k = {name: carried[:, at].copy() for name, at in shape.slate.items()}
+    k = {name: carried[:, at].copy() for name, at in shape.carry.items()}
     none: Any = np.zeros(len(carried))
     return Episodes(
         root=none, index=none, number=none, steps=k["steps"][:, 0],
@@ -201,11 +238,11 @@ def _episodes(shape: Shape, carried: Traced) -> Episodes:
 
 
 def _move(shape: Shape) -> casadi.Function:
-    """(z, zd, slate, goal, action) -> `Shape.moved`."""
+    """(z, zd, carry, goal, action) -> `Shape.reference`."""
     task, system, n = shape.task, shape.system, shape.joints
     control, dt = task.control, system.control_dt
 
-    def moved(*rows: Traced) -> tuple[Any, ...]:
+    def advanced(*rows: Traced) -> tuple[Any, ...]:
         z, zd, carried, goal, action = rows
         s, e = _scene(shape, carried, z, zd, goal), _episodes(shape, carried)
         remaining: Any = task.duration - e.steps * dt
@@ -214,8 +251,8 @@ def _move(shape: Shape) -> casadi.Function:
         return s.ref.reshape(len(z), 3 * n), s.kp, s.kd, e.clipped, s.tau
 
     size = 6 + n
-    sizes = (size, size, width(shape.slate), shape.goal, control.width(system.arm))
-    return _graph("move", moved, sizes, (3 * n, n, n, 1, n))
+    sizes = (size, size, width(shape.carry), shape.goal, control.width(system.arm))
+    return _graph("move", advanced, sizes, (3 * n, n, n, 1, n))
 
 
 def plain_command(task: Task, s: Scene) -> Array:
@@ -229,13 +266,13 @@ def plain_command(task: Task, s: Scene) -> Array:
 
 
 def _follow(shape: Shape) -> casadi.Function:
-    """(tau before, moved, feed-forward) -> (the engine's commands, tau, gains)."""
+    """(tau before, reference, feed-forward) -> (the engine's commands, tau, gains)."""
     import casadi as ca
 
-    n, at = shape.joints, shape.moved
-    before, moved = ca.SX.sym("before", n), ca.SX.sym("moved", width(at))
+    n, at = shape.joints, shape.reference
+    before, reference = ca.SX.sym("before", n), ca.SX.sym("reference", width(at))
     extra = ca.SX.sym("extra", n)
-    end = moved[at["command"]]
+    end = reference[at["command"]]
     if shape.feedforward:
         end = end + extra
     nodes = []
@@ -243,30 +280,34 @@ def _follow(shape: Shape) -> casadi.Function:
         share = k / max(shape.nodes - 1, 1)
         command = end if shape.nodes == 1 else before + share * (end - before)
         nodes += [ca.SX.zeros(6), command]
-    gains = ca.vertcat(moved[at["kp"]], moved[at["kd"]])
-    return ca.Function("follow", [before, moved, extra], [ca.vertcat(*nodes), end, gains])
+    gains = ca.vertcat(reference[at["kp"]], reference[at["kd"]])
+    return ca.Function("follow", [before, reference, extra], [ca.vertcat(*nodes), end, gains])
 
 
 def _close(shape: Shape) -> casadi.Function:
-    """(z, zd, x, slate, moved, tau, goal, given, energies and tools) -> (told, next slate)."""
+    """(z, zd, x, carry, reference, tau, goal, inputs, scene) -> (outputs, next carry)."""
     task, system = shape.task, shape.system
     dt = system.control_dt
     scale = np.concatenate([f.scale for f in task.fields()])
 
     def closed(*rows: Traced) -> tuple[Any, ...]:
-        z, zd, x, carried, moved, tau, goal, external, scene_rows = rows
+        z, zd, x, carried, reference, tau, goal, inputs, scene_rows = rows
         s, e = _scene(shape, carried, z, zd, goal), _episodes(shape, carried)
         before = s.energies
         s.time = np.add(e.steps, 1, dtype=np.float64) * system.substeps * system.physics_dt
-        s.ref = moved[:, shape.moved["ref"]].reshape(s.ref.shape)
-        s.kp, s.kd, s.tau = moved[:, shape.moved["kp"]], moved[:, shape.moved["kd"]], tau
-        e.clipped = moved[:, shape.moved["clipped"]][:, 0]
+        s.ref = reference[:, shape.reference["ref"]].reshape(s.ref.shape)
+        s.kp, s.kd, s.tau = (
+            reference[:, shape.reference["kp"]],
+            reference[:, shape.reference["kd"]],
+            tau,
+        )
+        e.clipped = reference[:, shape.reference["clipped"]][:, 0]
         s.energies, s.tool, s.tool_seen = (
             scene_rows[:, :2],
             scene_rows[:, 2:5],
             scene_rows[:, 5:],
         )
-        k = {name: external[:, at] for name, at in shape.external.items()}
+        k = {name: inputs[:, at] for name, at in shape.inputs.items()}
         s.table_values, s.tail, over, stopped = (
             k["table_values"], k["tail"][:, 0], k["over"][:, 0], k["stopped"][:, 0],
         )  # fmt: skip
@@ -283,16 +324,16 @@ def _close(shape: Shape) -> casadi.Function:
         verdict = judge(task, s, e, dt, last, failed, over, ~sane)
         terms = tuple(verdict.terms[name] for name in shape.terms)
         flags = (last, failed, verdict.solved, e.once, ~sane, last | failed | ~sane)
-        slate = (
+        carry = (
             s.ref.reshape(len(z), -1), s.kp, s.kd, e.clipped, s.tau, s.memory, s.energies,
             e.sums, e.peaks, e.total, e.once, e.steps,
         )  # fmt: skip
-        return (scaled_observation(task, s, scale), *terms, verdict.reward, *flags, *slate)
+        return (scaled_observation(task, s, scale), *terms, verdict.reward, *flags, *carry)
 
-    size, at = 6 + shape.joints, shape.slate
+    size, at = 6 + shape.joints, shape.carry
     sizes = (
-        size, size, 2 * shape.coordinates, width(at), width(shape.moved), shape.joints,
-        shape.goal, width(shape.external), 8,
+        size, size, 2 * shape.coordinates, width(at), width(shape.reference), shape.joints,
+        shape.goal, width(shape.inputs), 8,
     )  # fmt: skip
     outputs = tuple(k.stop - k.start for k in shape.outputs.values())
     carried = tuple(k.stop - k.start for k in at.values())
@@ -334,12 +375,12 @@ def _laboratory(shape: Shape, name: str) -> casadi.Function:
     modes = {}
     if shape.system.base.m:
         u, ud = (ca.SX.sym(name, shape.system.base.m) for name in ("u", "ud"))
-        sent, carried = ca.SX.sym("sent", 12), ca.SX(shape.system.base.coupling.T)
+        sent, coupled = ca.SX.sym("sent", 12), ca.SX(shape.system.base.coupling.T)
         pose = ca.if_else(frozen, sent[:6], X[:6])
         away, faster = z[:6] - pose, zd[:6] - scene_rows[6:12]
-        moved = u + ca.mtimes(carried, away), ud + ca.mtimes(carried, faster)
+        deflected = u + ca.mtimes(coupled, away), ud + ca.mtimes(coupled, faster)
         inputs = [u, ud, z, zd, X, sent, frozen]
-        modes["lab_modes"] = ca.Function("lab_modes", inputs, [ca.vertcat(*moved)])
+        modes["lab_modes"] = ca.Function("lab_modes", inputs, [ca.vertcat(*deflected)])
     wires = {
         **modes,
         "lab_before": ca.Function("lab_before", [z, zd, gains], first),

@@ -155,12 +155,12 @@ class DeviceVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         shifted = (ids + number // self.starts) % self.num_envs
         at = (number % self.starts) * self.num_envs + shifted
         self._row[ids] = at
-        rows = {k: self._tables[k][at].T for k in ("x", "slate", "goal")}
+        rows = {k: self._tables[k][at].T for k in ("x", "carry", "goal")}
         self.rows.begin(ids, rows)
         observation[ids] = self._tables["observation"][at].float()
 
     def _draw(self, seed: int) -> dict[str, Any]:
-        """Tables (starts n, ...) of the beginnings: state, slate, goal, observation."""
+        """Tables (starts n, ...) of the beginnings: state, carry, goal, observation."""
         batch, everyone = self._batch, np.arange(self.num_envs)
         batch.seed(everyone, seed, everyone)
         parts: dict[str, list[Array]] = {}

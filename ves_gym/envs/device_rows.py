@@ -19,13 +19,13 @@ from ves_gym.engine.kernel.warp_code import launch, launch_graph
 from ves_gym.envs import compiled
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.compiled import Shape, width
-from ves_gym.envs.tail import integrals
+from ves_gym.envs.tail import by_doubling
 
 
 class DeviceRows:
     """State, reference, observation and reward of n episodes, (k, n) each.
 
-    The slate exists twice, as it was before the period and as it is after it; they change
+    The carry exists twice, as it was before the period and as it is after it; they change
     places in every period, so there are two lists of launches.
 
     Args:
@@ -54,8 +54,8 @@ class DeviceRows:
         self.simulations.set_parameters(self.backend.parameters, alike=not gained)
         first, p = self.backend.names.index("kp1"), self.simulations.p
         sizes = {
-            "goal": shape.goal, "action": batch.width, "moved": width(shape.moved),
-            "external": width(shape.external), "outputs": width(shape.outputs), "tau": joints,
+            "goal": shape.goal, "action": batch.width, "reference": width(shape.reference),
+            "inputs": width(shape.inputs), "outputs": width(shape.outputs), "tau": joints,
             "extra": joints, "nodes": shape.nodes * (6 + joints), "scene_rows": 8,
         }  # fmt: skip
         rows = {name: self._zeros(size) for name, size in sizes.items()}
@@ -63,11 +63,11 @@ class DeviceRows:
         rows["x"] = self.simulations.x
         # the engine runs arm and vehicle as they are, energies go by the description
         rows["described"] = self.simulations.array(parameters(self._space)[1][:, None])
-        slates = [self._zeros(width(shape.slate)) for _ in range(2)]
-        self._programs = [self._program(rows, *k) for k in (slates, slates[::-1])]
-        self._arrays = rows, slates  # addresses do not keep memory alive
+        carries = [self._zeros(width(shape.carry)) for _ in range(2)]
+        self._programs = [self._program(rows, *k) for k in (carries, carries[::-1])]
+        self._arrays = rows, carries  # addresses do not keep memory alive
         self._views = {name: self.view(array) for name, array in rows.items()}
-        self._slates = [self.view(k) for k in slates]
+        self._carries = [self.view(k) for k in carries]
         self._fault = self.view(self.simulations.fault)
         self._parity = 0
         self._graphs = self._captured() if self.device.is_cuda else []
@@ -76,11 +76,11 @@ class DeviceRows:
         return self.simulations.array(np.zeros((max(size, 1), self.n)))
 
     def _program(self, rows: dict[str, Any], before: Any, after: Any) -> list[Any]:
-        """Launches of a period, from the slate before it to that after it."""
+        """Launches of a period, from the carry before it to that after it."""
         shape, space, size = self.shape, self._space, 6 + self.shape.joints
         functions = compiled.functions(shape)
-        x, goal, moved, tau, outputs = (
-            rows[k] for k in ("x", "goal", "moved", "tau", "outputs")
+        x, goal, reference, tau, outputs = (
+            rows[k] for k in ("x", "goal", "reference", "tau", "outputs")
         )
         z, zd = x[:size], x[shape.coordinates : shape.coordinates + size]
         nothing, everyone = self.simulations.nothing, self.simulations.everyone
@@ -93,15 +93,15 @@ class DeviceRows:
             kernel = function.gpu(self.real, (shared,))
             return launch_graph(kernel, list(arrays), self.device, record=True)
 
-        out = [run("move", z, zd, before, goal, rows["action"], moved)]
+        out = [run("move", z, zd, before, goal, rows["action"], reference)]
         if shape.feedforward:
-            ref = moved[shape.moved["ref"]]
+            ref = reference[shape.reference["ref"]]
             out.append(
                 run_map(torque_function(space), 1, ref, rows["described"], rows["extra"])
             )
-        started = before[shape.slate["tau"]]
+        started = before[shape.carry["tau"]]
         out.append(
-            run("follow", started, moved, rows["extra"], rows["nodes"], tau, rows["gains"])
+            run("follow", started, reference, rows["extra"], rows["nodes"], tau, rows["gains"])
         )
         system = self.system.actual
         state = [x, rows["nodes"], self.simulations.p, nothing, everyone]
@@ -119,10 +119,10 @@ class DeviceRows:
             zd,
             x,
             before,
-            moved,
+            reference,
             tau,
             goal,
-            rows["external"],
+            rows["inputs"],
             rows["scene_rows"],
             outputs,
             after,
@@ -179,9 +179,9 @@ class DeviceRows:
             table: (r, periods + 1, k) values of all beginnings.
             rows: (n,) of the present ones.
         """
-        steps = self._slates[self._parity][self.shape.slate["steps"]][0].round().long() + 1
+        steps = self._carries[self._parity][self.shape.carry["steps"]][0].round().long() + 1
         table_values = table[rows, steps.clamp(max=table.shape[1] - 1)]
-        self._views["external"][self.shape.external["table_values"]] = table_values.T
+        self._views["inputs"][self.shape.inputs["table_values"]] = table_values.T
 
     def move(self, actions: Any) -> None:
         """Run one period."""
@@ -201,8 +201,8 @@ class DeviceRows:
 
     @property
     def after(self) -> Any:
-        """(slate, n) as the period leaves it; before `turn`."""
-        return self._slates[1 - self._parity]
+        """(carry, n) as the period leaves it; before `turn`."""
+        return self._carries[1 - self._parity]
 
     def close_episodes(self, ids: Any, ended: Any) -> dict[str, Any]:
         """Reward the energy that the base keeps after episodes (k,); what they took of it."""
@@ -212,26 +212,26 @@ class DeviceRows:
             diverged = self.outputs_now[shape.outputs["diverged"]][0, ids] > 0
             kept = torch.where(diverged, 0.0, self._tail(ids))
             tail[ids] = kept
-            column = self._views["external"][shape.external["tail"]]
+            column = self._views["inputs"][shape.inputs["tail"]]
             column[0] = tail
             self._programs[self._parity][-1].launch()  # the reward again
             column[0] = 0.0
-        sums, steps = (self.after[shape.slate[k]][0].double() for k in ("sums", "steps"))
+        sums, steps = (self.after[shape.carry[k]][0].double() for k in ("sums", "steps"))
         mean = (sums + tail) / (steps * self.system.control_dt + task.tail)
         return {"energy/E_mean": mean, "_energy/E_mean": ended}
 
     def _tail(self, ids: Any) -> Any:
-        """(k,) time integral of E over the tail [J s] (`tail.free_decay_energy`)."""
+        """(k,) time integral of E over the tail [J s] (`tail.by_doubling`)."""
         torch, shape, system = self.torch, self.shape, self._space
         n, size = shape.joints, 6 + shape.joints
         x = self._views["x"][:, ids].double()
-        moved = self._views["moved"][:, ids].double()
-        q, ref = x[6:size], moved[shape.moved["ref"]][:n]
+        reference = self._views["reference"][:, ids].double()
+        q, ref = x[6:size], reference[shape.reference["ref"]][:n]
         away = 0 * q if self.task.control.level == "torque" else q - ref
         rate = x[shape.coordinates : shape.coordinates + size]
         u, ud = (x[k] for k in self._modes) if self._modes else (x[:0], x[:0])
         state = torch.concatenate([x[:6], u, away, rate[:6], ud, rate[6:]]).T
-        kp, kd = (moved[shape.moved[k]].T.contiguous() for k in ("kp", "kd"))
+        kp, kd = (reference[shape.reference[k]].T.contiguous() for k in ("kp", "kd"))
         constants = self._constants
         entries = torch.empty((size * size, len(ids)), dtype=q.dtype, device=q.device)
         kernel = inertia_function(system).gpu("float64", (1,))
@@ -244,7 +244,9 @@ class DeviceRows:
         H[:, at[:, None], at] = entries.T.reshape(len(ids), size, size)
         H[:, :b, :b] += M
         locked = system.drive == "prescribed"
-        total, _ = integrals(H, K, D, state, kp, kd, eye, seconds=self.task.tail, locked=locked)
+        total, _ = by_doubling(
+            H, K, D, state, kp, kd, eye, seconds=self.task.tail, locked=locked
+        )
         return total
 
     @cached_property
@@ -259,15 +261,12 @@ class DeviceRows:
     # ------------------------------------------------------------------ beginnings
 
     def beginnings(self, batch: Batch) -> dict[str, Array]:
-        """State, slate, goal and observation (n, ...) of a batch that has been reset."""
+        """State, carry, goal and observation (n, ...) of a batch that has been reset."""
         s, e, n = batch.scene, batch.episodes, self.n
         state = np.hstack([s.y, s.q]), np.hstack([s.yd, s.v])
-        parts = [
-            np.reshape(getattr(s if hasattr(s, k) else e, k), (n, -1)) for k in self.shape.slate
-        ]
         tables = {
             "x": self.backend.states_of(np.arange(n), *state),
-            "slate": np.hstack([np.asarray(k, float) for k in parts]),
+            "carry": compiled.carry_rows(self.shape, s, e),
             "goal": s.goal.copy() if self.shape.goal else np.zeros((n, 1)),
             "observation": np.asarray(batch.observe(), float),
         }
@@ -280,5 +279,5 @@ class DeviceRows:
     def begin(self, ids: Any, rows: dict[str, Any]) -> None:
         """Put simulations (k,) at the beginnings of episodes, the columns of `rows`."""
         self._views["x"][:, ids], self._views["goal"][:, ids] = rows["x"], rows["goal"]
-        self._slates[self._parity][:, ids] = rows["slate"]
+        self._carries[self._parity][:, ids] = rows["carry"]
         self._fault[ids] = 0

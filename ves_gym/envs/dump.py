@@ -5,22 +5,40 @@ from __future__ import annotations
 import os
 import uuid
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask
+from ves_gym.envs.episode import Episodes
+from ves_gym.envs.task import Scene, Task
 from ves_gym.simulation.playback import base_wrench
+from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.runlog import RunLog
-
-if TYPE_CHECKING:
-    from ves_gym.envs.batch import Batch
+from ves_gym.system.system import System
 
 Rows = tuple[list[Array], npt.NDArray[np.intp]]
 
 
-def wrench_on_base(batch: Batch, acceleration: Array | None = None) -> Array:
+class Recorded(Protocol):
+    """n episodes of a task: `Batch`."""
+
+    task: Task
+    system: System
+    sim: Simulator
+    n: int
+
+    @property
+    def scene(self) -> Scene:
+        """Every simulation at this instant."""
+
+    @property
+    def episodes(self) -> Episodes:
+        """Counters and sums of the episodes."""
+
+
+def wrench_on_base(batch: Recorded, acceleration: Array | None = None) -> Array:
     """(n, 6) wrench of the arm on the base in platform axes, without weight [N, N m].
 
     In the laboratory what is measured less the gravity estimate; in space the truth, from
@@ -43,7 +61,7 @@ class Recorder:
         folder: where those that diverge are written; made if it is not there. None: nowhere.
     """
 
-    def __init__(self, batch: Batch, folder: str | os.PathLike[str] | None = None) -> None:
+    def __init__(self, batch: Recorded, folder: str | os.PathLike[str] | None = None) -> None:
         self.batch, self.folder = batch, None if folder is None else Path(folder)
         if self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, Mask
+from ves_gym._util.params import Array, Index, Mask
 from ves_gym.envs.task import Scene, Task
 
 FAILURE = -2.0  # added to the reward when an episode fails; a straight motion returns about -1
@@ -27,6 +27,10 @@ class Episodes:
     total: Array  # return so far
     sums: Array  # (n, 2) integrals of E and of the strain energy [J s]
     peaks: Array  # (n, 2) their peaks [J]
+
+    def rows(self, ids: Index) -> Episodes:
+        """A copy of some simulations, of (k,) indices."""
+        return Episodes(**{f.name: getattr(self, f.name)[ids] for f in fields(self)})
 
 
 class Verdict(NamedTuple):
@@ -115,6 +119,28 @@ def outcome(task: Task, last: Mask, failed: Mask) -> tuple[Mask, Mask]:
     if task.ends == "terminated":
         return failed | last, last & ~last
     return failed, last & ~failed
+
+
+def ended_energies(
+    mean: Array, residual: Array, peak: Array, strain_peak: Array, strain: Array, ended: Mask
+) -> dict[str, Any]:
+    """Return energies (n,) of episodes that have ended as entries of an info.
+
+    Args:
+        mean: of E over episode and tail [J].
+        residual: E at the end [J].
+        peak, strain_peak: largest E and strain energy [J].
+        strain: integral of the strain energy over episode and tail [J s].
+        ended: (n,) their mask.
+    """
+    energies = {
+        "E_mean": mean, "E_res": residual, "E_peak": peak, "E_strain_peak": strain_peak,
+        "E_int": strain,
+    }  # fmt: skip
+    info: dict[str, Any] = {}
+    for name, energy in energies.items():
+        info[f"energy/{name}"], info[f"_energy/{name}"] = energy, ended
+    return info
 
 
 def scaled_observation(task: Task, s: Scene, scale: Array) -> Array:

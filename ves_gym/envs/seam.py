@@ -10,12 +10,13 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, require_positive, unit
 from ves_gym.envs.joints import drawn_joints, joint_box
+from ves_gym.envs.paths import pursued
 from ves_gym.envs.scales import motion_energy
 from ves_gym.envs.task import Start, register_task
 from ves_gym.envs.track import Track
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.boom import REACHING_OUT, SHUTTLE_LIKE
-from ves_gym.mechanics.kinematics import dexterity, joint_positions, tool_jacobian
+from ves_gym.mechanics.kinematics import dexterity, joint_positions
 from ves_gym.mechanics.motion import quintic
 from ves_gym.mechanics.spatial import matvec, quadratic, rotation
 from ves_gym.system.system import System
@@ -25,10 +26,8 @@ from ves_gym.system.system import System
 _LENGTHS = np.repeat([1.0, 0.5, 0.25, 0.125], [14, 3, 2, 1])
 _TRIES = len(_LENGTHS)  # per episode
 _CHECKED = 33  # points along a seam at which that is looked at
-_CORRECTED = 2  # Newton steps back to the seam at each
 _SPARE = np.deg2rad(8.0)  # between a seam and the joint limits, for what the sway asks
 _STRAIGHT = 0.5  # share of seams that are lines
-_DAMPING = 1e-4  # m^2/rad^2, of the least squares near singular configurations
 
 
 @lru_cache(maxsize=1)
@@ -146,13 +145,7 @@ class Seam(Track):
         low, high = arm.column("q_min") + _SPARE, arm.column("q_max") - _SPARE
         plan, lack = [q], np.zeros(q.shape[:2])
         for point in np.moveaxis(points, 2, 0)[1:]:
-            at = plan[-1]
-            for _ in range(_CORRECTED):
-                J = tool_jacobian(arm, at)
-                gap = point - joint_positions(arm, at)[..., -1, :]
-                across = np.swapaxes(J, -1, -2)
-                load = np.linalg.solve(J @ across + _DAMPING * np.eye(3), gap[..., None])
-                at = at + matvec(across, load[..., 0])
+            at, gap = pursued(arm, plan[-1], point)
             plan.append(at)
             short = 1 - dexterity(arm, at) / self.dexterous
             out = np.maximum(np.maximum(low - at, at - high).max(axis=-1), 0.0)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -100,6 +100,10 @@ class Scene:
     def strain(self) -> Array:
         """(n,) strain energy of the base [J]."""
         return self.energies[:, 1]
+
+    def rows(self, ids: Index) -> Scene:
+        """A copy of some simulations, of (k,) indices."""
+        return Scene(**{f.name: getattr(self, f.name)[ids] for f in fields(self)})
 
 
 @dataclass(frozen=True, kw_only=True)

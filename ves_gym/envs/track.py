@@ -27,9 +27,10 @@ from ves_gym.envs.joints import (
     rates,
     require_control,
 )
+from ves_gym.envs.paths import tool_points
 from ves_gym.envs.scales import BaseModes, motion_energy
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
-from ves_gym.mechanics.kinematics import dexterity, joint_positions
+from ves_gym.mechanics.kinematics import dexterity
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED, quintic
 
 _TRIES = 6  # candidate paths per episode; the first that is dexterous all along counts
@@ -136,7 +137,7 @@ class Track(Task):
         lack = np.maximum(1 - worst / self.dexterous, 0.0)
         chosen = parameters[:, np.arange(k), lack.argmin(axis=1)]
         along = _joints(chosen, self._phase)
-        path = joint_positions(arm, along)[..., -1, :]
+        path = tool_points(arm, along)
         stride = max(1, round(_COARSE / self.system.control_dt))
         energy = motion_energy(
             self._modes, along[:, ::stride], stride * self.system.control_dt, self.tail

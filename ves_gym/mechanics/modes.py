@@ -110,6 +110,31 @@ def modal_damping(M: Array, K: Array, ratios: float | Array) -> Array:
 _TINY = 1e-300  # keeps 0 / 0 away where two axes are alike and uncoupled
 
 
+def inverted_root(M: Array) -> Array:
+    """Return L of M = L L^T, the inverse of each number on its diagonal.
+
+    Args:
+        M: (..., k, k) symmetric positive definite; its lower triangle is read.
+    """
+    L, k = 0 * M, M.shape[-1]
+    for j in range(k):
+        row = L[..., j, :j]
+        inverse = 1 / np.sqrt(M[..., j, j] - (row * row).sum(axis=-1))
+        L[..., j, j] = inverse
+        column = M[..., j + 1 :, j] - (L[..., j + 1 :, :j] * row[..., None, :]).sum(axis=-1)
+        L[..., j + 1 :, j] = column * inverse[..., None]
+    return L
+
+
+def forward(L: Array, b: Array) -> Array:
+    """Return L^-1 b (..., k, c), L as `inverted_root` gives it."""
+    out = 0 * b
+    for i in range(L.shape[-1]):
+        solved = (L[..., i, :i, None] * out[..., :i, :]).sum(axis=-2)
+        out[..., i, :] = (b[..., i, :] - solved) * L[..., i, i, None]
+    return out
+
+
 def reduced(K: Array, M: Array, b: Array) -> tuple[Array, Array]:
     """Return L^-1 K L^-T (..., k, k) and L^-1 b (..., k, c), where M = L L^T.
 
@@ -118,23 +143,9 @@ def reduced(K: Array, M: Array, b: Array) -> tuple[Array, Array]:
         M: (..., k, k) mass, symmetric positive definite; its lower triangle is read.
         b: (..., k, c) vectors.
     """
-    L, k = 0 * M, M.shape[-1]  # the inverse of each number on the diagonal
-    for j in range(k):
-        row = L[..., j, :j]
-        inverse = 1 / np.sqrt(M[..., j, j] - (row * row).sum(axis=-1))
-        L[..., j, j] = inverse
-        column = M[..., j + 1 :, j] - (L[..., j + 1 :, :j] * row[..., None, :]).sum(axis=-1)
-        L[..., j + 1 :, j] = column * inverse[..., None]
-
-    def forward(b: Array) -> Array:
-        out = 0 * b
-        for i in range(k):
-            solved = (L[..., i, :i, None] * out[..., :i, :]).sum(axis=-2)
-            out[..., i, :] = (b[..., i, :] - solved) * L[..., i, i, None]
-        return out
-
-    half = np.swapaxes(forward(K), -1, -2)
-    return np.swapaxes(forward(half), -1, -2), forward(b)
+    L = inverted_root(M)
+    half = np.swapaxes(forward(L, K), -1, -2)
+    return np.swapaxes(forward(L, half), -1, -2), forward(L, b)
 
 
 def jacobi_sweep(A: Array, b: Array) -> tuple[Array, Array]:

@@ -150,6 +150,18 @@ class Simulator:
         """The engine has been stepped by a program of its own (`KernelBackend.pieces`)."""
         self.machines.changed()
 
+    def begun_elsewhere(self, ids: Index) -> None:
+        """Simulations have been put into other states in the engine itself.
+
+        Args:
+            ids: (k,) which; in space, nothing beside the engine but charts of free bodies.
+        """
+        self.machines.diverged[ids] = False
+        charts = self.machines.charts
+        if charts.free:
+            charts.reset(self.machines, ids, self.last_state)
+        self.machines.changed()
+
     def note_gains(self, kp: Array, kd: Array) -> None:
         """Take note of servo gains that such a program has set.
 

@@ -72,12 +72,15 @@ class CompiledBackend(ABC):
             return np.hstack([z, zd])
         parts = []
         for part in (z, zd):
-            bases = [self._systems[i].base for i in ids.tolist()]
-            attached = [b.attached(y) for b, y in zip(bases, part[:, :6], strict=True)]
             modes = self._gears + self._carried
             hidden = np.zeros((len(ids), modes + self._extras))
             if self._extras:
-                hidden[:, modes:] = attached
+                systems = [self._systems[i] for i in ids.tolist()]
+                if all(system is systems[0] for system in systems):
+                    hidden[:, modes:] = systems[0].base.attached(part[:, :6])
+                else:
+                    attached = zip(systems, part[:, :6], strict=True)
+                    hidden[:, modes:] = [k.base.attached(y) for k, y in attached]
             parts += [part, hidden]
         return np.hstack(parts)
 

@@ -229,7 +229,11 @@ class KernelBackend(CompiledBackend):
         return x[:, first:order], x[:, order + first :]
 
     def write(self, ids: Index, time: Array, z: Array, zd: Array) -> None:
-        self._x[ids // LANES, :, ids % LANES] = self.states_of(ids, z, zd)
+        self.begin(ids, self.states_of(ids, z, zd), time)
+
+    def begin(self, ids: Index, x: Array, time: Array | float = 0.0) -> None:
+        """Put simulations (k,) into states (k, nx) as `states_of` gives them."""
+        self._x[ids // LANES, :, ids % LANES] = x
         self._u[ids // LANES, :, ids % LANES] = 0.0  # no acceleration of a platform either
         self._start[ids], self._ticks[ids], self._fault[ids] = time, 0, False
 

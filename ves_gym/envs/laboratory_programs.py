@@ -56,10 +56,8 @@ class LaboratoryPrograms:
         assert isinstance(sim.backend, KernelBackend)
         self.sim, self.backend, self.shape = sim, sim.backend, shape
         self._functions, self._first, self._last = functions, tuple(first), tuple(last)
-        self._commands, external, self._modes = rows
-        self._measured = external[
-            :, shape.external["y_seen"].start : shape.external["stopped"].stop
-        ]
+        self._commands, inputs, self._modes = rows
+        self._measured = inputs[:, shape.inputs["y_seen"].start : shape.inputs["stopped"].stop]
         blocks, count = self.backend.blocks, shape.system.substeps + 1
         self._nodes = aligned(blocks, count * (6 + shape.joints), LANES)
         self._outputs = aligned(blocks, count * self.backend.outputs, LANES)
