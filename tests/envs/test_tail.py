@@ -71,8 +71,8 @@ def state(batch, away):
     return np.concatenate([s.y, u, away, s.yd, ud, s.v], axis=1)
 
 
-def decay(batch, **settings):
-    return FreeDecay(batch.system.ideal(), N, TAIL, **settings)
+def decay(batch, gains=GAINS):
+    return FreeDecay(batch.system.ideal(), N, TAIL, gains)
 
 
 @pytest.mark.parametrize("name", ["bent", "decoupled", "free-flying", "prescribed joints"])
@@ -85,8 +85,9 @@ def test_coupled_modes_are_the_exact_motion(name):
     q, kp, kd = rng.uniform(-2, 2, (N, 3)), *(np.tile(k, (N, 1)) for k in GAINS)
     parts = [((N, 6), 1e-2), ((N, b - 6), 0.0), ((N, 3), 1e-2)]
     x = np.hstack([rng.normal(size=size) * s for size, s in parts + parts])
-    compiled = FreeDecay(system, N, TAIL)
-    exact = FreeDecay(system, N, TAIL, coupled=True)(q, x, kp, kd)
+    compiled = FreeDecay(system, N, TAIL, GAINS)
+    assert not compiled.exact
+    exact = FreeDecay(system, N, TAIL, None)(q, x, kp, kd)
     found = compiled(q, x, kp, kd)
     np.testing.assert_allclose(compiled(q[:3], x[:3], kp[:3], kd[:3]), np.stack(found)[:, :3])
     for ours, truth in zip(found, exact, strict=True):
@@ -94,6 +95,14 @@ def test_coupled_modes_are_the_exact_motion(name):
         print(f"{name}: median {np.median(error):.1e}, max {error.max():.1e}")
         assert np.median(error) <= 1e-3
         assert error.max() <= 1e-2
+
+
+@pytest.mark.parametrize("arm", ["ur5e", "iiwa14"])
+def test_joints_near_critical_damping_are_counted_exactly(arm):
+    """Modes give 1e242 J s there, or no number; a system with them does not use them."""
+    batch = Batch(build_task("reach", arm=arm), 1)
+    assert batch.free_decay.exact
+    assert not Batch(build_task("reach"), 1).free_decay.exact
 
 
 @pytest.mark.parametrize("name", SYSTEMS)

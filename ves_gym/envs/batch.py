@@ -415,8 +415,9 @@ class Batch:
     @cached_property
     def free_decay(self) -> FreeDecay:
         """Energies that the base keeps after the end."""
-        coupled = self.task.control.level == "gains"
-        return FreeDecay(self._space, self.n, self.task.tail, coupled)
+        s = self._scene
+        gains = None if self.task.control.level == "gains" else (s.kp[0], s.kd[0])
+        return FreeDecay(self._space, self.n, self.task.tail, gains)
 
     def tail(self, ids: Index, ref: Array, kp: Array, kd: Array) -> tuple[Array, Array]:
         """Energy left in the base after the end [J s]: of E and of the strain energy.
