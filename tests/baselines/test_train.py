@@ -201,6 +201,7 @@ def expected_events(rows):
     return out
 
 
+@pytest.mark.slow
 def test_seeds_in_processes_differ_repeat_and_report(tmp_path):
     pytest.importorskip("tensorboard")
     config, board = replace(NATIVE, seeds=(0, 1), total_timesteps=300), tmp_path / "board"

@@ -90,6 +90,7 @@ def check(found: list[dict]) -> None:
             assert said.startswith("no ") or said.endswith(" of its limit")
 
 
+@pytest.mark.slow
 def test_no_motion_touches_anything():
     check(answers(5, (4.0,)))
 

@@ -153,6 +153,7 @@ def test_the_history_side_by_side_on_more_queries():
     history(MOST, 20)
 
 
+@pytest.mark.slow
 def test_prediction_matches_simulation_over_all_planned_motions():
     prediction([(HISTORY, 2), (("refined",), FEW)], (1.0, 4.0))
 

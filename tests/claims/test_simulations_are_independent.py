@@ -6,7 +6,6 @@ neighbours; and a run continued from a snapshot against the run that was not int
 """
 
 import pickle
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -20,13 +19,11 @@ from ves_gym.effects import (
     JointStribeck,
     JointTorqueLimit,
 )
-from ves_gym.engine import batch_parameters
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.state import State
-from ves_gym.system.effect import EFFECTS, TorqueEffect, parameter, register
 from ves_gym.system.system import System
 
 STEPS = 40
@@ -101,42 +98,6 @@ def require_that_places_do_not_matter(system: System, backend: str) -> None:
 def test_the_place_does_not_matter(mode, backend, geared):
     system = System(vehicle=BENT_THESIS, mode=mode, effects=(*LAWS, GEARS) if geared else LAWS)
     require_that_places_do_not_matter(system, backend)
-
-
-def register_placed() -> type[TorqueEffect]:
-    """A friction that rounds by the place in the batch, as a vector loop's remainder may."""
-
-    @register("joint/test_only_place")
-    @dataclass(frozen=True, kw_only=True)
-    class Placed(TorqueEffect):
-        modes = ("ideal", "emulated")
-        port = "joint"
-        damping: tuple = parameter("N m s/rad", bounds=(0.0, 10.0), shape=(3,))
-
-        def law(self, q, v, tau):
-            out = -self.damping * v
-            if isinstance(out, np.ndarray) and out.ndim == 2:  # no symbols, no single one
-                out[len(out) // 8 * 8 :] *= 1 + 2**-48
-            return out
-
-    return Placed
-
-
-@pytest.mark.parametrize("mode", ["ideal", "emulated"])
-def test_a_law_that_rounds_by_place_is_seen_and_evaluated_one_by_one(mode, monkeypatch):
-    try:
-        system = System(
-            vehicle=BENT_THESIS,
-            mode=mode,
-            effects=(register_placed()(damping=(2.0, 1.0, 3.0)),),
-        )
-        require_that_places_do_not_matter(system, "mujoco")
-        # the comparison above is not blind: all simulations at once, as laws are by default
-        monkeypatch.setattr(batch_parameters, "_stackable", lambda laws, joints: True)
-        with pytest.raises(AssertionError):
-            require_that_places_do_not_matter(system, "mujoco")
-    finally:
-        EFFECTS.pop("joint/test_only_place", None)
 
 
 def test_neighbours_do_not_matter():

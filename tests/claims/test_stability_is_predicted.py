@@ -102,6 +102,7 @@ def agreement(points) -> float:
     return float(np.mean(agree))
 
 
+@pytest.mark.slow
 def test_predictor_agrees_with_simulation_on_a_part_of_the_grid():
     assert agreement(GRID[::9]) >= 0.95
 

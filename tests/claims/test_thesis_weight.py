@@ -86,6 +86,7 @@ def test_what_is_missing_is_not_in_the_library(files):
     assert name.startswith("centre of mass") and size >= 4.6
 
 
+@pytest.mark.slow
 def test_the_arm_that_made_the_logs_is_left_alone(files):
     found = verdict(IDENTIFIED, files)
     assert not found.explanations and found.remaining == 0

@@ -372,6 +372,7 @@ def test_gains_beside_the_thesis(call):
     assert all(g["simulated"] is None for g in result["gains"])
 
 
+@pytest.mark.slow
 def test_gains_elsewhere_with_map_and_pictures(call, tmp_path):
     system = vg.System(arm=six_joint_arm(), vehicle=DECOUPLED)
     system.save(tmp_path / "six.toml")
@@ -396,6 +397,7 @@ def test_gains_elsewhere_with_map_and_pictures(call, tmp_path):
     assert [m["joints"] for m in result["map"]] == [[1, 2], [1, 3], [2, 3]]
 
 
+@pytest.mark.slow
 def test_check_of_an_emulation(call, tmp_path):
     status, out, _, result = call("emulation-check", "--vehicle", "bent-thesis", "--no-figures")
     assert status == 0 and "stable" in out and "UNSTABLE" not in out

@@ -51,6 +51,7 @@ def logs(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_friction_is_named_and_written_down(call, logs, tmp_path):
     status, out, err, result = call("diagnose", logs)
     assert (status, err) == (0, "")

@@ -4,6 +4,7 @@ import dataclasses
 import shlex
 
 import numpy as np
+import pytest
 
 from tests.diagnosis.thesis_laboratory import SYSTEM
 from ves_gym.diagnosis.inputs import system_inputs
@@ -31,6 +32,7 @@ def logged(log, path, seed):
     dataclasses.replace(log, **noisy, meta=meta).save(path)
 
 
+@pytest.mark.slow
 def test_the_experiment_that_the_command_designs_decides(call, tmp_path):
     noise = SensorNoise(force=(0.3,) * 3, moment=(0.1,) * 3)
     true = SYSTEM.replace(effects=(JointDriveGain(error=(0.0, 0.007, 0.0)), noise))

@@ -41,6 +41,7 @@ def named(found):
     return [f.candidate.kind for f in found.explanations]
 
 
+@pytest.mark.slow
 def test_a_bias_of_all_six_signals_is_one_cause_and_friction_of_all_joints_another():
     """With their twelve numbers, which the better description has and reads back."""
     found = told(BIAS, *RUBBING)

@@ -81,6 +81,8 @@ class _Packer:
             return value
         if id(value) in self.references:
             return {_TAG: "reference", "name": self.references[id(value)]}
+        if isinstance(value, np.ndarray) and value.dtype == object:  # events, systems by lane
+            return {_TAG: "objects", "of": [self.pack(item) for item in value]}
         if isinstance(value, (np.ndarray, np.generic)):
             return self._array(np.asarray(value), "array")
         if type(value).__module__ == "torch":  # a Tensor
@@ -138,6 +140,11 @@ def _unpack(
         import torch
 
         return torch.from_numpy(array)
+    if kind == "objects":
+        out = np.empty(len(tree["of"]), object)
+        for i, item in enumerate(unpack_all(tree["of"])):
+            out[i] = item
+        return out
     if kind == "reference":
         return references[tree["name"]]
     if kind == "system":

@@ -58,7 +58,7 @@ def slowly(*values):
     ("keys", "matrix", "text"),
     [
         slowly(["tau"], swap(3, 0, 1), "is tau_1 exchanged with tau_2"),
-        (["q", "v"], flip(3, 1), "has q_2 the other sign"),
+        slowly(["q", "v"], flip(3, 1), "has q_2 the other sign"),
         slowly(["q_cmd", "v_cmd"], swap(3, 1, 2), "is q_cmd_2 exchanged with q_cmd_3"),
         slowly(JOINT, flip(3, 2), "has joint 3 the other sign"),
         (["tau"], 1e3 * np.eye(3), "is tau in N mm, not N m"),
@@ -80,6 +80,7 @@ def test_a_mistake_in_the_log_is_asked_about(log, keys, matrix, text):
     assert asked(changed(log, keys, matrix)).startswith(text)
 
 
+@pytest.mark.slow
 def test_physics_is_no_mistake(log, hidden):
     """A tenth of the torque lost and a slow platform: large, and still no unit or sign."""
     assert asked(log) is None
@@ -91,6 +92,7 @@ def test_physics_is_no_mistake(log, hidden):
         assert asked(one) is None
 
 
+@pytest.mark.slow
 def test_masses_in_grams_are_asked_about(log):
     system = System.from_dict(log.meta["system"])
     stated = system.replace(arm=_heavier(system.arm, 1e3))
@@ -118,6 +120,7 @@ def test_a_rate_in_degrees_is_asked_about():
         require_as_logged(machine, [good, bad])
 
 
+@pytest.mark.slow
 def test_a_joint_of_six_that_rubs_is_not_in_another_unit():
     """Six torques are no wrench: one that is small beside the others is looked at like them."""
     arm = get_arm("puma560-wrist")

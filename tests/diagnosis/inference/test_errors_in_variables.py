@@ -127,6 +127,7 @@ def test_a_noisy_pose_makes_no_base_lighter(name):
     assert not found.explanations
 
 
+@pytest.mark.slow
 def test_a_heavier_base_is_named_through_the_same_noise():
     system = System(vehicle=BENT_THESIS)
     hidden = system.replace(effects=(E.BaseVirtualMass(error=0.3),))
@@ -149,6 +150,7 @@ def with_slow_angles(logs, seed, dt, memory=0.02):
 
 
 @pytest.mark.parametrize("lag", [0.0, -0.4])
+@pytest.mark.slow
 def test_noise_of_angles_makes_no_sensor_slower(lag):
     """Tolerances of ten times the usual: sensor/lag was named, gain 51, where none is."""
     system = System(vehicle=BENT_THESIS, mode="emulated")

@@ -136,7 +136,7 @@ def test_a_name_is_earned_if_no_curve_explains_clearly_more(along, monkeypatch):
     find that on the run held back, and nothing beside friction as the library has it. (Its
     number is not the same throughout, either, which is found before.)
     """
-    monkeypatch.setattr(d, "without_unsteady", lambda selection, residuals: selection)
+    monkeypatch.setattr(d, "drop_nonstationary", lambda selection, residuals: selection)
     angles = [run.q for run in (recorded(DESCRIBED, 1), recorded(DESCRIBED, 2))]
     low, high = np.min(np.concatenate(angles), axis=0), np.max(np.concatenate(angles), axis=0)
     none = (0.0,) * 3

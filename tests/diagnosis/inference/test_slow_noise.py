@@ -71,6 +71,7 @@ def test_runs_share_the_colour_of_the_one_that_moves_least(log):
 
 
 @pytest.mark.parametrize(("size", "names"), [(0.8, 0), (2.0, 1)])
+@pytest.mark.slow
 def test_a_drift_below_the_noise_stated_is_part_of_it(size, names):
     """F_y wanders by parts of its noise: above it, it drifts."""
     quiet = played(SYSTEM, HISS)

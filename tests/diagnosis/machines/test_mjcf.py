@@ -126,6 +126,7 @@ force = [{ column = "i2" }]
 """
 
 
+@pytest.mark.slow
 def test_a_machine_in_mjcf_goes_from_command_to_files_that_play_the_same(tmp_path, capsys):
     """What MJCF holds is in the model, the rest in the mapping; both are found right again."""
     motor = '<actuator><motor joint="shoulder" gear="50"/></actuator></mujoco>'

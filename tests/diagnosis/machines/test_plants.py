@@ -207,6 +207,7 @@ def test_a_payload_over_a_force_plate(plate):
     assert values["plate/payload"][0] == pytest.approx(2.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_softer_base_and_a_bias_over_a_force_plate(plate):
     softer = SPRINGS * np.diag([0.9, 1, 1, 1, 1, 1])
     bias = np.array([5.0, 0.0, 0.0, 0.0, 3.0, 0.0])

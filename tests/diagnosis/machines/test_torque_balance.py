@@ -67,6 +67,7 @@ def test_a_fit_goes_on_as_long_as_a_round_gains_much(run, monkeypatch):
     assert ends[0] < found.deviance + 20 < ends[1]
 
 
+@pytest.mark.slow
 def test_the_same_where_what_was_asked_tells_the_torque_too(run):
     """All gains are larger then; beside the gear that is there another gains nothing."""
     residuals, gears, gains, found = gears_found(run)
@@ -137,6 +138,7 @@ def test_noise_hardly_moves_teeth_and_the_load_of_a_motion_does(run, monkeypatch
 
 
 @pytest.mark.parametrize("rubs", [(), (E.JointCoulomb(torque=(4.0, 6.0, 6.0)),)])
+@pytest.mark.slow
 def test_others_feel_a_link_in_flight_where_it_is_and_not_where_it_is_foretold(
     monkeypatch, rubs
 ):

@@ -160,6 +160,7 @@ def named_on(vehicle, rider):
     return diagnose(inputs.machine, inputs.runs, inputs.final, candidates=library)
 
 
+@pytest.mark.slow
 def test_a_heavy_mode_is_named_with_its_mass_through_the_noise_of_a_pose():
     vehicle = MatrixVehicle(M=M.tolist(), D=D.tolist(), K=K.tolist(), source="this test")
     found = named_on(vehicle, RIDER)
@@ -168,6 +169,7 @@ def test_a_heavy_mode_is_named_with_its_mass_through_the_noise_of_a_pose():
     assert name.values == pytest.approx([RIDER["mass"], RIDER["frequency"]], rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_mode_on_a_satellite_is_named_along_its_way():
     """Its 60 kg come on top of the 800 kg of the body, which is as described."""
     body = Inertial(mass=800.0, com=(0.0, 0.0, -0.5), inertia=matrix(np.diag([300.0] * 3)))
