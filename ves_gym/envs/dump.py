@@ -21,7 +21,7 @@ from ves_gym.system.system import System
 Rows = tuple[list[Array], npt.NDArray[np.intp]]
 
 
-class Recorded(Protocol):
+class RecordableBatch(Protocol):
     """n episodes of a task: `Batch`."""
 
     task: Task
@@ -38,7 +38,7 @@ class Recorded(Protocol):
         """Counters and sums of the episodes."""
 
 
-def wrench_on_base(batch: Recorded, acceleration: Array | None = None) -> Array:
+def wrench_on_base(batch: RecordableBatch, acceleration: Array | None = None) -> Array:
     """(n, 6) wrench of the arm on the base in platform axes, without weight [N, N m].
 
     In the laboratory what is measured less the gravity estimate; in space the truth, from
@@ -61,7 +61,9 @@ class Recorder:
         folder: where those that diverge are written; made if it is not there. None: nowhere.
     """
 
-    def __init__(self, batch: Recorded, folder: str | os.PathLike[str] | None = None) -> None:
+    def __init__(
+        self, batch: RecordableBatch, folder: str | os.PathLike[str] | None = None
+    ) -> None:
         self.batch, self.folder = batch, None if folder is None else Path(folder)
         if self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
