@@ -534,7 +534,9 @@ def test_a_snapshot_of_another_engine_is_refused(ours):
     other = {"kernel": "mujoco", "mujoco": "kernel"}[ours]
     sim = Simulator(System(vehicle=BENT_THESIS), backend=ours)
     kept = Simulator(System(vehicle=BENT_THESIS), backend=other).snapshot()
-    with pytest.raises(ParameterError, match=rf"on backend {other}, this is .* on backend {ours}"):
+    with pytest.raises(
+        ParameterError, match=rf"on backend {other}, this is .* on backend {ours}"
+    ):
         sim.restore(kept)
 
 

@@ -342,7 +342,9 @@ def test_a_snapshot_of_something_else_is_refused(name):
     with pytest.raises(ParameterError, match="snapshot is of task"):
         env.unwrapped.restore(longer.unwrapped.snapshot())
     mujoco = begun(name, backend="mujoco")
-    with pytest.raises(ParameterError, match=r"on backend mujoco, this is .* on backend kernel"):
+    with pytest.raises(
+        ParameterError, match=r"on backend mujoco, this is .* on backend kernel"
+    ):
         env.unwrapped.restore(mujoco.unwrapped.snapshot())
     assert same(env.unwrapped.snapshot(), before)
 
