@@ -253,12 +253,8 @@ def test_an_effect_of_ten_times_the_noise_is_seen_at_its_port(kind, healthy, qui
 
 
 @pytest.mark.parametrize("kind", [k for k in SIZES if k != "sensor/drift"])
-def test_an_effect_that_is_described_leaves_nothing(kind, healthy, whole, request):
+def test_an_effect_that_is_described_leaves_nothing(kind, healthy, whole):
     """At every port, without noise: what is left could be taken for a second effect."""
-    if (
-        kind == "payload/inertia"
-    ):  # 12,000 at the admittance since the last refactoring: a fault
-        request.node.add_marker(pytest.mark.xfail(reason="leaves 12,000: to be mended"))
     system = MACHINES.get(kind, SYSTEM)
     _, _, effect = injected(healthy(system)[1], kind)
     log = play_motions(system.replace(effects=(effect,)), MOTIONS, settle=1.0).log(0)

@@ -245,9 +245,10 @@ def implicit_matrices(
     s = M.shape[-1]
     k = rows or s
     loss = dt / 2 * D + dt**2 / 4 * K
-    # the matrix is symmetric: rows of its inverse are columns
+    # rows of the inverse are columns of the transpose's: in turning frames D and K are not
+    # symmetric
     columns = np.broadcast_to(np.eye(s)[:, :k], (len(M), s, k))
-    inverse = np.swapaxes(np.linalg.solve(M + loss, columns), 1, 2)
+    inverse = np.swapaxes(np.linalg.solve(np.swapaxes(M + loss, 1, 2), columns), 1, 2)
     rate = np.concatenate([-dt * inverse @ K, inverse @ (M - loss)], axis=2)
     here = np.eye(2 * s)
     pose = here[:k] + dt / 2 * (here[s : s + k] + rate)
