@@ -415,8 +415,7 @@ class Batch:
     @cached_property
     def free_decay(self) -> FreeDecay:
         """Energies that the base keeps after the end."""
-        s = self._scene
-        gains = None if self.task.control.level == "gains" else (s.kp[0], s.kd[0])
+        gains = None if self.task.control.level == "gains" else self._hold
         return FreeDecay(self._space, self.n, self.task.tail, gains)
 
     def tail(self, ids: Index, ref: Array, kp: Array, kd: Array) -> tuple[Array, Array]:

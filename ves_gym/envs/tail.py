@@ -24,7 +24,7 @@ from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.maps import inertia_function
 from ves_gym.engine.kernel.numbers import parameters
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.modes import forward, inverted_root, natural_modes, root, sum_quadratic
+from ves_gym.mechanics.modes import forward, inverted_root, root, sum_quadratic
 from ves_gym.mechanics.spatial import solve_symmetric
 from ves_gym.system.system import System
 
@@ -57,19 +57,13 @@ class FreeDecay:
         self.b, self.n = len(self.M), system.arm.n
         self.locked = system.drive == "prescribed"  # perfect servos hold the joints
         self.axes = self.b if self.locked else self.b + self.n
-        self.exact = gains is None or self._overdamped()
-        if gains is not None and not self.exact:
+        self.exact = gains is None
+        if gains is not None:
             self._run = self._program(-(-max(n, _STATES) // LANES))
             self.exact = not self._modes_hold(*gains)
 
-    def _overdamped(self) -> bool:
-        """Whether the base alone has modes that do not swing."""
-        omega, shapes = natural_modes(self.K, self.M)
-        damping = (shapes * (self.D @ shapes)).sum(axis=0)
-        return bool((damping > 2 * _DAMPED * np.maximum(omega, _SLOWEST)).any())
-
     def _modes_hold(self, kp: Array, kd: Array) -> bool:
-        """Whether modes are as good as exact: on joints near critical damping they are not."""
+        """True where modes are as good as exact, which near critical damping they are not."""
         rng, arm = np.random.default_rng(0), self.system.arm
         low, high = (np.clip(arm.column(k), -np.pi, np.pi) for k in ("q_min", "q_max"))
         q = rng.uniform(low, high, (_STATES, self.n))

@@ -35,6 +35,8 @@ _TURN = 0.5  # rad, its largest rotation as drawn
 _EDGE = 8  # px around words
 _ARROW = 0.6  # m, of the longest arrow
 _LEAST = 2e-3  # m, rad: smaller motions are not magnified more
+# J, least top of the strip: MuJoCo draws a range below 1e-5 about zero, to -1e-5
+_AXIS = 1e-4
 _ROOM = 0.3  # m the base moves before the arm's camera follows
 _GRAY, _ENERGY, _STRAIN = (0.85, 0.88, 0.92), (0.32, 0.72, 0.98), (0.55, 0.60, 0.68)
 _FONT = mujoco.mjtFont.mjFONT_NORMAL
@@ -226,7 +228,7 @@ class Stage:
 
     def _energy(self, rect: mujoco.MjrRect) -> None:
         t, E, strain = self._all("t"), self._all("E"), self._all("strain")
-        figure, top = self.strip, _round_up(max(1e-6, float(E.max())))
+        figure, top = self.strip, _round_up(max(_AXIS, float(E.max())))
         first = max(0.0, t[-1] - self.settings.span) if self.settings.rolling else 0.0
         figure.range[:] = ((first, first + self.settings.span), (0.0, top))
         stride = max(1, math.ceil(len(t) / _POINTS))

@@ -118,9 +118,8 @@ def _curve(
     """Fit a curve on the first runs and judge it by the second."""
     samples = np.concatenate([quantity(run) for run in both[0].runs])
     knots = np.quantile(samples, np.linspace(0, 1, _SPLINES - _DEGREE + 1))
-    knots = knots + 1e-9 * np.ptp(samples) * np.arange(
-        len(knots)
-    )  # what rests gives equal ones
+    # what rests gives equal ones
+    knots = knots + 1e-9 * np.ptp(samples) * np.arange(len(knots))
     ends = [knots[0]] * _DEGREE, [knots[-1]] * _DEGREE
     t = np.concatenate([ends[0], knots, ends[1]])
     x: Array = np.zeros(_SPLINES)

@@ -36,15 +36,11 @@ _SOURCES = (
     "system",
 )
 _MARK = b"ves-code/1\n"
-NOT_HERE = (
-    ImportError,
-    RuntimeError,
-    OSError,
-)  # what compiling raises where it is not possible
+# what compiling raises where it is not possible
+NOT_HERE = (ImportError, RuntimeError, OSError)
 _RUN = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
-_functions: dict[
-    str, Any
-] = {}  # by key: `MachineCode`, or the error where none can be; a GPU's kernel
+# by key: `MachineCode`, or the error where none can be; a GPU's kernel
+_functions: dict[str, Any] = {}
 
 
 @dataclass(frozen=True)
@@ -97,11 +93,15 @@ def _built(
         name = hashlib.sha256(f"{key} {machine()}".encode()).hexdigest()[:32]
         path = cache_folder() / f"{name}.code"
         stored = _read(path)
-        if stored is None:
-            head = json.dumps(sizes()).encode()
-            stored = head + b"\n" + compile_text(text())
-            with contextlib.suppress(OSError):  # nowhere to keep it: compiled again next time
-                write_bytes(path, _MARK + hashlib.sha256(stored).digest() + stored)
+        if stored is not None:
+            return _loaded(stored)
+    except NOT_HERE as error:
+        return error
+    head, traced = json.dumps(sizes()).encode(), text()  # a fault of the text itself is raised
+    try:
+        stored = head + b"\n" + compile_text(traced)
+        with contextlib.suppress(OSError):  # nowhere to keep it: compiled again next time
+            write_bytes(path, _MARK + hashlib.sha256(stored).digest() + stored)
         return _loaded(stored)
     except NOT_HERE as error:
         return error
