@@ -10,8 +10,8 @@ import ves_gym.effects  # noqa: F401  (fills the registry)
 from tests.effects.values import VALUES
 from ves_gym._util.params import ParameterError
 from ves_gym.cli import flags
-from ves_gym.cli.effect_text import parse_effect
 from ves_gym.cli.flags import Flag, Place, radians_note, values
+from ves_gym.cli.machine import parse_effect
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.system.effect import EFFECTS
 

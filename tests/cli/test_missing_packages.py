@@ -31,8 +31,8 @@ class Hidden(MetaPathFinder):
 hidden = set(sys.argv[1].split(","))
 sys.meta_path.insert(0, Hidden())
 from ves_gym.cli.main import COMMANDS, main
-for name in COMMANDS:
-    importlib.import_module("ves_gym.cli." + name.replace("-", "_"))
+for name, _ in COMMANDS.values():
+    importlib.import_module(f"ves_gym.cli.{name}")
 for request in sys.stdin:
     names, words, folder, *files = json.loads(request)
     child = os.fork()

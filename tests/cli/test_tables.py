@@ -3,7 +3,6 @@
 `python -m tests.cli.test_tables` writes it anew; the difference is what users will see.
 """
 
-import importlib
 import inspect
 from pathlib import Path
 
@@ -11,37 +10,35 @@ import pytest
 
 import ves_gym as vg
 from ves_gym import api
-from ves_gym.cli.files import PICTURES
+from ves_gym.cli.flags import PICTURES
 from ves_gym.cli.machine import MACHINE
-from ves_gym.cli.main import COMMANDS, main
+from ves_gym.cli.main import COMMANDS, main, table_of
 
 PAGE = Path(__file__).with_name("tables.txt")
-VERBS = [name for name in vg.__all__ if inspect.isfunction(getattr(api, name, None))]
+TABLES = {words: row for name in COMMANDS for words, row in table_of(name).items()}
 
 
-def tables():
-    """Commands and actions: (name, flags, function)."""
-    for name in COMMANDS:
-        module = importlib.import_module(f"ves_gym.cli.{name.replace('-', '_')}")
-        for action, (_, flags, run) in getattr(module, "ACTIONS", {}).items():
-            yield f"{name} {action}", flags, run
-        if hasattr(module, "FLAGS"):
-            yield name, module.FLAGS, module.run
+def line(title, flags):
+    texts = []
+    for flag in flags:
+        own = flag.name.lstrip("-").replace("-", "_").lower()
+        to = "" if flag.parameter == own else f"-> {flag.parameter}"
+        texts.append(" ".join(filter(None, (flag.name, flag.form, to))))
+    return f"{title}: {', '.join(texts)}"
 
 
 def page():
     lines = []
-    for name in VERBS:
-        parameters = inspect.signature(getattr(vg, name)).parameters
-        lines.append(f"vg.{name}({', '.join(map(str, parameters))})")
-    for name, flags, _ in tables():
-        lines.append(f"ves-gym {name}")
-        for flag in flags:
-            to = flag.parameter
-            own = flag.name.lstrip("-").replace("-", "_").lower()
-            lines.append(
-                f"  {flag.name} {flag.form}".rstrip() + (f" -> {to}" if to != own else "")
-            )
+    for name in vg.__all__:
+        if inspect.isfunction(getattr(api, name, None)):
+            parameters = inspect.signature(getattr(vg, name)).parameters
+            lines.append(f"vg.{name}({', '.join(map(str, parameters))})")
+    lines.append(line("options of a machine", MACHINE))
+    for words, (_, flags) in TABLES.items():
+        named = {flag.name for flag in flags}
+        rest = [flag for flag in flags if flag not in MACHINE]
+        machine = " of a machine" * ({flag.name for flag in MACHINE} <= named)
+        lines.append(line(f"ves-gym {words}{machine}", rest))
     return "\n".join(lines) + "\n"
 
 
@@ -50,24 +47,24 @@ def test_the_front_doors_are_as_written():
 
 
 def test_every_flag_has_a_parameter_and_help():
-    for name, flags, run in tables():
+    for words, (run, flags) in TABLES.items():
         taken = inspect.signature(run).parameters
         rest = any(p.kind is p.VAR_KEYWORD for p in taken.values())
         for flag in flags:
-            assert flag.help, (name, flag.name)
-            main_s = flag in MACHINE or flag in PICTURES
-            assert main_s or flag.parameter in taken or rest, (name, flag.name)
-        if rest and name not in ("plan", "studio", "map", "view", "calibrate", "structure"):
-            assert "progress" in taken, name  # it is not among the rest
+            assert flag.help, (words, flag.name)
+            main_s = flag in MACHINE or flag.name in {k.name for k in PICTURES}
+            assert main_s or flag.parameter in taken or rest, (words, flag.name)
 
 
-@pytest.mark.parametrize("command", [(), *((name,) for name in COMMANDS)])
-def test_help_exits_0(command, capsys):
+@pytest.mark.parametrize(
+    "words", [(), *{(k,) for k in COMMANDS}, *(k.split() for k in TABLES if " " in k)]
+)
+def test_help_exits_0(words, capsys):
     with pytest.raises(SystemExit) as end:
-        main([*command, "--help"])
+        main([*words, "--help"])
     out = " ".join(capsys.readouterr().out.split())
     assert end.value.code == 0 and "usage: ves-gym" in out
-    if command and command[0] in ("simulate", "plan", "evaluate", "diagnose", "train"):
+    if words and words[0] in ("simulate", "plan", "evaluate", "diagnose", "train"):
         assert "joint/coulomb:torque=3,0,0" in out
 
 

@@ -1,4 +1,4 @@
-"""The figures are written for what a result holds, and show something."""
+"""The figures are written for what a result holds, and show what they are of, each time."""
 
 import sys
 
@@ -6,6 +6,13 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
+from ves_gym.damping.configurations import damping_map
+from ves_gym.damping.free_vibration import linear_free_vibration, simulate_free_vibration
+from ves_gym.damping.plant import GainMatrices, analyse, plant_at
+from ves_gym.hardware.leg_servo import LEG_SERVOS, LOW_GAINS
+from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
+from ves_gym.mechanics.vehicle import BENT_THESIS
+from ves_gym.report.damping import map_figure, pole_figure, response_figure
 from ves_gym.report.figures import (
     anytime_figure,
     benchmark_figures,
@@ -13,25 +20,27 @@ from ves_gym.report.figures import (
     time_figure,
     write_figures,
 )
+from ves_gym.report.machine_figures import leg_bode_figure, leg_figures
+from ves_gym.report.planner_styles import colour_of
+from ves_gym.simulation.stability import poles_in_space
+from ves_gym.system.system import System
 
-ALL = ["ratio.png", "energy.png", "coupling.png", "prediction.png"]
+pytest.importorskip("matplotlib")
 
-
-def write(result, folder, form="png"):
-    figures = benchmark_figures(result)
-    return write_figures({folder / name: figures[name] for name in figures}, form)
-
-
-def written(result, folder):
-    return [path.name for path in write(result, folder)]
+ALL = ["ratio", "energy", "coupling", "prediction", "pareto"]
 
 
-def test_four_figures_with_something_on_them(tmp_path, make_result):
+def write(figures, folder, form="png"):
+    return write_figures({folder / name: figure for name, figure in figures.items()}, form)
+
+
+def test_figures_have_something_on_them_and_are_the_same_each_time(tmp_path, result):
     from PIL import Image
 
-    paths = write(make_result(durations=(1.0, 2.0), points=21), tmp_path)
-    assert [path.name for path in paths] == ALL
-    for path in paths:
+    paths, again = (write(benchmark_figures(result), tmp_path / folder) for folder in "ab")
+    assert [path.name for path in paths] == [f"{name}.png" for name in ALL]
+    for path, second in zip(paths, again, strict=True):
+        assert path.read_bytes() == second.read_bytes()
         pixels = np.asarray(Image.open(path).convert("RGB"))
         assert min(pixels.shape[:2]) > 400
         colours = pixels @ [1, 256, 256**2]  # each as one number
@@ -39,108 +48,140 @@ def test_four_figures_with_something_on_them(tmp_path, make_result):
 
 
 @pytest.mark.parametrize(("form", "start"), [("svg", b"<?xml"), ("pdf", b"%PDF")])
-def test_a_paper_gets_lines_instead_of_pixels(tmp_path, make_result, form, start):
-    result = make_result(queries=1, points=9)
-    paths = write(result, tmp_path, form)
-    assert [p.name for p in paths] == [name.replace("png", form) for name in ALL]
-    assert all(p.read_bytes().startswith(start) for p in paths)
-    (second,) = write_figures({tmp_path / "second": time_figure(result, "E")}, form)
-    assert second.read_bytes() == paths[1].read_bytes()
+def test_a_paper_gets_lines_instead_of_pixels(tmp_path, result, form, start):
+    first, second = (
+        write({k: time_figure(result, "E")}, tmp_path, form)[0].read_bytes() for k in "ab"
+    )
+    assert first.startswith(start) and first == second
 
 
-def test_weights_add_a_figure(tmp_path, make_result):
+def test_weights_are_joined_in_their_order(result):
     """Energy against two accelerations: a line through the weights, a point per planner."""
-    result = make_result(queries=2, durations=(1.0,), points=9)
-    for k, row in enumerate(result["summary"]):
-        row |= {"acceleration_ratio_median": 1.0 + k, "acceleration_peak_ratio_median": 2.0 + k}
     some = result["summary"][0]
+    names = {row["planner"] for row in result["summary"]}
+    result["summary"] = [r for r in result["summary"] if r["duration"] == some["duration"]]
     for weight in (0.3, 0.03):
         name = f"{some['planner']}:tip={weight}"
         result["planners"].append({"name": name, "summary": ""})
         result["summary"].append({**some, "planner": name, "ratio_median": weight})
-    assert written(result, tmp_path) == [*ALL, "pareto.png"]
     for axes in pareto_figure(result).axes:
         (joined,) = [line for line in axes.lines if len(line.get_xdata()) == 3]
         assert list(joined.get_xdata()) == [some["ratio_median"], 0.03, 0.3]
         assert {text.get_text() for text in axes.texts} == {"0.03", "0.3"}
-        labels = {line.get_label() for line in axes.lines}
-        assert labels >= {p["name"] for p in result["planners"][:4]}
+        assert {line.get_label() for line in axes.lines} >= names
 
 
-def test_searches_add_a_figure(tmp_path, make_result):
-    """A panel per case, a line per search in its planner's colour, and the 5 % line."""
-    result = make_result(queries=2, durations=(1.0,), points=9)
-    curve = {
-        "vehicle": "bent-thesis",
-        "n": 2,
-        "seconds": [0.1, 0.5, 1.0],
-        "ratio": [1.3, 1.02, 1.0],
-    }
+def test_searches_have_a_panel_per_case_in_their_colours(result):
+    curve = {"vehicle": "bent", "n": 2, "seconds": [0.1, 0.5, 1.0], "ratio": [1.3, 1.02, 1.0]}
+    names = ["hotspot-q", "direct"]
     result["anytime"] = [
-        {**curve, "duration": d, "planner": name}
-        for d in (1.0, 2.0)
-        for name in ("hotspot-q", "direct")
+        {**curve, "duration": d, "planner": name} for d in (1.0, 2.0) for name in names
     ]
-    assert written(result, tmp_path) == [*ALL, "anytime.png"]
     panels = anytime_figure(result).axes
-    assert [len(axes.lines) for axes in panels] == [3, 3]
-    colours = [drawn.get_color() for drawn in panels[0].lines[:2]]
-    assert colours == ["#c8541a", "#0a7bb5"]  # those of these planners elsewhere
+    assert [len(axes.lines) for axes in panels] == [3, 3]  # one is at 5 %
+    assert [k.get_color() for k in panels[0].lines[:2]] == [colour_of(k) for k in names]
 
 
-def test_mode_emulated_adds_base_motion_and_strain_energy(tmp_path, make_emulated):
-    """Also where every straight line was stopped: no ratio, and traces that end early."""
-    names = written(make_emulated(queries=2, durations=(1.0, 2.0), points=9), tmp_path)
-    assert names == [*ALL, "base_motion_emulated.png", "strain_energy_emulated.png"]
-
-
-def test_a_stopped_run_and_the_run_in_space_are_drawn(make_emulated):
-    """Two lines per run, and a cross for the stop."""
-    result = make_emulated(planners=4, queries=1, durations=(2.0,), points=9)
-    lines = time_figure(result, "distance").axes[0].lines
-    assert len(lines) == 4 * 2 + 1
-    (cross,) = [curve for curve in lines if curve.get_marker() == "x"]
-    first = result["traces"][0]["series"][0]
+def test_a_stopped_run_and_the_run_in_space_are_drawn(emulated):
+    """Two lines per run, and a cross where it stopped."""
+    assert set(benchmark_figures(emulated)) >= {
+        "base_motion_emulated",
+        "strain_energy_emulated",
+    }
+    lines = time_figure(emulated, "distance").axes[0].lines
+    (trace,) = emulated["traces"]
+    assert all(row["stopped"] for row in emulated["rows"])
+    assert len(lines) == 3 * len(trace["series"])
+    cross = next(curve for curve in lines if curve.get_marker() == "x")
+    first = trace["series"][0]
     assert cross.get_xdata() == [first["t"][-1]]
     assert cross.get_ydata() == [pytest.approx(1e3 * first["distance"][-1])]  # mm
-
-
-def test_figures_are_reproducible(tmp_path, make_result):
-    result = make_result(queries=3, durations=(1.0,), points=9)
-    first = [path.read_bytes() for path in write(result, tmp_path / "a")]
-    repeated = [path.read_bytes() for path in write(result, tmp_path / "b")]
-    assert first == repeated
 
 
 @pytest.mark.parametrize(
     ("change", "names"),
     [
-        ({"maps": []}, ["ratio.png", "energy.png", "prediction.png"]),
-        ({"traces": [], "maps": []}, ["ratio.png", "prediction.png"]),
+        ({"maps": []}, ["ratio", "energy", "prediction", "pareto"]),
+        ({"traces": [], "maps": [], "summary": []}, ["ratio", "prediction"]),
         ({"rows": [], "summary": [], "traces": [], "maps": []}, []),
     ],
 )
-def test_only_what_there_is_data_for(tmp_path, make_result, change, names):
-    result = {**make_result(planners=1, queries=1, durations=(2.0,), points=9), **change}
-    assert written(result, tmp_path) == names
+def test_only_what_there_is_data_for(result, change, names):
+    assert list(benchmark_figures({**result, **change})) == names
 
 
-def test_a_motion_without_energy_or_prediction_is_left_out(tmp_path, make_result):
-    result = make_result(queries=1, durations=(2.0,), points=9)
+def test_what_is_missing_in_a_result_is_left_out(result, monkeypatch):
     for row in result["rows"]:
         row.update(E_mean=0.0, predicted=None, prediction_error=None)
-    assert written(result, tmp_path) == ALL
-
-
-def test_a_map_without_lines_or_ends_is_drawn(tmp_path, make_result):
-    result = make_result(queries=1, durations=(2.0,), points=9)
     for section in result["maps"]:
-        section.update(lines=[], paths=[])
-        del section["start"], section["goal"]
-    assert "coupling.png" in written(result, tmp_path)
-
-
-def test_without_matplotlib_the_extra_is_named(tmp_path, make_result, monkeypatch):
+        section.update(lines=[], paths=[], start=None, goal=None)
+    assert list(benchmark_figures(result)) == ALL
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(ParameterError, match=r"ves-gym\[report\]"):
-        benchmark_figures(make_result(queries=1, points=9))
+        benchmark_figures(result)
+
+
+# ------------------------------------------------------------------- servos, gains, legs
+
+SYSTEM = System(vehicle=BENT_THESIS)
+Q = np.deg2rad([45.0, 0.0, 0.0])
+SETS = [GainMatrices.of(HIGH_GAINS), GainMatrices.of(PPED_GAINS)]
+NAMES = ["high", "PPED"]
+
+
+@pytest.mark.parametrize("servos", [LEG_SERVOS, {"shaking": LOW_GAINS.scaled(5)}])
+def test_legs_have_four_figures(tmp_path, servos):
+    """Also an unstable servo alone."""
+    drawn = leg_figures(servos)
+    assert list(drawn) == ["leg_open", "leg_closed", "leg_step", "leg_poles"]
+    for file in write(drawn, tmp_path):
+        assert file.stat().st_size > 10_000
+
+
+def test_bode_figure_shades_the_mode_and_names_each_servo():
+    magnitude, phase = leg_bode_figure(LEG_SERVOS, closed=True).axes
+    labels = [text.get_text() for text in magnitude.get_legend().get_texts()]
+    assert [label.split(":")[0] for label in labels] == list(LEG_SERVOS)
+    for axes in (magnitude, phase):
+        (band,) = axes.patches
+        assert (band.get_x(), band.get_x() + band.get_width()) == (10, 13)
+
+
+def test_every_pole_of_the_upper_half_is_drawn():
+    plant = plant_at(SYSTEM, Q)
+    sets = [(n, analyse(plant, g).poles) for n, g in zip(NAMES, SETS, strict=True)]
+    figure = pole_figure(sets, poles_in_space(plant.mass, SYSTEM.base.D, SYSTEM.base.K))
+    assert [axes.get_title() for axes in figure.axes] == NAMES
+    for axes, (_, poles) in zip(figure.axes, sets, strict=True):
+        _, rings, crosses = axes.lines
+        assert len(rings.get_xdata()) == 6
+        upper = poles[poles.imag >= 0]
+        np.testing.assert_array_equal(crosses.get_xdata(), upper.real)
+        (slowest, fastest), (_, top) = axes.get_xlim(), axes.get_ylim()
+        assert slowest < upper.real.min() and upper.real.max() < fastest
+        assert upper.imag.max() < top
+
+
+@pytest.mark.parametrize("both", [True, False])
+def test_responses_of_both_models_are_drawn(both):
+    linear = linear_free_vibration(SYSTEM, Q, SETS, seconds=4.0)
+    simulated = simulate_free_vibration(SYSTEM, Q, SETS, seconds=4.0) if both else None
+    figure = response_figure(NAMES, linear, simulated)
+    translation, strain, integral = figure.axes
+    assert len(strain.lines) == (4 if both else 2)
+    start = translation.lines[0].get_ydata()[0]
+    assert start == pytest.approx(100 * np.sqrt(3))  # mm
+    np.testing.assert_array_equal(strain.lines[-1].get_ydata(), linear.strain[1])
+    assert integral.lines[-1].get_ydata()[-1] == pytest.approx(linear.E_int[1])
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == NAMES + ["by the linear model"] * both
+
+
+def test_a_map_has_a_column_per_section():
+    figure = map_figure([damping_map(SYSTEM, k, Q, points=2) for k in ((0, 1), (1, 2))])
+    panels = [axes for axes in figure.axes if axes.get_title()]
+    assert len(panels) == 6
+    assert [axes.get_title() for axes in panels[:2]] == ["joint 3 at 0°", "joint 1 at 45°"]
+    assert panels[1].get_xlabel() == "joint 2 [deg]"
+    star = panels[0].lines[0]
+    assert (star.get_xdata()[0], star.get_ydata()[0]) == pytest.approx((45, 0))

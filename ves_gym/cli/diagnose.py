@@ -18,8 +18,18 @@ from ves_gym._util.params import (
     write_result,
     write_text,
 )
-from ves_gym.cli.files import log_file
-from ves_gym.cli.flags import Answer, Flag, integer, number, path, read, say, text
+from ves_gym.cli.flags import (
+    Answer,
+    Context,
+    Flag,
+    integer,
+    log_file,
+    number,
+    path,
+    read,
+    say,
+    text,
+)
 from ves_gym.cli.machine import EFFECT, arm_flag
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.planners.case import Case
@@ -29,39 +39,6 @@ from ves_gym.system.system_library import get_system
 if TYPE_CHECKING:
     from ves_gym.diagnosis.diagnose import Diagnosis
     from ves_gym.diagnosis.inputs import DiagnosisInputs
-
-SCHEMA = "ves-diagnose/1"
-OUT = Path("out/diagnose")
-FLAGS = (
-    Flag("LOG", "", lambda name, place: str(log_file(name, place)), many=True,
-         help="run logs of one machine, cases that name one, or folders of logs; with --machine"
-         " data files (.mat, .csv), or folders of .csv files that belong together"),
-    Flag("--system", "FILE", read(get_system),
-         "the machine as described (default: that of the logs)"),
-    arm_flag("that of the system or the logs"),
-    EFFECT,
-    Flag("--machine", "FILE", text,
-         "a machine in MJCF: mapping file that says which columns of the data are what",
-         to="mapping"),
-    Flag("--describe",
-         help="write a commented mapping file for one's own data (mapping.toml in --out):"
-         " columns guessed by name, unit and range, and what is missing"),
-    Flag("--tolerances", "FILE", text,
-         "sizes of tolerances and noise of a System, where they are not the usual ones"),
-    Flag("--model", "FILE", path, "with --describe: the robot in URDF or MJCF"),
-    Flag("--final", "N", integer(),
-         "logs to hold back and open once, at the end: the last N (default: those that say"
-         " `held_back`, else the last third)"),
-    Flag("--without", "KIND", text, "leave out of the library", many=True),
-    Flag("--band", "HZ", number("Hz"), "compare up to (default 12, or the mapping's)"),
-    Flag("--most", "N", integer(1),
-         "effects to name at most (default: as many as the evidence bears)"),
-    Flag("--no-free-run", help="skip the simulation of the whole loop"),
-    Flag("--as-logged", help="ask no questions about units, signs and exchanged channels"),
-    Flag("--no-experiment",
-         help="design no motion that decides between rivals, or shows what was too weak"),
-    Flag("--no-figures", help="skip the HTML report"),
-)  # fmt: skip
 
 
 def _inputs(
@@ -89,7 +66,8 @@ def _inputs(
     return mjcf_inputs(log, mapping, **how)
 
 
-def run(
+def diagnose(
+    at: Context,
     log: tuple[str, ...],
     *,
     mapping: str | None = None,
@@ -102,10 +80,6 @@ def run(
     no_free_run: bool = False,
     as_logged: bool = False,
     no_experiment: bool = False,
-    no_figures: bool = False,
-    seed: int = 0,
-    out: Path | None = None,
-    progress: Any = None,
     **machine: Any,
 ) -> Answer:
     """Diagnose; the verdict, the better description and the report."""
@@ -117,7 +91,7 @@ def run(
     from ves_gym.report.diagnosis import diagnosis_text, write_page
     from ves_gym.report.diagnosis_figures import overlays
 
-    folder, system = out or OUT, machine.get("system")
+    folder, system = at.folder("out/diagnose"), machine.get("system")
     if describe:
         if len(log) != 1 or mapping or system:
             raise ParameterError("--describe takes one data file or folder, and no description")
@@ -134,7 +108,7 @@ def run(
     try:
         diagnosis = d.diagnose(
             inputs.machine, inputs.runs, inputs.final, candidates=inputs.candidates,
-            limits=Thresholds(most=most), progress=progress, seed=seed, cache=cache,
+            limits=Thresholds(most=most), progress=at.progress, seed=at.seed, cache=cache,
         )  # fmt: skip
     except KeyboardInterrupt:
         say("what is done is kept: run the command again")
@@ -144,9 +118,9 @@ def run(
     written = inputs.write(d.added(diagnosis), folder, not no_free_run)
     designed = None
     if not no_experiment:
-        designed = _next_motion(diagnosis, system, log, folder, seed, progress)
+        designed = _next_motion(at, diagnosis, system, log, folder)
     result = {
-        "schema": SCHEMA,
+        "schema": "ves-diagnose/1",
         **diagnosis.to_dict(),
         "next_motion": designed,
         "logs": inputs.digests,
@@ -160,7 +134,7 @@ def run(
         "doubts": [question.sentence for question in doubts if question is not None],
         "replay_difference": written.difference,
         "free": written.free,
-        "seed": seed,
+        "seed": at.seed,
         "version": __version__,
         "command": shlex.join(["ves-gym", *sys.argv[1:]]),
     }
@@ -168,9 +142,9 @@ def run(
     write_text(folder / "verdict.txt", diagnosis.sentence + "\n")
     lines = [diagnosis_text(diagnosis, result), *map(str, written.files)]
     lines += designed["files"] if designed else ()
-    if not no_figures and (sentence := lacking("its figures", "matplotlib")):
+    if at.pictures and (sentence := lacking("its figures", "matplotlib")):
         lines.append(f"no HTML report: {sentence}")
-    elif not no_figures:
+    elif at.pictures:
         drawn = overlays(diagnosis.selection, diagnosis.residuals)
         page = folder / "diagnosis.html"
         write_page({**result, "diff": written.diff, "overlays": drawn}, page)
@@ -184,12 +158,7 @@ def run(
 
 
 def _next_motion(
-    diagnosis: Diagnosis,
-    system: System | None,
-    logs: Sequence[str],
-    folder: Path,
-    seed: int,
-    progress: Any,
+    at: Context, diagnosis: Diagnosis, system: System | None, logs: Sequence[str], folder: Path
 ) -> dict[str, Any] | None:
     """Design the motion that decides what is open, and write the case of it."""
     from ves_gym.diagnosis.machines.system import SystemMachine
@@ -199,7 +168,7 @@ def _next_motion(
         return None
     try:
         designed = next_motion(
-            diagnosis, seed=seed, progress=lambda done: progress("next experiment", done)
+            diagnosis, seed=at.seed, progress=lambda done: at.progress("next experiment", done)
         )
     except ParameterError as error:  # the verdict stands without
         say(f"no experiment designed: {error}")
@@ -208,7 +177,9 @@ def _next_motion(
         return None
     file, table = folder / "experiment.case.toml", folder / "experiment.csv"
     log = str(folder / "experiment.parquet")
-    case = Case(system=system or diagnosis.system, motion=designed.motion, seed=seed, log=log)
+    case = Case(
+        system=system or diagnosis.system, motion=designed.motion, seed=at.seed, log=log
+    )
     run = diagnosis.residuals.runs[0]
     if "controller" in run:
         case = replace(case, servo=JointServo(**run.meta["controller"]))
@@ -239,3 +210,37 @@ def _describe(data: str, model: Path | None, folder: Path) -> Answer:
     write_text(file, text)
     missing = [row[6:] for row in text.splitlines() if row.startswith("#   - ")]
     return Answer(text="\n".join([*(f"missing: {what}" for what in missing), str(file)]))
+
+
+TABLE = {
+    "diagnose": (diagnose, (
+        Flag("LOG", "", lambda name, place: str(log_file(name, place)), many=True,
+             help="run logs of one machine, cases that name one, or folders of logs; with"
+             " --machine data files (.mat, .csv), or folders of .csv files of one run"),
+        Flag("--system", "FILE", read(get_system),
+             "the machine as described (default: that of the logs)"),
+        arm_flag("that of the system or the logs"),
+        EFFECT,
+        Flag("--machine", "FILE", text,
+             "a machine in MJCF: mapping file that says which columns of the data are what",
+             to="mapping"),
+        Flag("--describe",
+             help="write a commented mapping file for one's own data (mapping.toml in --out):"
+             " columns guessed by name, unit and range, and what is missing"),
+        Flag("--tolerances", "FILE", text,
+             "sizes of tolerances and noise of a System, where they are not the usual ones"),
+        Flag("--model", "FILE", path, "with --describe: the robot in URDF or MJCF"),
+        Flag("--final", "N", integer(),
+             "logs to hold back and open once, at the end: the last N (default: those that say"
+             " `held_back`, else the last third)"),
+        Flag("--without", "KIND", text, "leave out of the library", many=True),
+        Flag("--band", "HZ", number("Hz"), "compare up to (default 12, or the mapping's)"),
+        Flag("--most", "N", integer(1),
+             "effects to name at most (default: as many as the evidence bears)"),
+        Flag("--no-free-run", help="skip the simulation of the whole loop"),
+        Flag("--as-logged", help="ask no questions about units, signs and exchanged channels"),
+        Flag("--no-experiment",
+             help="design no motion that decides between rivals, or shows what was too weak"),
+        Flag("--no-figures", help="skip the HTML report"),
+    )),
+}  # fmt: skip

@@ -13,14 +13,14 @@ import tempfile
 import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
 from ves_gym._util.optional import installed
 from ves_gym._util.tables import table
-from ves_gym.cli.flags import Answer
+from ves_gym.cli.flags import Answer, Context
 from ves_gym.rendering.opengl import (
     RenderError,
     attempt,
@@ -30,7 +30,6 @@ from ves_gym.rendering.opengl import (
     state,
 )
 
-SCHEMA = "ves-doctor/1"
 OK, FAIL, NOTE = "ok", "fail", "note"
 _PATIENCE = 90.0  # s for a child process
 _ROOT = Path(__file__).parents[2]
@@ -45,19 +44,20 @@ class Check(NamedTuple):
     detail: str
 
 
-FLAGS = ()
-
-
-def run(*, out: Path = Path("out"), progress: Any = None) -> Answer:
+def doctor(at: Context) -> Answer:
     """Return every finding; negative if a core check fails."""
     checks: list[Check] = []
-    for done, check in _checks(out):
+    for done, check in _checks(at.folder("out")):
         checks.append(check)
-        progress(done, f"after {check.name}")
+        at.progress(done, f"after {check.name}")
     bad = [check.name for check in checks if check.status == FAIL]
     verdict = f"the core does NOT work: see {', '.join(bad)}" if bad else "the core works"
     rows = table(("check", "", "detail"), checks, title="ves-gym doctor", left=(0, 1, 2))
-    plain = {"schema": SCHEMA, "ok": not bad, "checks": [check._asdict() for check in checks]}
+    plain = {
+        "schema": "ves-doctor/1",
+        "ok": not bad,
+        "checks": [check._asdict() for check in checks],
+    }
     return Answer(text=f"{rows}\n{verdict}", plain=plain, negative=bool(bad))
 
 
@@ -232,3 +232,6 @@ def check_folder(out: Path) -> Check:
     except OSError as error:
         return Check("out folder", FAIL, f"{folder} cannot be written: {error.strerror}")
     return Check("out folder", OK, f"{folder} can be written")
+
+
+TABLE = {"doctor": (doctor, ())}

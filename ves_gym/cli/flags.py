@@ -1,7 +1,7 @@
 """The table that a command is: per option its name, its unit and the parameter that takes it.
 
 People write degrees and lists with commas; verbs take radians, tuples and numbers. Everything
-between the two is here.
+between the two is here, and what a command is told and answers.
 """
 
 from __future__ import annotations
@@ -9,14 +9,16 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.report.figures import FORMATS
 
 if TYPE_CHECKING:
     from ves_gym.mechanics.arm import Arm
@@ -263,7 +265,63 @@ def _nearest(part: str) -> float:
     return 15.0 * round(angle / 15) if _is_round(part) else round(angle, 1)
 
 
-# ------------------------------------------------------------------------------- answers
+def _log(value: str) -> Path:
+    if Path(value).suffix not in (".toml", ".json"):
+        return Path(value)
+    from ves_gym.planners.case import load_case
+
+    case = load_case(value)
+    if case.log is None:
+        raise ParameterError(f"{value}: the case names no log")
+    return Path(case.log)
+
+
+log_file = read(_log)  # the name of a run log, or of a case: that of its log
+
+# ----------------------------------------------------------------- options of several commands
+
+WORKERS = Flag("--workers", "N", integer(1), "processes; default one per processor")
+FORMAT = Flag("--format", "F", one_of(*FORMATS), f"of the pictures: {', '.join(FORMATS)} (png)")
+PICTURES = (Flag("--no-figures", help="no pictures"), FORMAT)  # `main` reads and draws them
+START = Flag("--start", "A,B,C", joints, "joint angles [deg] (default 0,0,0)")
+GOAL = Flag("--goal", "A,B,C", joints, "joint angles [deg]")
+DURATION = Flag("--duration", "S", number("s", above=0), "of the motion [s] (2)")
+
+
+# --------------------------------------------------------------------------- told and answered
+
+
+@dataclass(frozen=True, kw_only=True)
+class Context:
+    """What every command is told beside its own options."""
+
+    progress: Any
+    out: Path | None = None
+    json: str | None = None
+    seed: int = 0
+    pictures: bool = True
+    case: Any = None  # a Case: of commands that take the options of `MACHINE`
+    machine: dict[str, Any] = field(default_factory=dict)  # those options that were given
+
+    def folder(self, name: str | Path) -> Path:
+        """Where files go: --out, or what is usual."""
+        return self.out or Path(name)
+
+    def log(self, path: Path) -> list[Path]:
+        """Return the files of a run log that can be written there, beside the result --json."""
+        if path.suffix not in (".csv", ".parquet"):
+            raise ParameterError(f"--log must end in .csv or .parquet, got {path.name!r}")
+        if path.is_dir():
+            raise ParameterError(f"--log must be a file to write, got the folder {str(path)!r}")
+        if path.suffix == ".parquet":
+            require("Parquet", "pyarrow")
+            return [path]
+        files = [path, path.with_suffix(".json")]  # a CSV file has its metadata beside it
+        if self.json is not None and Path(self.json).resolve() == files[1].resolve():
+            raise ParameterError(
+                f"--json {self.json} is where the log's metadata goes; give another name"
+            )
+        return files
 
 
 @dataclass(frozen=True, kw_only=True)

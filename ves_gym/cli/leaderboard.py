@@ -12,10 +12,21 @@ import numpy as np
 
 from ves_gym._util.one_line import on_one_line
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.cli.flags import Answer, Flag, integer, integers, path, read, say, text
+from ves_gym.cli.flags import (
+    Answer,
+    Context,
+    Flag,
+    integer,
+    integers,
+    path,
+    read,
+    say,
+    text,
+)
 
 
 def make(
+    at: Context,
     track: str,
     problem: str,
     method: Sequence[str],
@@ -23,11 +34,11 @@ def make(
     name: str | None = None,
     author: str = "anonymous",
     training: Sequence[tuple[str, str]] = (),
-    out: Path | None = None,
-    progress: Any = None,
     **how: Any,
 ) -> Answer:
-    """Answer a problem and write the entry, a folder."""
+    """Answer a problem and write the entry; a first try of a tenth of the questions: ves-gym
+    leaderboard run paths bent-2s-quick direct.
+    """
     from ves_gym.leaderboard.problems import get_problem
     from ves_gym.leaderboard.run import make_entry
 
@@ -35,10 +46,10 @@ def make(
     chosen = _loaded(method)
     label = name or (Path(method[0]).stem if isinstance(chosen, (str, list)) else chosen.name)
     stem = "_".join((track, problem.removeprefix("ves/"), author, label))
-    folder = (out or Path("out/leaderboard")) / stem
+    folder = at.folder("out/leaderboard") / stem
     entry = make_entry(
         folder, track, problem, chosen, name=name, author=author,
-        training=dict(training) or None, progress=progress, **how,
+        training=dict(training) or None, progress=at.progress, **how,
     )  # fmt: skip
     return Answer(
         text=f"{entry.name} on {entry.problem}: {_summary(entry.results['score'])}",
@@ -47,13 +58,16 @@ def make(
     )
 
 
-def check(entry: str, *, board: Path | None = None, progress: Any = None, **how: Any) -> Answer:
-    """Check an entry; negative: refused."""
+def check(at: Context, entry: str, *, board: Path | None = None, **how: Any) -> Answer:
+    """Check an entry, exit status 1: refused; believes nothing of it that can be computed, and
+    runs nothing that is in it: a built-in method or a policy answers again, what was recorded
+    of another is simulated again.
+    """
     from ves_gym.leaderboard.errors import Refused
     from ves_gym.leaderboard.verify import add, verify
 
     try:
-        checked = verify(entry, progress=progress, **how)
+        checked = verify(entry, progress=at.progress, **how)
     except Refused as refused:
         say(on_one_line(str(refused)), "rejected")
         return Answer(negative=True)
@@ -64,14 +78,14 @@ def check(entry: str, *, board: Path | None = None, progress: Any = None, **how:
     return Answer(text=text, plain=checked.to_dict())
 
 
-def render(entries: Path, *, out: Path | None = None) -> Answer:
+def render(at: Context, entries: Path) -> Answer:
     """Write one HTML page from the entries."""
     from ves_gym.leaderboard.board import make_board, read_board
     from ves_gym.leaderboard.page import write_page
 
     listed = read_board(entries)
     board = make_board(listed)
-    file = (out or Path("out/leaderboard")) / "index.html"
+    file = at.folder("out/leaderboard") / "index.html"
     write_page(board, file)
     return Answer(text=f"{len(listed)} entries", plain=board, files=[file])
 
@@ -93,43 +107,6 @@ SHARED = (
     Flag("--salt", "FILE", read(_salt), "the maintainer's, of official seeds"),
     Flag("--workers", "N", integer(1), "processes that plan (1)"),
 )
-ACTIONS = {
-    "run": (
-        "answer a problem and write the entry; a first try of a tenth of the questions: ves-gym"
-        " leaderboard run paths bent-2s-quick direct",
-        (
-            Flag("TRACK", help="paths, tasks or damping"),
-            Flag("PROBLEM", help="of the track, such as bent-2s (docs/leaderboard.md)"),
-            Flag("METHOD", many=True,
-                 help="a built-in planner, controller or tuner; policies: .json files, a folder"
-                 " of ves-gym train, or the name of a released one; or one's own, as"
-                 " module:Name"),
-            Flag("--seeds", "A,B", integers, "of the method: 0,1,... (0)"),
-            Flag("--name", "N", text, "on the board; default the method's"),
-            Flag("--author", "A", text, "on the board"),
-            Flag("--training", "KEY=VALUE", read(_training, "KEY=VALUE"),
-                 "what the method took to make, for the board; repeatable", many=True),
-            *SHARED,
-        ),
-        make,
-    ),
-    "verify": (
-        "check an entry, exit status 1: refused; believes nothing of it that can be computed,"
-        " and runs nothing that is in it: a built-in method or a policy answers again, what was"
-        " recorded of another is simulated again",
-        (
-            Flag("ENTRY", help="folder that run wrote, or a file of the board"),
-            Flag("--board", "ENTRIES", path, "folder of the board to add it to"),
-            *SHARED,
-        ),
-        check,
-    ),
-    "render": (
-        "one HTML page from the entries",
-        (Flag("ENTRIES", read=path, help="folder with a file per entry"),),
-        render,
-    ),
-}  # fmt: skip
 
 
 def _loaded(words: Sequence[str]) -> Any:
@@ -148,3 +125,28 @@ def _summary(scores: Array) -> str:
     good = scores[np.isfinite(scores)].tolist()
     middle = f"median score {statistics.median(good):.4g}, " if good else ""
     return f"{middle}{len(good)} of {scores.size} with a score"
+
+
+TABLE = {
+    "leaderboard run": (make, (
+        Flag("TRACK", help="paths, tasks or damping"),
+        Flag("PROBLEM", help="of the track, such as bent-2s (docs/leaderboard.md)"),
+        Flag("METHOD", many=True,
+             help="a built-in planner, controller or tuner; policies: .json files, a folder of"
+             " ves-gym train, or the name of a released one; or one's own, as module:Name"),
+        Flag("--seeds", "A,B", integers, "of the method: 0,1,... (0)"),
+        Flag("--name", "N", text, "on the board; default the method's"),
+        Flag("--author", "A", text, "on the board"),
+        Flag("--training", "KEY=VALUE", read(_training, "KEY=VALUE"),
+             "what the method took to make, for the board; repeatable", many=True),
+        *SHARED,
+    )),
+    "leaderboard verify": (check, (
+        Flag("ENTRY", help="folder that run wrote, or a file of the board"),
+        Flag("--board", "ENTRIES", path, "folder of the board to add it to"),
+        *SHARED,
+    )),
+    "leaderboard render": (
+        render, (Flag("ENTRIES", read=path, help="folder with a file per entry"),)
+    ),
+}  # fmt: skip

@@ -10,36 +10,35 @@ import numpy as np
 
 from ves_gym._util.params import ParameterError
 from ves_gym._util.tables import table
-from ves_gym.cli.flags import Answer, Flag, one_of
+from ves_gym.cli.flags import Answer, Context, Flag, one_of
 from ves_gym.cli.machine import MACHINE
 from ves_gym.planners.case import Case
 
-MODE = "emulated"  # of the system whose blocks are listed
-SCHEMA = "ves-list/1"
 BLOCKS = "blocks"  # of an emulation loop; `KINDS` has all that exists once
 UNITS = {"hz": "Hz", "s": "s"}  # endings of the keys of quantities
 Rows = list[dict[str, Any]]
 
 
-def run(case: Case, *, machine: dict[str, Any], what: str | None = None) -> Answer:
+def show(at: Context, *, what: str | None = None) -> Answer:
     """Return one table per kind."""
     kinds = [*KINDS, BLOCKS] if what is None else [what]
     tables = {name: KINDS[name]() for name in kinds if name in KINDS}
     if BLOCKS in kinds:
-        tables |= _blocks(case)
-    elif machine:
-        option = next(iter(machine)).replace("_", "-")
+        tables |= _blocks(at.case)
+    elif at.machine:
+        option = next(iter(at.machine)).replace("_", "-")
         raise ParameterError(f"--{option} is for `list {BLOCKS}`, got `list {what}`")
     text = "\n".join(_table(name, rows) for name, rows in tables.items())
-    return Answer(text=text, plain={"schema": SCHEMA, **tables})
+    return Answer(text=text, plain={"schema": "ves-list/1", **tables})
 
 
 def _blocks(case: Case) -> dict[str, Rows]:
     """Blocks of an emulation loop, and the wires between them."""
     from ves_gym.simulation.emulation_loop import EmulationLoop
 
-    if case.system.mode != MODE:
-        raise ParameterError(f"list {BLOCKS} is about --mode {MODE}, got {case.system.mode}")
+    mode = case.system.mode
+    if mode != "emulated":
+        raise ParameterError(f"list {BLOCKS} is about --mode emulated, got {mode}")
     loop = EmulationLoop(case.system, 1, [np.random.default_rng(case.seed)])
     return {
         BLOCKS: loop.wiring.describe_blocks(loop.p),
@@ -194,7 +193,7 @@ def _policies() -> Rows:
 def _commands() -> Rows:
     from ves_gym.cli.main import COMMANDS
 
-    return [{"name": name, "summary": text} for name, text in COMMANDS.items()]
+    return [{"name": name, "summary": text} for name, (_, text) in COMMANDS.items()]
 
 
 KINDS: dict[str, Callable[[], Rows]] = {
@@ -209,12 +208,6 @@ KINDS: dict[str, Callable[[], Rows]] = {
     "policies": _policies,
     "commands": _commands,
 }
-FLAGS = (
-    Flag("WHAT", "", one_of(*KINDS, BLOCKS), optional=True,
-         help=f"{', '.join([*KINDS, BLOCKS])} (the options below say of which emulated system);"
-         " default all of them"),
-    *MACHINE,
-)  # fmt: skip
 
 
 def _table(title: str, rows: Rows) -> str:
@@ -235,3 +228,13 @@ def _text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return str(value) or "-"
+
+
+TABLE = {
+    "list": (show, (
+        Flag("WHAT", "", one_of(*KINDS, BLOCKS), optional=True,
+             help=f"{', '.join([*KINDS, BLOCKS])} (the options below say of which emulated"
+             " system); default all of them"),
+        *MACHINE,
+    )),
+}  # fmt: skip

@@ -1,15 +1,21 @@
-"""Options that say which machine: a case or a system, then single changes of it."""
+"""Options that say which machine: a case or a system, then single changes of it.
+
+An effect is written KIND:NAME=VALUE,NAME=VALUE.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import re
+import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.cli.effect_text import parse_effect
 from ves_gym.cli.flags import Flag, grouped, number, read, say
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo, leg_clock
 from ves_gym.hardware.platform import PoseServo
@@ -18,6 +24,7 @@ from ves_gym.mechanics.servo import OWN_GAINS
 from ves_gym.mechanics.vehicle import VEHICLES, get_vehicle
 from ves_gym.planners.case import Case, load_case
 from ves_gym.simulation.gravity_calibration import read_calibration
+from ves_gym.system.effect import EFFECTS, Effect
 from ves_gym.system.emulator_settings import OPERATIONS, EmulatorSettings
 from ves_gym.system.system import DRIVES, INTEGRATORS, MODES, System
 from ves_gym.system.system_library import SYSTEMS, get_system
@@ -27,6 +34,81 @@ def arm_flag(default: str) -> Flag:
     """Option --arm, by name or file; its default in words."""
     help = f"{', '.join(arm_names())}, or a URDF, MJCF or TOML file; FILE#LINK names the tool"
     return Flag("--arm", "A", read(get_arm), f"{help} (default {default})")
+
+
+_NEXT = re.compile(r",\s*(?=[A-Za-z_]\w*\s*=)")  # the comma before another NAME=
+
+
+def parse_effect(text: str) -> Effect:
+    """Return the effect that `kind:name=value,name=value` describes.
+
+    A value is a number or several with commas between them, 3,0,0; square brackets are for
+    matrices and may be written around the latter as well, [[1, 0], [0, 1]].
+
+    Raises:
+        ParameterError: unknown kind or parameter, or a value that it cannot have.
+    """
+    kind, _, assignments = text.partition(":")
+    if kind not in EFFECTS:
+        raise ParameterError(
+            f"--effect must be one of {', '.join(sorted(EFFECTS))}, got {kind!r}"
+            f"{did_you_mean(kind, EFFECTS)}"
+        )
+    fields = {f.name: f for f in dataclasses.fields(EFFECTS[kind])}  # type: ignore[arg-type]
+    values: dict[str, Any] = {}
+    for part in _NEXT.split(assignments) if assignments.strip() else ():
+        name, equals, value = (k.strip() for k in part.partition("="))
+        if not equals or not value:
+            raise ParameterError(
+                f"--effect must be like {_example(kind)}, got {text!r}: no value in {part!r}"
+            )
+        if name not in fields:
+            raise ParameterError(
+                f"--effect {kind}: unknown parameter {name!r}; known:"
+                f" {', '.join(map(_described, fields.values()))}{did_you_mean(name, fields)}"
+            )
+        if name in values:
+            raise ParameterError(f"--effect {kind}: {name} is given more than once")
+        values[name] = _numbers(value, fields[name])
+    missing = [f for k, f in fields.items() if k not in values and f.default is _MISSING]
+    if missing:
+        raise ParameterError(
+            f"--effect {kind} needs {', '.join(map(_described, missing))}, like"
+            f" {_example(kind)}; got {text!r}"
+        )
+    effect: Effect = EFFECTS[kind](**values)
+    return effect
+
+
+_MISSING = dataclasses.MISSING
+
+
+def _numbers(text: str, field: dataclasses.Field[Any]) -> Any:
+    """Return a parameter's value: a number, a list, or the text itself, to be refused."""
+    try:
+        if "[" in text:
+            return tomllib.loads(f"_ = {text}")["_"]
+        values = [float(k) for k in text.split(",")]
+    except ValueError:  # of TOML, too
+        return text
+    return values[0] if len(values) == 1 and not field.metadata["shape"] else values
+
+
+def _described(field: dataclasses.Field[Any]) -> str:
+    """Return name, unit and bounds of an effect's parameter."""
+    (low, high), symbol = field.metadata["bounds"], field.metadata["unit"]
+    return f"{field.name}{'' if symbol == '1' else f' [{symbol}]'} in [{low:g}, {high:g}]"
+
+
+def _example(kind: str) -> str:
+    """Return how an effect of a kind is written: its first parameter, large enough to see."""
+    field = dataclasses.fields(EFFECTS[kind])[0]  # type: ignore[arg-type]
+    low, high = field.metadata["bounds"]
+    shape = tuple(3 if k is None else k for k in field.metadata["shape"])
+    value = f"{high / 10 if high > 0 else low / 10:.1g}"
+    if len(shape) < 2:
+        return f"{kind}:{field.name}={','.join([value, *['0'] * (sum(shape) - 1)])}"
+    return f"{kind}:{field.name}={np.full(shape, float(value)).tolist()}".replace(" ", "")
 
 
 EFFECT = Flag(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import inspect
 import json
 import os
 import re
@@ -21,33 +20,52 @@ from ves_gym._util.optional import explain, lacking
 from ves_gym._util.params import write_text
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.version import __version__
-from ves_gym.cli.flags import Answer, Flag, integer, path, say, values
+from ves_gym.cli.flags import Answer, Context, Flag, integer, path, say, values
 
-COMMANDS = {  # name -> what it does; the module of the same name is loaded when asked for
-    "benchmark": "planners x queries x durations: table, figures, HTML report",
-    "simulate": "play one motion on one system and record a run log",
-    "plan": "find one path with one planner",
-    "studio": "draw a path in a page, and the energy of the base follows",
-    "map": "coupling-map pictures and arrays",
-    "train": "learn policies for an environment with PPO or SAC",
-    "evaluate": "controllers and policies side by side on the same episodes",
-    "dataset": "episodes as Minari data sets: made from recipes, checked, replayed",
-    "policy": "policies as ONNX for other engines, and their model cards",
-    "leaderboard": "entries that anybody can repeat, their verification, and the board",
-    "sweep": "many units of work, on this machine or a cluster; goes on where it stopped",
-    "matrix": "methods x machines x tasks x seeds: one page with intervals; goes on",
-    "search": "the settings of a sweep that do best, found with Optuna",
-    "merge": "one table of the results of sweeps",
-    "pped": "joint gains that take vibration out of the base (thesis 4.3)",
-    "diagnose": "where logs and description disagree, and what is missing",
-    "calibrate": "gravity parameters and sensor matrix from a log of poses",
-    "structure": "a vehicle file from M and K of a finite-element model",
-    "emulation-check": "is an emulation stable, and how true, before it runs",
-    "list": "what exists: vehicles, planners, suites, effects",
-    "doctor": "what is broken on this machine",
-    "view": "watch a run log: window, GIF or MP4",
-    "teleop": "drive the arm from the keyboard while the base reacts",
+COMMANDS = {  # name -> its module, loaded when it is asked for, and what it does
+    "benchmark": ("planning", "planners x queries x durations: table, figures, HTML report"),
+    "simulate": ("simulate", "play one motion on one system and record a run log"),
+    "plan": ("planning", "find one path with one planner"),
+    "studio": ("planning", "draw a path in a page, and the energy of the base follows"),
+    "map": ("machine_checks", "coupling-map pictures and arrays"),
+    "train": ("learning", "learn policies for an environment with PPO or SAC"),
+    "evaluate": ("learning", "controllers and policies side by side on the same episodes"),
+    "dataset": (
+        "learning",
+        "episodes as Minari data sets: made from recipes, checked, replayed",
+    ),
+    "policy": ("learning", "policies as ONNX for other engines, and their model cards"),
+    "leaderboard": (
+        "leaderboard",
+        "entries that anybody can repeat, their verification, and the board",
+    ),
+    "sweep": (
+        "sweeps",
+        "many units of work, on this machine or a cluster; goes on where it stopped",
+    ),
+    "matrix": (
+        "sweeps",
+        "methods x machines x tasks x seeds: one page with intervals; goes on",
+    ),
+    "search": ("sweeps", "the settings of a sweep that do best, found with Optuna"),
+    "merge": ("sweeps", "one table of the results of sweeps"),
+    "pped": ("machine_checks", "joint gains that take vibration out of the base (thesis 4.3)"),
+    "diagnose": ("diagnose", "where logs and description disagree, and what is missing"),
+    "calibrate": (
+        "machine_checks",
+        "gravity parameters and sensor matrix from a log of poses",
+    ),
+    "structure": ("machine_checks", "a vehicle file from M and K of a finite-element model"),
+    "emulation-check": (
+        "machine_checks",
+        "is an emulation stable, and how true, before it runs",
+    ),
+    "list": ("list", "what exists: vehicles, planners, suites, effects"),
+    "doctor": ("doctor", "what is broken on this machine"),
+    "view": ("watch", "watch a run log: window, GIF or MP4"),
+    "teleop": ("watch", "drive the arm from the keyboard while the base reacts"),
 }
+EMULATED = ("emulation-check", "list")  # mode of their machine where nothing says it
 DONE, NEGATIVE, BAD_INPUT = 0, 1, 2
 EVERY = (  # options of every command
     Flag("--json", "FILE", help="write the result as JSON; -: print it in place of the text"),
@@ -100,22 +118,30 @@ def build_parser(command: str | None) -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"ves-gym {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for name, text in COMMANDS.items():
+    for name, (_, text) in COMMANDS.items():
         sub = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
-        if name == command:
-            module = importlib.import_module(f"ves_gym.cli.{name.replace('-', '_')}")
-            if hasattr(module, "ACTIONS"):
-                sub.description = str(module.__doc__).partition(": ")[2]
-                actions = sub.add_subparsers(dest="action", metavar="ACTION", required=True)
-                for action, (help, flags, run) in module.ACTIONS.items():
-                    _add(actions.add_parser(action, help=help, description=help), flags, run)
-            else:
-                _add(sub, module.FLAGS, module.run)
+        if name != command:
+            continue
+        table = table_of(name)
+        if name in table:
+            _add(sub, *table[name])
+            continue
+        actions = sub.add_subparsers(dest="action", metavar="ACTION", required=True)
+        for words, (run, flags) in table.items():
+            help = " ".join(str(run.__doc__).split()).rstrip(".")
+            help = help[0].lower() + help[1:]
+            _add(actions.add_parser(words.split()[1], help=help, description=help), run, flags)
     return parser
 
 
+def table_of(command: str) -> dict[str, tuple[Callable[..., Answer], tuple[Flag, ...]]]:
+    """Return what a command, or each of its actions, runs, and its options."""
+    table = importlib.import_module(f"ves_gym.cli.{COMMANDS[command][0]}").TABLE
+    return {words: row for words, row in table.items() if words.split()[0] == command}
+
+
 def _add(
-    parser: argparse.ArgumentParser, flags: Sequence[Flag], run: Callable[..., Answer]
+    parser: argparse.ArgumentParser, run: Callable[..., Answer], flags: Sequence[Flag]
 ) -> None:
     """Add the options of a table, and those that every command has."""
     parser.set_defaults(flags=flags, run=run)
@@ -144,29 +170,25 @@ def _add(
 
 def _carry_out(args: argparse.Namespace) -> int:
     """Pass a command what it takes, and print its answer."""
-    texts, accepted = vars(args), inspect.signature(args.run).parameters
+    texts, flags = vars(args), args.flags
     every = values(EVERY, texts, None)
-    arm, flags = None, args.flags
     with ExitStack() as bars:
-        context: dict[str, Any] = {**every, "progress": Bars(args.command, bars)}
-        if "case" in accepted:
+        at, arm = Context(progress=Bars(args.command, bars), **every), None
+        if any(flag.name == "--case" for flag in flags):
             from ves_gym.cli.machine import MACHINE, case_from
 
             machine = values([flag for flag in flags if flag in MACHINE], texts, None)
             flags = [flag for flag in flags if flag not in MACHINE]
-            mode = getattr(sys.modules[args.run.__module__], "MODE", "ideal")
+            mode = "emulated" if args.command in EMULATED else "ideal"
             case = case_from(machine, mode, every.get("seed"))
-            context, arm = {**context, "case": case, "machine": machine}, case.system.arm
+            at, arm = replace(at, case=case, machine=machine), case.system.arm
         taken = values(flags, texts, arm)
         form = taken.pop("format", "png")
-        skipped = taken.get("no_figures", False)
-        if "no_figures" not in accepted:
-            taken.pop("no_figures", None)
-        taken |= {key: value for key, value in context.items() if key in accepted}
-        answer = args.run(**taken)
-        if answer.figures is not None and not skipped:
+        at = replace(at, pictures=not taken.pop("no_figures", False))
+        answer = args.run(at, **taken)
+        if answer.figures is not None and at.pictures:
             answer = _draw(answer, form)
-    return _print(answer, every.get("json"))
+    return _print(answer, at.json)
 
 
 def _draw(answer: Answer, form: str) -> Answer:

@@ -10,9 +10,13 @@ import numpy as np
 
 import ves_gym.api as vg
 from ves_gym._util.params import Array, ParameterError, from_plain, read_table
-from ves_gym.cli.files import FORMAT, log_files, log_path
 from ves_gym.cli.flags import (
+    DURATION,
+    FORMAT,
+    GOAL,
+    START,
     Answer,
+    Context,
     Flag,
     Place,
     floats,
@@ -29,6 +33,7 @@ from ves_gym.mechanics.limits import require_limits, usual_goal
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import FREE, HIGH_GAINS, OWN_GAINS, PPED_GAINS, JointServo
 from ves_gym.planners.case import Case
+from ves_gym.report.machine_figures import run_figure
 from ves_gym.simulation import calibration_poses, learn_gravity, weigh_poses
 from ves_gym.simulation.run_summary import summarise
 from ves_gym.system.energy import TAIL
@@ -57,55 +62,13 @@ def _gains(text: str, place: Place) -> JointServo:
     return JointServo(kp=kp * (n // len(kp)), kd=kd * (n // len(kd)))
 
 
-START = Flag("--start", "A,B,C", joints, "joint angles [deg] (default 0,0,0)")
-GOAL = Flag("--goal", "A,B,C", joints, "joint angles [deg]")
-DURATION = Flag("--duration", "S", number("s", above=0), "of the motion [s] (2)")
-GAINS = Flag(
-    "--gains",
-    "G",
-    _gains,
-    f"{', '.join(NAMED)}, or kp/kd like 3000,2000,1000/50,40,30 (default own: the arm's)",
-)
-LOG = Flag(
-    "--log",
-    "FILE",
-    help="the run log, .csv or .parquet, from --out if given (out/simulate/run.csv)",
-)
-FLAGS = (
-    *grouped(
-        "motion (default: in 2 s to 60,40,-30 deg; of other than three joints, within half of"
-        " the arm's limits)",
-        START,
-        GOAL,
-        Flag("--via", "A,B,C", joints, "way-point; repeatable", many=True),
-        DURATION,
-    ),
-    Flag("--settle", "S", number("s", least=0), "joints held after it (10)"),
-    Flag("--disturb", "X,Y,Z,A,B,C", pose, "base pose at the start [m, deg]"),
-    GAINS,
-    Flag("--no-feedforward", help="no feed-forward joint torque"),
-    Flag("--record-dt", "S", number("s", above=0),
-         "between records (default physics step; mode emulated: control period)"),
-    Flag("--grasp", "S", number("s"), "close the latch on the system's payload at this time;"
-         " repeatable", many=True),
-    Flag("--release", "S", number("s"), "open it", many=True),
-    LOG,
-    FORMAT,
-    *MACHINE,
-    *grouped(
-        "experiments (mode emulated)",
-        Flag("--platform-motion", "FILE",
-             read(lambda file: from_plain(Motion, read_table(file), file)),
-             "what the platform follows under --operation position: a table with duration [s]"
-             " and control, the points of its path, rows of 6 [m, rad]"),
-        Flag("--learn", "N", integer(1), "learn the weight in N slow repetitions"),
-        Flag("--poses", "N", integer(1), "weigh the arm in N poses, for `calibrate`"),
-    ),
-)  # fmt: skip
+GAINS = Flag("--gains", "G", _gains,
+             f"{', '.join(NAMED)}, or kp/kd like 3000,2000,1000/50,40,30 (default own: the"
+             " arm's)")  # fmt: skip
 
 
-def run(
-    case: Case,
+def simulate(
+    at: Context,
     *,
     start: Array | None = None,
     goal: Array | None = None,
@@ -122,62 +85,54 @@ def run(
     platform_motion: Motion | None = None,
     learn: int | None = None,
     poses: int | None = None,
-    out: Path | None = None,
-    json: str | None = None,
-    progress: Any = None,
 ) -> Answer:
     """Play the motion; write log, case and picture."""
-    folder = out or ("out/simulate" if log is None else "")
-    path = Path(folder, log or "run.csv")
-    if log is None and out is None and case.log is not None:
+    case = at.case
+    path = Path(at.out or ("out/simulate" if log is None else ""), log or "run.csv")
+    if log is None and at.out is None and case.log is not None:
         path = Path(case.log)
-    file = log_path(path, json)
+    files = at.log(path)
     _check_experiment(case, locals())
     if poses is not None:
-        return _weigh(case, poses, file)
+        return _weigh(case, poses, files)
     servo = _servo(case, gains, no_feedforward)
     motion, lines = _motion(case, start, goal, via, duration), []
     query = None if case.query is None else replace(case.query, servo=servo)
-    case = replace(case, motion=motion, query=query, servo=servo, log=str(file))
+    case = replace(case, motion=motion, query=query, servo=servo, log=str(path))
     latch = [*((t, "grasp") for t in grasp), *((t, "release") for t in release)]
     how: dict[str, Any] = {"settle": settle, "latch": latch}
     if learn is not None:
         require_limits(case.system.arm, motion, ("position",))
         learnt = learn_gravity(
             case.system, motion, iterations=learn, settle=settle, servo=case.servo,
-            seed=case.seed, progress=progress,
+            seed=case.seed, progress=at.progress,
         )  # fmt: skip
         if learnt.recording is None:
             raise ParameterError(f"the first repetition was aborted: {learnt.aborted}")
         recorded, lines = learnt.recording.log(0), [str(learnt)]
     else:
-        y = np.zeros(6) if disturb is None else disturb
-        recorded = vg.simulate(
-            case, record_dt=record_dt, y=y, platform=platform_motion, progress=progress, **how
-        )
+        how |= {"record_dt": record_dt, "y": np.zeros(6) if disturb is None else disturb}
+        recorded = vg.simulate(case, platform=platform_motion, progress=at.progress, **how)
     space = None
     if case.system.mode != "ideal" and platform_motion is None:
-        dt = float(recorded.t[1] - recorded.t[0])
-        space = vg.simulate(case, case.system.ideal(), record_dt=dt, y=recorded.y[0], **how)
+        how |= {"record_dt": float(recorded.t[1] - recorded.t[0]), "y": recorded.y[0]}
+        space = vg.simulate(case, case.system.ideal(), **how)
     summary = summarise(recorded, motion, space, settle=settle)
     for warning in summary.warnings:
         say(warning, "warning")
-    beside = file.with_suffix(".case.toml")
-    recorded.save(file)
+    beside = path.with_suffix(".case.toml")
+    recorded.save(path)
     case.save(beside)
     if summary.stop is not None:
         say(f"{summary.stop}; the log ends there")
 
-    def figures() -> dict[Path, Any]:
-        from ves_gym.report.machine_figures import run_figure
-
-        return {file.with_suffix(""): run_figure(recorded, case.system, motion.duration, space)}
-
     return Answer(
         text="\n".join([*lines, str(summary)]),
-        plain={**summary.to_dict(), "log": str(file)},
-        files=[*log_files(file), beside],
-        figures=figures,
+        plain={**summary.to_dict(), "log": str(path)},
+        files=[*files, beside],
+        figures=lambda: {
+            path.with_suffix(""): run_figure(recorded, case.system, motion.duration, space)
+        },
         then=[["view", beside]],
         negative=summary.stop is not None,
     )
@@ -242,14 +197,52 @@ def _check_experiment(case: Case, options: dict[str, Any]) -> None:
         raise ParameterError(f"--platform-motion needs --operation position, got {operation}")
 
 
-def _weigh(case: Case, poses: int, file: Path) -> Answer:
+def _weigh(case: Case, poses: int, files: list[Path]) -> Answer:
     """Record static poses for the Model Method."""
     q, y = calibration_poses(case.system.arm, poses, seed=case.seed)
     log = weigh_poses(case.system, q, y, seed=case.seed)
-    log.save(file)
-    return Answer(
-        text=f"weighed {poses} poses",
-        plain={"schema": "ves-poses/1", "log": str(file), "digest": log.digest, "poses": poses},
-        files=log_files(file),
-        then=[["calibrate", file]],
-    )
+    log.save(files[0])
+    plain = {
+        "schema": "ves-poses/1",
+        "log": str(files[0]),
+        "digest": log.digest,
+        "poses": poses,
+    }
+    text = f"weighed {poses} poses"
+    return Answer(text=text, plain=plain, files=files, then=[["calibrate", files[0]]])
+
+
+TABLE = {
+    "simulate": (simulate, (
+        *grouped(
+            "motion (default: in 2 s to 60,40,-30 deg; of other than three joints, within half"
+            " of the arm's limits)",
+            START,
+            GOAL,
+            Flag("--via", "A,B,C", joints, "way-point; repeatable", many=True),
+            DURATION,
+        ),
+        Flag("--settle", "S", number("s", least=0), "joints held after it (10)"),
+        Flag("--disturb", "X,Y,Z,A,B,C", pose, "base pose at the start [m, deg]"),
+        GAINS,
+        Flag("--no-feedforward", help="no feed-forward joint torque"),
+        Flag("--record-dt", "S", number("s", above=0),
+             "between records (default physics step; mode emulated: control period)"),
+        Flag("--grasp", "S", number("s"), "close the latch on the system's payload at this"
+             " time; repeatable", many=True),
+        Flag("--release", "S", number("s"), "open it", many=True),
+        Flag("--log", "FILE",
+             help="the run log, .csv or .parquet, from --out if given (out/simulate/run.csv)"),
+        FORMAT,
+        *MACHINE,
+        *grouped(
+            "experiments (mode emulated)",
+            Flag("--platform-motion", "FILE",
+                 read(lambda file: from_plain(Motion, read_table(file), file)),
+                 "what the platform follows under --operation position: a table with duration"
+                 " [s] and control, the points of its path, rows of 6 [m, rad]"),
+            Flag("--learn", "N", integer(1), "learn the weight in N slow repetitions"),
+            Flag("--poses", "N", integer(1), "weigh the arm in N poses, for `calibrate`"),
+        ),
+    )),
+}  # fmt: skip

@@ -1,0 +1,313 @@
+"""`ves-gym plan`, `studio`, `benchmark`: paths, found, drawn and compared."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import ves_gym.api as vg
+from ves_gym._util.params import ParameterError, write_result
+from ves_gym.cli.flags import (
+    DURATION,
+    FORMAT,
+    GOAL,
+    START,
+    UNITS,
+    WORKERS,
+    Answer,
+    Context,
+    Flag,
+    Place,
+    floats,
+    grouped,
+    integer,
+    joints,
+    names,
+    number,
+    path,
+    per_joint,
+    read,
+    text,
+)
+from ves_gym.cli.machine import MACHINE
+from ves_gym.mechanics.kinematics import ToolPose
+from ves_gym.planners.benchmark import merge_best, run_benchmark
+from ves_gym.planners.case import Case
+from ves_gym.planners.comparison import report_plan
+from ves_gym.planners.objective import WEIGHTS, parse_weights
+from ves_gym.planners.obstacles import read_surroundings
+from ves_gym.planners.ompl_search import ALGORITHMS, Ompl
+from ves_gym.planners.query import Planner
+from ves_gym.planners.registry import PLANNERS, get_planner, weighted
+from ves_gym.planners.robust import Robust, Uncertainty, read_uncertainty
+from ves_gym.planners.suites import OBSTACLES, SUITES, get_suite, part_of
+from ves_gym.report.benchmark import benchmark_text, write_page
+from ves_gym.report.figures import benchmark_figures
+from ves_gym.report.notebook import Studio
+from ves_gym.system.disturbance import MEASURES
+from ves_gym.system.frequency_weight import FAST, FrequencyWeight
+
+# ------------------------------------------------------------------------------ one path
+
+
+def _lengths_and_angles(value: str) -> list[float]:
+    numbers = floats(value)
+    if len(numbers) not in (3, 6):
+        raise ValueError
+    return numbers
+
+
+def _tool(value: str, place: Place) -> ToolPose:
+    numbers = read(
+        _lengths_and_angles,
+        "three lengths in m, or these and three angles in degrees, like 0.6,0.2,1.1 or"
+        " 0.6,0.2,1.1,0,90,0",
+    )
+    x, y, z, *angles = numbers(value, place)
+    factor = 1.0 if place.angles == "radians" else UNITS["deg"]
+    return ToolPose(position=(x, y, z), angles=tuple(k * factor for k in angles) or None)
+
+
+def _v_max(value: str, place: Place) -> Any:
+    return value if value == "none" else per_joint("deg/s")(value, place)
+
+
+def plan(
+    at: Context,
+    *,
+    goal: Any = None,
+    tool: ToolPose | None = None,
+    planner: str | None = None,
+    weights: Sequence[str] = (),
+    robust_from: tuple[str, Uncertainty] | None = None,
+    algorithm: str | None = None,
+    evaluations: int | None = None,
+    seconds: float | None = None,
+    **how: Any,
+) -> Answer:
+    """Plan, simulate beside the straight line; negative if the path breaks a limit."""
+    case, lines = at.case, []
+    method: Planner
+    if robust_from is not None:
+        file, uncertain = robust_from
+        method = _robust(planner or "robust", uncertain)
+        lines.append("uncertain: " + "; ".join(uncertain.lines))
+        if uncertain.estimate is not None:
+            for option in at.machine:
+                raise ParameterError(
+                    f"--robust-from {file} says what the machine is: leave out --{option}"
+                )
+            case = Case(system=uncertain.estimate, seed=case.seed)
+    else:
+        method = get_planner(planner or "direct")
+    budget = {"algorithm": algorithm, "evaluations": evaluations, "seconds": seconds}
+    budget = {name: value for name, value in budget.items() if value is not None}
+    for option in budget if not isinstance(method, Ompl) else ():
+        raise ParameterError(f"--{option} is for planners ompl-..., got {method.name}")
+    if budget:
+        method = replace(method, **budget)  # type: ignore[type-var]
+    found = vg.plan(
+        case=case,
+        goal=goal if tool is None else tool,
+        planner=method,
+        weights=parse_weights("+".join(weights)) if weights else None,
+        **how,
+    )
+    if tool is not None:
+        degrees = ", ".join(f"{k + 0.0:.2f}" for k in np.rad2deg(found.query.goal))
+        lines.append(f"goal: {degrees} deg")
+    report = report_plan(found)
+    text = "\n".join([*lines, str(report)])
+    answer = Answer(text=text, plain=report.to_dict(), negative=not found.feasible)
+    if found.motion is None:
+        return answer
+    path = at.folder("out/plan") / "case.toml"
+    replace(found.case, log=str(path.with_name("run.csv"))).save(path)
+    return replace(answer, files=[path], then=[["simulate", "--case", path]])
+
+
+def _robust(name: str, uncertain: Uncertainty) -> Robust:
+    method = get_planner(name)
+    if not isinstance(method, Robust):
+        raise ParameterError(
+            f"--robust-from is for planners robust and robust-worst, got {method.name}"
+        )
+    return Robust(
+        uncertain.ranges, objective=method.objective, name=method.name, around=uncertain.around
+    )
+
+
+def studio(at: Context, *, planner: str = "direct", **how: Any) -> Answer:
+    """Write the page; --out is its folder, or its name if that ends in .html."""
+    query = at.case.query
+    if query is not None:
+        how = {name: getattr(query, name) for name in ("start", "goal", "duration")} | how
+    shown = None if planner == "none" else planner
+    page = Studio(at.case.system, planner=shown, seed=at.case.seed, **how)
+    path = at.folder("out/studio")
+    path = path if path.suffix == ".html" else path / "studio.html"
+    page.save(path)
+    size = len(page.page.encode()) / 1e6
+    return Answer(text=f"{size:.2f} MB; open it in any browser", plain=page.data, files=[path])
+
+
+# ----------------------------------------------------------------------------- benchmark
+
+
+def _planners(value: str, place: Place) -> list[str]:
+    if value == "all":
+        return list(PLANNERS)
+    return [get_planner(name).name for name in names(value, place)]
+
+
+def _weights(value: str, place: Place) -> list[str]:
+    """Names of `refined` without weights and with each of these."""
+    name, equals, values = value.partition("=")
+    if not equals:
+        raise ParameterError(
+            f"{place.name} must be like acceleration_peak=0.003,0.03,0.3, got {value!r}"
+        )
+    weights = [parse_weights(f"{name}={part}") for part in values.split(",")]
+    return ["refined", *(weighted(get_planner("refined"), w).name for w in weights)]
+
+
+def benchmark(
+    at: Context,
+    *,
+    suite: str = "reach100",
+    vehicle: str | None = None,
+    planners: list[str] | None = None,
+    weights: list[str] | None = None,
+    weight: FrequencyWeight = FAST,
+    obstacles: str = "off",
+    quick: bool = False,
+    durations: list[float] | None = None,
+    first: int | None = None,
+    skip: int = 0,
+    keep_best: Path | None = None,
+    **how: Any,
+) -> Answer:
+    """Plan, simulate; the table, JSON, figures and the HTML report."""
+    chosen = get_suite(
+        suite, system=at.case.system, vehicle=vehicle, quick=quick, obstacles=obstacles
+    )
+    chosen = part_of(chosen, durations, first=first, skip=skip)
+    queries = tuple((name, replace(q, weight=weight)) for name, q in chosen.queries)
+    if weights is not None:
+        planners = list(dict.fromkeys([*(planners or chosen.planners), *weights]))
+    result = run_benchmark(
+        replace(chosen, queries=queries),
+        planners=planners,
+        seed=at.case.seed,
+        command=shlex.join(["ves-gym", *sys.argv[1:]]),
+        progress=at.progress,
+        **how,
+    )
+    result["quick"] = quick
+    folder = at.folder(Path("out", chosen.name))
+    drawn = ("traces", "maps", "scenes")  # only the page has them
+    plain = {key: value for key, value in result.items() if key not in drawn}
+    files = [folder / "benchmark.json"]
+    write_result(files[0], plain)
+    lines = [benchmark_text(result)]
+    if keep_best is not None:
+        lines.append(f"best known: {merge_best(keep_best, result)} new or lower")
+        files.append(keep_best)
+    if at.pictures:
+        files.append(folder / "report.html")
+        write_page(result, files[-1])
+    lines.append(f"{len(result['rows'])} runs in {result['seconds']:.0f} s")
+    return Answer(
+        text="\n".join(lines),
+        plain=plain,
+        files=files,
+        figures=lambda: {folder / k: figure for k, figure in benchmark_figures(result).items()},
+    )
+
+
+# -------------------------------------------------------------------------------- tables
+
+WEIGHT = Flag(
+    "--frequency-weight",
+    "HZ:GAIN,...",
+    read(FrequencyWeight.parse),
+    f"filter of E_weighted: gains at frequencies, like 0.5:0,2:1 (default {FAST})",
+    to="weight",
+)
+TABLE = {
+    "plan": (plan, (
+        START,
+        replace(GOAL, against="goal"),
+        Flag("--tool", "X,Y,Z[,A,B,C]", _tool,
+             "in place of --goal: position of the tool in the platform-top frame [m] and, if"
+             " its turn matters, Z-Y-X fixed angles about x, y, z [deg]; the configuration that"
+             " leaves the base least energy is chosen", against="goal"),
+        DURATION,
+        Flag("--planner", "P", text,
+             f"{', '.join(PLANNERS)} (direct; robust with --robust-from)"),
+        Flag("--v-max", "A,B,C", _v_max,
+             "joint speed limits [deg/s], or none (default: those of the arm)"),
+        Flag("--a-max", "A,B,C", per_joint("deg/s^2"),
+             "joint acceleration limits [deg/s^2] (none)"),
+        Flag("--obstacles", "FILE", read(read_surroundings),
+             "surroundings in TOML or JSON: clearance [m], obstacles (spheres, boxes); the"
+             " arm's own links, platform and beam then count too", to="surroundings"),
+        Flag("--weight", "NAME=W", text,
+             "minimise a disturbance measure as well (direct, refined; repeatable), W times the"
+             f" straight line's energy at the straight line's value: {', '.join(WEIGHTS)}",
+             to="weights", many=True),
+        WEIGHT,
+        Flag("--robust-from", "FILE", read(lambda file: (file, read_uncertainty(file))),
+             "what is uncertain, for planners robust and robust-worst: diagnosis.json of"
+             " `ves-gym diagnose` (the machine is then the diagnosed one), or ranges in TOML:"
+             " [effect] parameter = [low, high]"),
+        *grouped(
+            "search (planners ompl-...)",
+            Flag("--algorithm", "A", text, f"{', '.join(ALGORITHMS)} (bitstar)"),
+            Flag("--evaluations", "N", integer(1), "budget of edge costs"),
+            Flag("--seconds", "S", number("s", above=0), "budget of time [s]"),
+        ),
+        *MACHINE,
+    )),
+    "studio": (studio, (
+        START,
+        GOAL,
+        Flag("--via", "A,B,C", joints,
+             "way-point of the drawn path [deg], repeatable (default: one calm detour)",
+             many=True),
+        DURATION,
+        Flag("--planner", "P", text,
+             f"whose path is there to compare with: {', '.join(PLANNERS)}, or none (direct)"),
+        Flag("--open", "FILE", text,
+             "show it in the page, repeatable: a run log or episode (.parquet, .csv), a case,"
+             " diagnosis.json", to="show", many=True),
+        *MACHINE,
+    )),
+    "benchmark": (benchmark, (
+        Flag("--suite", "S", text, f"{', '.join(SUITES)} (reach100)"),
+        Flag("--planners", "A,B", _planners,
+             f"all, or of {', '.join(PLANNERS)}; default the suite's own"),
+        Flag("--obstacles", "O", text, f"{', '.join(OBSTACLES)} (reach100; off)"),
+        Flag("--durations", "S,S", read(floats, "numbers like 1,2,4 [s]"),
+             "only queries of these durations [s]; default all"),
+        Flag("--first", "N", integer(1), "only N queries per duration"),
+        Flag("--skip", "N", integer(), "leave out N of each first (0)"),
+        Flag("--quick", help="ten queries per duration"),
+        Flag("--weights", "NAME=W,W,...", _weights,
+             "also `refined` with each of these weights of a disturbance measure (pareto.png):"
+             f" {', '.join(MEASURES)}"),
+        WEIGHT,
+        replace(WORKERS, help="planning processes"),
+        Flag("--keep-best", "FILE", path, "merge the least energies into FILE (best known)"),
+        Flag("--no-figures", help="skip figures and report"),
+        FORMAT,
+        # suites name what they ask of: the vehicle stays a name
+        *(replace(flag, read=text) if flag.name == "--vehicle" else flag for flag in MACHINE),
+    )),
+}  # fmt: skip
