@@ -10,70 +10,53 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-DOCS = sorted(
-    path.relative_to(ROOT).as_posix()
-    for path in (ROOT / "docs").rglob("*.md")  # but what `make site` writes there
-    if not {"api", "notebooks"} & set(path.parts)
-)
-PAGES = ["README.md", *DOCS]
+PAGES = [
+    ROOT / "README.md",
+    *(
+        path
+        for path in sorted((ROOT / "docs").rglob("*.md"))  # but what `make site` writes there
+        if not {"api", "notebooks"} & set(path.parts)
+    ),
+]
 SLOW = "docs/extending.md"  # arms and effects that nobody has compiled yet
-SNIPPETS: dict[str, dict[str, str]] = {}  # folder of pages, or page -> name -> code
+CODE = {str(k): k.read_text("utf-8") for k in sorted((ROOT / "examples").glob("*.py"))}
 for page in PAGES:
-    code = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text("utf-8"), re.DOTALL)
-    group = "docs/environments" if page.startswith("docs/environments/") else page
-    for i, text in enumerate(code):
-        if page == "README.md" and "vg.diagnose(" in text:
-            continue  # tests/test_api.py runs it, and looks at what it finds
-        SNIPPETS.setdefault(group, {})[f"{page}-{i}"] = text
+    snippets = re.findall(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    for i, text in enumerate(snippets):
+        if page.name != "README.md" or "vg.diagnose(" not in text:  # tests/test_api.py runs it
+            CODE[f"{page.relative_to(ROOT).as_posix()}-{i}"] = text
 # each in an empty folder with names of its own; the others go on where one fails
 RUNNER = """
-import json, os, sys, traceback
-with open(sys.argv[1], encoding="utf-8") as file:
-    snippets = json.load(file)
+import contextlib, io, json, os, sys, traceback
 failed = 0
-for k, (name, code) in enumerate(snippets.items()):
+for k, (name, code) in enumerate(json.load(sys.stdin).items()):
     os.makedirs(f"snippet-{k}")
     os.chdir(f"snippet-{k}")
+    said = io.StringIO()
     try:
-        exec(compile(code, name, "exec"), {"__name__": "__main__"})
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            exec(compile(code, name, "exec"), {"__name__": "__main__", "__file__": name})
+        assert said.getvalue().strip() or not name.endswith(".py"), "an example says something"
+        assert "Warning" not in said.getvalue()
     except BaseException:
         failed = 1
-        print(name, traceback.format_exc(), sep="\\n", file=sys.stderr)
+        print(name, traceback.format_exc(), said.getvalue(), sep="\\n", file=sys.stderr)
     os.chdir("..")
 sys.exit(failed)
 """
 
 
-def run(arguments, folder):
-    """Run Python in an empty folder, as a user would beside an installed package."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        env=environment,
+@pytest.mark.parametrize("slow", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_examples_and_snippets_run(slow, tmp_path):
+    """In one process, as a user would beside an installed package."""
+    chosen = {name: code for name, code in CODE.items() if name.startswith(SLOW) == slow}
+    assert len(chosen) > (0 if slow else 40)
+    done = subprocess.run(
+        [sys.executable, "-c", RUNNER],
+        input=json.dumps(chosen),
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
     )
-
-
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
-def test_example_runs(example, tmp_path):
-    done = run([str(example)], tmp_path)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.strip()
-    assert not done.stderr
-
-
-@pytest.mark.parametrize(
-    "group", [pytest.param(k, marks=[pytest.mark.slow] if k == SLOW else []) for k in SNIPPETS]
-)
-def test_snippets_run(group, tmp_path):
-    """One process for the snippets of a page, so that the package is imported once for them."""
-    (tmp_path / "snippets.json").write_text(json.dumps(SNIPPETS[group]), "utf-8")
-    done = run(["-c", RUNNER, "snippets.json"], tmp_path)
-    assert done.returncode == 0, done.stderr
-
-
-def test_there_are_snippets():
-    assert sum(map(len, SNIPPETS.values())) >= 40

@@ -30,14 +30,11 @@ def call(tmp_path, capsys, monkeypatch):
 
     def run(*words, out=tmp_path / "out"):
         result = tmp_path / "result.json"
-        status = main([*map(str, words), "--json", str(result), "--out", str(out)])
-        text = capsys.readouterr()
-        return (
-            status,
-            text.out,
-            text.err,
-            json.loads(result.read_text()) if result.exists() else None,
-        )
+        result.unlink(missing_ok=True)
+        where = [] if out is None else ["--out", str(out)]
+        status = main([*map(str, words), "--json", str(result), *where])
+        text, found = capsys.readouterr(), result.exists()
+        return status, text.out, text.err, json.loads(result.read_text()) if found else None
 
     return run
 

@@ -29,7 +29,6 @@ def test_a_refusal_is_one_line_and_status_1(call, tmp_path):
     plain = json.loads(file.read_text())
     plain["results"]["score"][0][2] *= 0.5
     file.write_text(json.dumps(plain))
-    (tmp_path / "result.json").unlink()
     status, out, err, entry = call("leaderboard", "verify", file)
     assert status == 1 and out == "" and entry is None
     assert err.startswith("ves-gym: rejected: score-differs: 1 of 10") and err.count("\n") == 1
