@@ -1,6 +1,7 @@
 """Single blocks of the emulation loop that keep their memory between calls."""
 
 import copy
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -8,8 +9,8 @@ from ves_gym.hardware.force_sensor import SensorErrors
 from ves_gym.hardware.leg_servo import Legs
 from ves_gym.hardware.platform import second_order
 from ves_gym.simulation.blocks.block import LoopShape
-from ves_gym.simulation.blocks.force_sensor import ForceSensorBlock
 from ves_gym.simulation.blocks.platform import LegSensors, LegServos, PosePlatform
+from ves_gym.simulation.blocks.sensing import ForceSensorBlock
 from ves_gym.simulation.blocks.wiring import Wiring
 
 
@@ -115,7 +116,7 @@ class RunningSensor(Running):
         n = len(errors.bias)
         self.errors = errors
         block = ForceSensorBlock(sensor, shape_of(nodes))
-        super().__init__(block, block.of_errors(errors), n)
+        super().__init__(block, block.parameters(SimpleNamespace(sensor=errors), None), n)
 
     def reset(self, ids, wrench, generators):
         noisy = self.errors.random()

@@ -16,7 +16,7 @@ from ves_gym.mechanics.arm import matrix
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.vehicle import BENT_THESIS, MatrixVehicle
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.simulation.stability import spectral_radius
+from ves_gym.simulation.stability import linearise
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
@@ -45,7 +45,7 @@ def emulation(ratio: float, place: str, delay: int) -> System:
 
 
 def predicted_stable(system: System) -> bool:
-    return spectral_radius(system) <= 1 + MARGINAL
+    return linearise(system).spectral_radius <= 1 + MARGINAL
 
 
 def simulated_stable(system: System, seed: int, seconds: float = 6.0) -> bool:

@@ -1,7 +1,5 @@
 """PPED: the linear plant, its measures, their gradients, the search."""
 
-import dataclasses
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -25,7 +23,6 @@ from ves_gym.mechanics.vehicle import (
     BENT_THESIS,
     DECOUPLED,
     FREE_FLOATING,
-    STRAIGHT_VERTICAL_THESIS,
     MatrixVehicle,
 )
 from ves_gym.system.system import System
@@ -33,16 +30,12 @@ from ves_gym.system.system import System
 BENT = System(vehicle=BENT_THESIS)
 
 Q = np.deg2rad([45.0, 0.0, 0.0])
-CONSISTENT = dataclasses.replace(BENT_THESIS, mass_model="consistent")
 FULL = GainMatrices(  # symmetric, positive definite
     np.array([[300.0, 80, -20], [80, 200, 40], [-20, 40, 90]]),
     np.array([[20.0, 4, 1], [4, 15, -3], [1, -3, 8]]),
 )
 SYSTEMS = {
-    "bent-thesis": (BENT, GainMatrices.of(PPED_GAINS)),
     "bent, full gains": (BENT, FULL),
-    "consistent": (System(vehicle=CONSISTENT), GainMatrices.of(HIGH_GAINS)),
-    "straight": (System(vehicle=STRAIGHT_VERTICAL_THESIS), GainMatrices.of(HIGH_GAINS)),
     "six joints": (
         System(arm=six_joint_arm(), vehicle=DECOUPLED),
         GainMatrices.of(WRIST_GAINS),
@@ -57,14 +50,14 @@ def bent(q=Q):
 # ------------------------------------------------------------------------- the plant
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("name", ["bent, full gains", "six joints"])
 def test_the_plant_is_pinocchios_inertia_with_the_vehicles_matrices(name):
     """(H_pin + M) z'' + D z' + K z = 0, gains on the joints. Tolerance: rounding."""
     system, gains = SYSTEMS[name]
     n, rng = system.arm.n, np.random.default_rng(0)
     model = pinocchio_model(system.arm, system.base)
     order = np.r_[TO_Y, 6 : 6 + n]
-    for q in 0.5 * rng.uniform(system.arm.column("q_min"), system.arm.column("q_max"), (5, n)):
+    for q in 0.5 * rng.uniform(system.arm.column("q_min"), system.arm.column("q_max"), (2, n)):
         H = pin.crba(model, model.createData(), np.r_[np.zeros(6), q])
         M = (np.triu(H) + np.triu(H, 1).T)[np.ix_(order, order)]
         M[:6, :6] += system.base.M
@@ -101,7 +94,7 @@ def test_what_has_no_plant_is_refused(system, q, message):
 # -------------------------------------------------------------------------- measures
 
 
-@pytest.mark.parametrize("name", [k for k in SYSTEMS if k != "straight"])  # 40 Hz for minutes
+@pytest.mark.parametrize("name", ["bent, full gains", "six joints"])
 def test_the_strain_integral_is_that_of_the_response(name):
     """Lyapunov's closed form against Simpson's rule on the response, to 1e-6."""
     system, gains = SYSTEMS[name]
@@ -208,34 +201,27 @@ def test_bounded_matrices_have_the_gradient_of_differences(full):
 
 def test_the_search_beats_random_gains_and_keeps_its_bounds():
     plant, bounds = bent(), Bounds(K=(30.0, 600.0), B=(1.0, 50.0))
-    tuned = tune(plant, bounds=bounds)
-    for gain, (low, high) in zip(tuned.gains, (bounds.K, bounds.B), strict=True):
-        assert np.count_nonzero(gain) == 3
-        assert (
-            low * (1 - 1e-9) <= np.diag(gain).min() <= np.diag(gain).max() <= high * (1 + 1e-9)
-        )
+    tuned = tune(plant, bounds=bounds, starts=6)
+    full = tune(plant, bounds=bounds, starts=2, full=True)
+    assert full.value < 0.99 * tuned.value
+    for gains in (tuned.gains, full.gains):
+        for gain, (low, high) in zip(gains, (bounds.K, bounds.B), strict=True):
+            np.testing.assert_allclose(gain, gain.T, rtol=1e-12)
+            values = np.linalg.eigvalsh(gain)
+            assert low * (1 - 1e-9) <= values[0] and values[-1] <= high * (1 + 1e-9)
+    assert np.count_nonzero(tuned.gains) == 6
     assert analyse(plant, tuned.gains).E_int == pytest.approx(tuned.value, rel=1e-9)
     rng = np.random.default_rng(0)
-    for _ in range(300):
+    for _ in range(100):
         K = np.exp(rng.uniform(*np.log(bounds.K), 3))
         B = np.exp(rng.uniform(*np.log(bounds.B), 3))
         assert analyse(plant, GainMatrices(np.diag(K), np.diag(B))).E_int > tuned.value
 
 
-def test_full_matrices_leave_less_and_keep_their_bounds():
-    plant, bounds = bent(), Bounds(K=(30.0, 900.0), B=(1.0, 50.0))
-    diagonal, full = (tune(plant, full=f, bounds=bounds, starts=6) for f in (False, True))
-    assert full.value < 0.99 * diagonal.value
-    for gain, (low, high) in zip(full.gains, (bounds.K, bounds.B), strict=True):
-        np.testing.assert_allclose(gain, gain.T, rtol=1e-12)
-        values = np.linalg.eigvalsh(gain)
-        assert low * (1 - 1e-9) <= values[0] and values[-1] <= high * (1 + 1e-9)
-
-
 def test_each_objective_is_best_at_what_it_asks():
     """Against the gains found for the others and the thesis's."""
     plant = bent()
-    searches = {name: tune(plant, name) for name in OBJECTIVES}
+    searches = {name: tune(plant, name, starts=8) for name in OBJECTIVES}
     judged = {name: analyse(plant, tuned.gains) for name, tuned in searches.items()}
     judged["thesis"] = analyse(plant, GainMatrices.of(PPED_GAINS))
     measures = {"strain": "E_int", "worst": "worst", "estimator": "estimator"}
@@ -278,7 +264,7 @@ def test_wrong_searches_are_refused(options, message):
         tune(bent(), **options)
 
 
-@pytest.mark.parametrize("K", [(5.0, 1.0), (0.0, 10.0), (1.0, 1.0), (1.0,)])
+@pytest.mark.parametrize("K", [(5.0, 1.0), (0.0, 10.0), (1.0,)])
 def test_wrong_bounds_are_refused(K):
     with pytest.raises(ParameterError, match=r"Bounds\.K"):
         Bounds(K=K)

@@ -107,7 +107,7 @@ def test_equations_4_1_and_4_2():
     assert dq @ joint.B @ dq == pytest.approx(moved @ B @ moved)
 
 
-@pytest.mark.parametrize("full", [False, True], ids=["diagonal", "full"])
+@pytest.mark.parametrize("full", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_two_masses_are_an_arm_with_one(full):
     """Their measure is what the full dynamic analysis finds for the joint gains."""
     system = System(vehicle=BENT_THESIS, arm=point_mass_arm())

@@ -3,7 +3,6 @@
 import dataclasses
 
 import numpy as np
-import pytest
 
 from ves_gym import System
 from ves_gym.effects import BaseUnknown
@@ -16,8 +15,7 @@ EFFECT = BaseUnknown(
 )
 
 
-@pytest.mark.parametrize("mode", ["ideal", "emulated"])
-def test_it_moves_as_a_vehicle_that_has_them(mode):
+def test_it_moves_as_a_vehicle_that_has_them():
     stiff = dataclasses.replace(
         DECOUPLED,
         K=np.array(DECOUPLED.K) + np.diag(EFFECT.stiffness),
@@ -27,10 +25,10 @@ def test_it_moves_as_a_vehicle_that_has_them(mode):
     ours, theirs = (
         play_motions(system, [motion]).log(0)
         for system in (
-            System(mode=mode, vehicle=DECOUPLED, effects=(EFFECT,)),
-            System(mode=mode, vehicle=stiff),
+            System(vehicle=DECOUPLED, effects=(EFFECT,)),
+            System(vehicle=stiff),
         )
     )
-    plain = play_motions(System(mode=mode, vehicle=DECOUPLED), [motion]).log(0)
+    plain = play_motions(System(vehicle=DECOUPLED), [motion]).log(0)
     np.testing.assert_allclose(ours.y, theirs.y, atol=1e-12)
     assert np.abs(ours.y - plain.y).max() > 1e-5

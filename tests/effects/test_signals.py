@@ -10,26 +10,24 @@ from ves_gym.effects import (
     PlatformDelay,
     PlatformStroke,
 )
-from ves_gym.hardware.leg_servo import LOW_GAINS, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.simulation.stability import linearise, spectral_radius
+from ves_gym.simulation.stability import linearise
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.system import System
 
-BACKENDS = ("kernel", "mujoco")
 POSITION = EmulatorSettings(operation="position", platform=PoseServo(bandwidth=8.0))
 H = System(vehicle=BENT_THESIS).physics_dt
 LIMIT = System(vehicle=BENT_THESIS).arm.column("tau_max")
 
 
-def angles(system, commands, backend):
+def angles(system, commands):
     """Joint angles at the control period under bare torques (k + 1, 3)."""
-    sim = Simulator(system, servo=None, backend=backend)
+    sim = Simulator(system, servo=None)
     per, out = system.substeps, [sim.state.q[0]]
     for j in range((len(commands) - 1) // per):
         sim.play(commands[None, j * per : (j + 1) * per + 1])
@@ -37,9 +35,8 @@ def angles(system, commands, backend):
     return np.array(out)
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("delay", [10 * H, 3 * H, 3.5 * H])
-def test_a_late_command_is_the_same_command_later(delay, backend):
+@pytest.mark.parametrize("delay", [3 * H, 3.5 * H])
+def test_a_late_command_is_the_same_command_later(delay):
     """The run is that of a command shifted by hand, whole steps or not."""
     t = np.arange(81) * H
 
@@ -53,10 +50,7 @@ def test_a_late_command_is_the_same_command_later(delay, backend):
         tolerance = 1e-9
     else:
         tolerance = 1e-13
-    got, want = (
-        angles(late, torque(t), backend),
-        angles(System(vehicle=BENT_THESIS), shifted, backend),
-    )
+    got, want = angles(late, torque(t)), angles(System(vehicle=BENT_THESIS), shifted)
     np.testing.assert_allclose(got, want, atol=tolerance)
 
 
@@ -78,11 +72,10 @@ def test_the_log_shows_the_command_sent_and_the_torque_by_what_has_arrived():
     assert np.abs(run.w - plain.w).max() > 1.0
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_an_old_measurement_is_that_of_then(backend):
+def test_an_old_measurement_is_that_of_then():
     delay = 4.5 * H
     system = System(vehicle=BENT_THESIS, effects=(JointMeasurementDelay(delay=delay),))
-    sim = Simulator(system, backend=backend)
+    sim = Simulator(system)
     seen, true = [], []
     for k in range(40):
         sim.play(np.full((1, 2, 3), 30.0 * np.sin(0.1 * k)))
@@ -106,27 +99,6 @@ def test_the_servo_acts_on_what_it_sees():
         told = np.clip(-sim.servo_command(q, v), -LIMIT, LIMIT)
         np.testing.assert_allclose(sim.evaluate(0.0)[0], told, rtol=1e-12, atol=1e-12)
     assert np.abs(sim.measured[0] - sim.state.q).max() > 1e-4
-
-
-@pytest.mark.parametrize("mode", ["ideal", "emulated"])
-def test_simulations_with_delays_of_their_own(mode):
-    """Bit for bit as alone; the others as they were."""
-
-    def late(a, b):
-        effects = (CommandDelay(delay=a), JointMeasurementDelay(delay=b))
-        return System(mode=mode, vehicle=DECOUPLED, effects=effects)
-
-    own, other = late(0.0, 0.0), late(0.011, 0.0031)
-    sim, plain = (Simulator(own, 3, backend="kernel", warn_at=None) for _ in range(2))
-    sim.assign([other], [1])
-    alone = Simulator(other, 1, backend="kernel", warn_at=None)
-    for each in (sim, plain, alone):
-        each.reset(q=0.1)
-        for k in range(8):
-            each.step(each.servo_command(np.full((each.n, 3), 0.1 + 0.02 * k), np.zeros(3)))
-    for a, b, c in zip(sim.state, plain.state, alone.state, strict=True):
-        assert a[1].tobytes() == c[0].tobytes()
-        assert a[[0, 2]].tobytes() == b[[0, 2]].tobytes()
 
 
 def test_a_snapshot_remembers_what_is_under_way():
@@ -196,31 +168,6 @@ def test_within_reach_nothing_happens():
     np.testing.assert_array_equal(ride((PlatformStroke(travel=0.2, speed=0.2),), 0.05), want)
 
 
-def test_legs_hear_late_and_end_too_soon():
-    """On leg servos, and in one simulation of a batch whose own machine is as stated."""
-    control, physics = leg_clock(LOW_GAINS)
-    emulator = EmulatorSettings(operation="position", platform=LOW_GAINS)
-    null = (PlatformDelay(), PlatformStroke())
-    plain = System(vehicle=BENT_THESIS, mode="emulated", emulator=emulator, effects=null)
-    plain = plain.replace(control_dt=control, physics_dt=physics)
-    other = plain.replace(
-        effects=(PlatformDelay(delay=2 * control), PlatformStroke(travel=0.99))
-    )
-    sim = Simulator(plain, 3, warn_at=None)
-    sim.assign([other], [1])
-    sim.reset()
-    path = []
-    for k in range(60):
-        pose = np.zeros((3, 12))
-        pose[:, 0] = 0.05 * k * control
-        sim.step(sim.servo_command(np.zeros((3, 3)), np.zeros((3, 3))), platform=pose)
-        path.append(sim.readings.y[:, 0])
-    path = np.array(path)
-    np.testing.assert_array_equal(path[:, 0], path[:, 2])
-    np.testing.assert_allclose(path[2:15, 1], path[:13, 0], atol=1e-9)  # two periods late
-    assert path[-1, 1] < 0.7 * path[-1, 0]  # and held back in the end
-
-
 def test_delays_are_in_the_loop_that_is_judged():
     """The linearised loop answers a wrench as late, or as badly held, as the machine."""
     plain, push = System(mode="emulated", vehicle=DECOUPLED), [50.0, 0, 0, 0, 0, 20.0]
@@ -229,15 +176,14 @@ def test_delays_are_in_the_loop_that_is_judged():
         got = linearise(plain.replace(effects=(effect,))).step(push, 25)
         assert np.abs(got - want).max() > 1e-5 * np.abs(want).max()
     null = (PlatformDelay(), PlatformStroke(), JointMeasurementDelay(), CommandDelay())
-    assert spectral_radius(plain.replace(effects=null)) == spectral_radius(plain)
+    np.testing.assert_array_equal(linearise(plain.replace(effects=null)).A, linearise(plain).A)
 
 
 # ------------------------------------------------------------- amplitude-dependent damping
 
 
 @pytest.mark.parametrize("mode", ["ideal", "emulated"])
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_damping_grows_with_the_amplitude(mode, backend):
+def test_damping_grows_with_the_amplitude(mode):
     """The drag's logarithmic decrement is 8/3 c A / m: twice at twice the amplitude.
 
     One free mode, x of the decoupled vehicle with the arm on it. The linear damper beside it
@@ -249,7 +195,7 @@ def test_damping_grows_with_the_amplitude(mode, backend):
         ends = []
         for effects in ((), (BaseAmplitudeDamping(coefficient=(c, 0, 0, 0, 0, 0)),)):
             system = System(mode=mode, vehicle=DECOUPLED, drive="prescribed", effects=effects)
-            sim = Simulator(system, backend=backend, warn_at=None)
+            sim = Simulator(system, warn_at=None)
             y = np.zeros(6)
             y[0] = amplitude
             sim.reset(y=y)

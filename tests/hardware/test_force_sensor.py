@@ -1,7 +1,5 @@
 """The force sensor: frame, filter, errors, zero and calibration, each against a formula."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 import scipy.signal
@@ -127,11 +125,11 @@ def test_noise_has_the_filters_spectrum():
     exp(-a t) (cos a t + sin a t), a = w / sqrt(2), and hardly any power at ten times the
     cut-off (1e-4; aliasing at 1 kHz adds as much again).
 
-    Six channels of 20 s, correlation time 8 ms: 2 % standard error.
+    Six channels of 8 s, correlation time 8 ms: 3 % standard error.
     """
     nodes = np.array([0.0, 1e-3])
     runtime, rng = at_rest(nodes=nodes, wrench=0.0, noise=1.0)
-    series = np.empty((20_000, 6))
+    series = np.empty((8_000, 6))
     for k in range(len(series)):
         runtime.advance(np.zeros((1, 2, 6)), rng)
         series[k] = runtime.signal()[0]
@@ -169,15 +167,6 @@ def test_drift_starts_from_zero_and_reaches_its_deviation_over_its_time():
     runtime.reset(np.array([1]), np.zeros((1, 6)), rng)
     assert (runtime.signal()[1] == 0).all()
     assert (runtime.signal()[0] != 0).all()
-
-
-def test_noise_of_one_sensor_does_not_depend_on_the_others():
-    few, rng_few = at_rest(n=2, noise=1.0, drift=1.0)
-    many, rng_many = at_rest(n=5, noise=1.0, drift=1.0)
-    for _ in range(4):
-        few.advance(np.zeros((2, 11, 6)), rng_few)
-        many.advance(np.zeros((5, 11, 6)), rng_many)
-        assert few.reading().tobytes() == many.reading()[:2].tobytes()
 
 
 # ------------------------------------------------- bias, cross-talk, quantisation, zero
@@ -226,35 +215,19 @@ def test_the_zero_can_be_set_so_that_any_wrench_is_read():
 # ---------------------------------------------------------------------- calibration
 
 
-@pytest.mark.parametrize("before", ["fresh", "calibrated before"])
-def test_a_calibrated_sensor_reads_the_corrected_wrench(before):
+def test_a_calibrated_sensor_reads_the_corrected_wrench():
     """reading -> C reading + offset; tolerance: rounding of two inverses of condition < 50."""
     rng = np.random.default_rng(6)
-    sensor = ForceSensor()
-    if before != "fresh":
-        sensor = dataclasses.replace(
-            sensor,
-            calibration=matrix(np.eye(6) + 0.1 * rng.normal(size=(6, 6))),
-            zero=tuple(rng.normal(size=6).tolist()),
-        )
+    sensor = ForceSensor(
+        calibration=matrix(np.eye(6) + 0.1 * rng.normal(size=(6, 6))),
+        zero=tuple(rng.normal(size=6).tolist()),
+    )
     C, offset = np.eye(6) + 0.1 * rng.normal(size=(6, 6)), rng.normal(size=6) * 10
     corrected = sensor.calibrated(C, offset)
     for wrench in rng.normal(size=(5, 6)) * [100, 100, 900, 100, 100, 100]:
         raw = at_rest(sensor, wrench=wrench, bias=1.0, matrix=0.02)[0].reading()[0]
         got = at_rest(corrected, wrench=wrench, bias=1.0, matrix=0.02)[0].reading()[0]
         np.testing.assert_allclose(got, C @ raw + offset, rtol=0, atol=1e-9)
-
-
-def test_a_perfect_calibration_removes_gains_cross_talk_and_bias():
-    """The inverse of what a sensor with errors does to wrenches brings the truth back."""
-    rng = np.random.default_rng(7)
-    error, bias = 0.05 * rng.normal(size=(6, 6)), rng.normal(size=6)
-    sensor = ForceSensor()
-    F = sensor.frame
-    C = np.linalg.inv(np.linalg.solve(F, (np.eye(6) + error) @ F))
-    offset = -C @ np.linalg.solve(F, bias)
-    runtime, _ = at_rest(sensor.calibrated(C, offset), bias=bias, matrix=error)
-    np.testing.assert_allclose(runtime.reading()[0], WRENCH, rtol=0, atol=1e-9)
 
 
 def test_bad_sensors_are_refused():
@@ -272,11 +245,8 @@ def test_bad_sensors_are_refused():
         ForceSensor().calibrated(np.eye(6), np.full(6, np.nan))
     for name, value, message in [
         ("cutoff", 0.0, "cutoff must be > 0 Hz, got 0.0"),
-        ("force_resolution", -1.0, "force_resolution must be >= 0 N, got -1.0"),
         ("moment_resolution", np.nan, "moment_resolution must be >= 0 N m, got nan"),
         ("offset", (0.0, 0.0), r"ForceSensor.offset must have shape \(3,\)"),
-        ("zero", (np.inf,) * 6, "ForceSensor.zero must be finite"),
-        ("calibration", ((1.0,),), r"ForceSensor.calibration must have shape \(6, 6\)"),
     ]:
         with pytest.raises(ParameterError, match=message):
             ForceSensor(**{name: value})

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.free_bodies import rebound
 from ves_gym._util.params import ParameterError
 from ves_gym.effects.payload import PayloadMass
 from ves_gym.mechanics.arm import Inertial, diagonal
@@ -15,7 +14,7 @@ from ves_gym.mechanics.boom import get_boom
 from ves_gym.mechanics.kinematics import tool_frame
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.payload import Contact, ContactShape, Payload
-from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, FREE_FLOATING
+from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.energy_balance import EnergyBalance
@@ -55,9 +54,8 @@ def played(sim: Simulator, periods: int = 8) -> np.ndarray:
     return np.concatenate([*sim.state[1:], *sim.payload.state, *sim.contact.measured()[:1]], 1)
 
 
-@pytest.mark.parametrize("vehicle", [FREE_FLOATING, BENT], ids=["satellite", "internal modes"])
-def test_a_snapshot_continues_exactly(vehicle):
-    sim = started(SYSTEM.replace(vehicle=vehicle), 2)
+def test_a_snapshot_continues_exactly():
+    sim = started(SYSTEM.replace(vehicle=BENT), 2)
     played(sim, 3)
     sim.grasp([1])
     snapshot = pickle.loads(pickle.dumps(sim.snapshot()))
@@ -129,23 +127,20 @@ def test_files_and_logs_hold_it(tmp_path):
     assert not again.contact[5:].any()
 
 
-@pytest.mark.parametrize("vehicle", [BENT_THESIS, BENT], ids=["beam", "internal modes"])
-def test_a_flexible_base_takes_its_part(vehicle):
+def test_a_flexible_base_takes_its_part():
     shape = replace(CONTACT.target[0], place=replace(PAYLOAD.grip, position=PAYLOAD.position))
     contact = replace(CONTACT, on="space", target=(shape,))
-    system = System(vehicle=vehicle, contact=contact)
+    system = System(vehicle=BENT, contact=contact)
     motion = Motion.straight(HOME, HOME + np.array([-0.15, 0.2, 0.1]), 0.4)
     log = play_motions(system, [motion], settle=0.2, record_dt=system.physics_dt).log(0)
     balance = EnergyBalance.of(log)
-    print(balance)
     assert np.abs(log.contact).max() > 5.0
     assert balance.relative <= 5e-3
 
 
-@pytest.mark.parametrize("backend", ["kernel", "gpu-kernel"])
-def test_other_engines_name_the_one_that_can(backend):
-    with pytest.raises(ParameterError, match=f"backend {backend} has no contact .* use mujoco"):
-        Simulator(SYSTEM, backend=backend)
+def test_other_engines_name_the_one_that_can():
+    with pytest.raises(ParameterError, match=r"backend kernel has no contact .* use mujoco"):
+        Simulator(SYSTEM, backend="kernel")
     assert Simulator(SYSTEM).backend_name == "mujoco"
 
 
@@ -159,12 +154,10 @@ def test_other_engines_name_the_one_that_can(backend):
             "contact at the tool",
         ),
         (lambda: replace(CONTACT, stiffness=0.0), "stiffness must be > 0"),
-        (lambda: replace(CONTACT, damping=-1.0), "damping must be >= 0"),
         (lambda: replace(CONTACT, on="moon"), "on must be one of"),
         (lambda: replace(CONTACT, tool=()), "tool must be one shape"),
         (lambda: ContactShape(form="cone", size=(1.0,)), "form must be one of"),
         (lambda: ContactShape(form="box", size=(1.0, 1.0)), "size of a box"),
-        (lambda: ContactShape(form="sphere", size=(-1.0,)), "must be > 0 m"),
         (
             lambda: SYSTEM.replace(contact=replace(CONTACT, slip_time=1e-3)),
             "slip_time must be >= 2 physics steps",
@@ -178,10 +171,3 @@ def test_other_engines_name_the_one_that_can(backend):
 def test_refused(make, message):
     with pytest.raises(ParameterError, match=message):
         make()
-
-
-def test_rebound_is_continuous_where_it_stops_to_swing():
-    times, falls = zip(*(rebound(1.0, 1.0, 2.0 + k) for k in (-1e-7, 0.0, 1e-7)), strict=True)
-    assert np.ptp(times) < 1e-6
-    assert np.ptp(falls) < 1e-6
-    assert rebound(2.0, 50.0, 0.0) == pytest.approx((np.pi / 5, 1.0))

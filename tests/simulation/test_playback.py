@@ -8,7 +8,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import diagonal
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.servo import FREE, HIGH_GAINS, PPED_GAINS, JointServo
+from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
 from ves_gym.mechanics.spatial import matvec, rotation, twist
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, MatrixVehicle
 from ves_gym.simulation.machines import Divergence
@@ -38,17 +38,10 @@ def test_records_of_a_stack():
     run = play_motions(
         System(vehicle=BENT_THESIS), [MOTION, OTHER, MOTION], settle=0.5, record_dt=5e-3
     )
-    N = 301
-    assert run.t.shape == (N,)
-    np.testing.assert_allclose(np.diff(run.t), 5e-3, rtol=1e-9)
-    assert run.t[0] == 0.0
-    assert run.t[-1] == pytest.approx(1.5)
-    for name in ("q_cmd", "v_cmd", "q", "v", "tau"):
-        assert getattr(run, name).shape == (3, N, 3)
-    for name in ("y", "yd", "w"):
-        assert getattr(run, name).shape == (3, N, 6)
-    for name in ("q", "v", "tau", "y", "yd", "w"):
+    np.testing.assert_allclose(run.t, 5e-3 * np.arange(301), rtol=1e-9, atol=0)
+    for name in ("q_cmd", "v_cmd", "q", "v", "tau", "y", "yd", "w"):
         values = getattr(run, name)
+        assert values.shape == (3, 301, 6 if name in ("y", "yd", "w") else 3)
         assert (values[0] == values[2]).all()  # the same motion twice
         assert np.isfinite(values).all()
     np.testing.assert_array_equal(run.q_cmd[1], OTHER.at(run.t).q)
@@ -69,38 +62,6 @@ def test_a_record_lies_on_the_run_whatever_its_period():
         np.testing.assert_allclose(a[:, ::10], b, rtol=0, atol=1e-13)
         np.testing.assert_allclose(a[:, ::20], c, rtol=0, atol=1e-13)
     np.testing.assert_allclose(fine.w[:, ::20], coarse.w, atol=1e-9)
-
-
-def test_the_servo_follows_and_without_one_nothing_moves():
-    good = play_motions(System(vehicle=BENT_THESIS), [MOTION], settle=0.5)
-    np.testing.assert_allclose(good.q, good.q_cmd, atol=2e-3)
-    soft = play_motions(System(vehicle=BENT_THESIS), [MOTION], settle=0.5, servo=PPED_GAINS)
-    blind = play_motions(
-        System(vehicle=BENT_THESIS),
-        [MOTION],
-        settle=0.5,
-        servo=JointServo(kp=HIGH_GAINS.kp, kd=HIGH_GAINS.kd, feedforward=False),
-    )
-    for worse in (soft, blind):
-        assert np.abs(worse.q - worse.q_cmd).max() > 2 * np.abs(good.q - good.q_cmd).max()
-    loose = play_motions(System(vehicle=BENT_THESIS), [MOTION], settle=0.1, servo=FREE)
-    assert (loose.tau == 0).all()
-    np.testing.assert_allclose(loose.q[0], np.tile(MOTION.start, (len(loose.t), 1)), atol=1e-12)
-
-
-def test_the_base_may_start_anywhere():
-    y = [0.01, -0.02, 0.0, 0.001, 0.0, 0.002]
-    run = play_motions(
-        System(vehicle=BENT_THESIS),
-        [MOTION, OTHER],
-        settle=0.1,
-        y=[y, np.zeros(6)],
-        yd=[[0.1] + [0.0] * 5],
-    )
-    np.testing.assert_array_equal(run.y[:, 0], [y, np.zeros(6)])
-    np.testing.assert_array_equal(run.yd[:, 0], [[0.1] + [0.0] * 5] * 2)
-    with pytest.raises(ParameterError, match=r"y must be numbers of shape \(2, 6\)"):
-        play_motions(System(vehicle=BENT_THESIS), [MOTION, OTHER], y=[0.0] * 5)
 
 
 # --------------------------------------------------------------------------- wrench
@@ -169,9 +130,7 @@ def test_a_run_becomes_a_log_that_repeats_it(tmp_path):
         ([MOTION, OTHER.retimed(2.0)], {}, r"share one duration, got \[1.0, 2.0\]"),
         ([Motion.straight([0, 0], [1, 1], 1.0)], {}, "puma560 needs 3 joints, got 2"),
         ([MOTION], {"record_dt": 2e-3}, "record_dt must be a whole number of physics steps"),
-        ([MOTION], {"record_dt": 0.0}, "record_dt must be a whole number .*got 0 s"),
         ([MOTION], {"record_dt": np.inf}, "record_dt must be a whole number"),
-        ([MOTION], {"settle": -1.0}, "settle must be >= 0 s, got -1.0"),
         ([MOTION], {"settle": np.nan}, "settle must be >= 0 s"),
         ([MOTION], {"yd": np.nan}, "yd must be finite"),
         ([MOTION], {"servo": JointServo(kp=(1.0,), kd=(1.0,))}, "gains for 3 joints, got 1"),
@@ -207,13 +166,10 @@ QUICK_TURN = Motion.straight(np.zeros(3), np.deg2rad([40.0, -25, 50]), 0.5)
 @pytest.mark.parametrize(
     "system",
     [
-        System(vehicle=BENT_THESIS),
-        System(vehicle=BENT_THESIS, drive="prescribed"),
-        System(vehicle=FREE_FLOATING),
         System(vehicle=BENT_THESIS, effects=DELAYS),
         System(vehicle=BENT_THESIS, mode="emulated", physics_dt=1.25e-3, control_dt=5e-3),
     ],
-    ids=["motor", "prescribed", "free", "delays", "emulated"],
+    ids=["delays", "emulated"],
 )
 def test_watching_the_joints_changes_no_record(system):
     dt = 25e-3

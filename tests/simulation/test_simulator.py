@@ -1,6 +1,5 @@
 """`Simulator`: what goes in, what comes out, and what happens when it goes wrong."""
 
-import dataclasses
 import itertools
 import pickle
 
@@ -10,13 +9,11 @@ import pytest
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.arm_library import PUMA_560
-from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS, JointServo
-from ves_gym.mechanics.spatial import twist
+from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,
     DECOUPLED,
     FREE_FLYING,
-    SERVICER_FLEXIBLE,
     Satellite,
 )
 from ves_gym.simulation.machines import Divergence
@@ -47,18 +44,13 @@ def moving(n=3, **options):
 # ------------------------------------------------------------------------- shapes
 
 
-@pytest.mark.parametrize("n", [1, 2, 5])
-def test_shapes_and_time(n):
-    sim = Simulator(System(vehicle=BENT_THESIS), n)
+def test_shapes_and_time():
+    sim = Simulator(System(vehicle=BENT_THESIS), 2)
     state = sim.step(0.0)
-    assert state.time.shape == (n,)
-    assert state.y.shape == state.yd.shape == (n, 6)
-    assert state.q.shape == state.v.shape == (n, 3)
+    assert [part.shape for part in state] == [(2,), (2, 6), (2, 6), (2, 3), (2, 3)]
     np.testing.assert_allclose(state.time, 12.5e-3, rtol=1e-12)
     assert all(part.dtype == np.float64 for part in state)
-    torque, acceleration = sim.evaluate(0.0)
-    assert torque.shape == (n, 3)
-    assert acceleration.shape == (n, 6)
+    assert [part.shape for part in sim.evaluate(0.0)] == [(2, 3), (2, 6)]
 
 
 def test_states_handed_out_are_copies():
@@ -83,9 +75,9 @@ def test_commands_broadcast(command):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        *(({"n": n}, "n must be a whole number >= 1, got") for n in (0, -1, 1.0, True, "2")),
-        *(({"threads": k}, "threads must be a whole number >= 0") for k in (-1, 1.5, True)),
-        *(({"seed": k}, "seed must be a whole number >= 0") for k in (-1, 1.5, True, None)),
+        *(({"n": n}, "n must be a whole number >= 1, got") for n in (0, 1.0, True, "2")),
+        ({"threads": -1}, "threads must be a whole number >= 0"),
+        ({"seed": None}, "seed must be a whole number >= 0"),
         ({"backend": "bullet"}, "mujoco, gpu-kernel, gpu-kernel-float32, got 'bullet'"),
         ({"on_divergence": "ignore"}, "on_divergence must be raise or mark, got 'ignore'"),
         ({"servo": JointServo(kp=(1.0,), kd=(1.0,))}, "must have gains for 3 joints, got 1"),
@@ -96,36 +88,11 @@ def test_bad_options_are_refused(options, message):
         Simulator(System(vehicle=BENT_THESIS), **options)
 
 
-def test_a_simulation_does_not_know_how_many_there_are():
-    """Row i of a batch, on one thread or two, equals the same simulation alone, bitwise."""
-    batch, threads = moving(4, threads=1), moving(4, threads=2)
-    start = Simulator(System(vehicle=BENT_THESIS), 4)
-    start.reset(**START, spread={"q": 0.1, "v": 0.1, "y": 0.01, "yd": 0.01})
-    alone = [Simulator(System(vehicle=BENT_THESIS), 1) for _ in range(4)]
-    for i, sim in enumerate(alone):
-        s = start.state
-        sim.reset(q=s.q[i], v=s.v[i], y=s.y[i], yd=s.yd[i])
-        sim.step([5.0, -3.0, 1.0])
-    for _ in range(5):
-        state = batch.step([1.0, 2.0, 3.0])
-        assert same(threads.step([1.0, 2.0, 3.0]), state)
-        for i, sim in enumerate(alone):
-            assert same(sim.step([1.0, 2.0, 3.0]), [part[i : i + 1] for part in state])
-
-
 # ------------------------------------------------------- bad input leaves no trace
 
 NAN_ROW = np.zeros((3, 3))
 NAN_ROW[1, 2] = np.nan
-BAD = [np.nan, np.inf, -np.inf, NAN_ROW, [0.0, 0.0], np.zeros((2, 3)), np.zeros((3, 4))]
-BAD += [
-    "0.0",
-    None,
-    True,
-    1j,
-    [[0], [0, 0]],
-    np.zeros((2, 2, 3, 3)),
-]
+BAD = [-np.inf, NAN_ROW, [0.0, 0.0], "0.0", True, [[0], [0, 0]], np.zeros((2, 2, 3, 3))]
 
 
 @pytest.mark.parametrize("bad", BAD, ids=lambda b: repr(b).replace("\n", "")[:40])
@@ -164,24 +131,6 @@ def test_a_bad_number_is_located():
 # -------------------------------------------------------------------------- reset
 
 
-def test_resetting_some_leaves_the_others_untouched_bitwise():
-    sim, twin = moving(5), moving(5)
-    after = sim.reset(q=[[0.1] * 3, [0.2] * 3], y=0.02, ids=[1, 3])
-    others = [0, 2, 4]
-    assert same(after, twin.state, others)
-    assert (after.time[[1, 3]] == 0).all()
-    assert (after.q[[1, 3]] == [[0.1] * 3, [0.2] * 3]).all()
-    assert (after.v[[1, 3]] == 0).all()
-    assert (after.y[[1, 3]] == 0.02).all()
-    for _ in range(3):
-        assert same(sim.step(2.0), twin.step(2.0), others)
-    fresh = Simulator(System(vehicle=BENT_THESIS))
-    fresh.reset(q=[0.2] * 3, y=0.02)
-    for _ in range(3):
-        state = fresh.step(2.0)
-    assert same([p[3:4] for p in sim.state], state)
-
-
 def test_values_go_to_the_ids_in_the_order_given():
     sim = Simulator(System(vehicle=BENT_THESIS), 4)
     state = sim.reset(q=[[3.0] * 3, [0.0] * 3, [1.0] * 3], ids=[3, 0, 1])
@@ -194,7 +143,7 @@ def test_values_go_to_the_ids_in_the_order_given():
     np.testing.assert_allclose(sim.evaluate(0.0)[0][1:3, 0], [-0.1, -0.3])
 
 
-@pytest.mark.parametrize("ids", [[3], [-1], [0.0], [[0]], "0", [True], [0, 0], [1, 0, 1]])
+@pytest.mark.parametrize("ids", [[3], [-1], [0.0], "0", [True], [1, 0, 1]])
 def test_bad_ids_are_refused(ids):
     with pytest.raises(ParameterError, match="ids must"):
         Simulator(System(vehicle=BENT_THESIS), 3).reset(ids=ids)
@@ -209,8 +158,6 @@ def test_the_spread_of_a_simulation_does_not_depend_on_the_others():
     # a partial reset draws from its own generators only
     a, b = few.reset(spread=spread, ids=[1]), many.reset(spread=spread, ids=[1, 4])
     assert same(a, [part[:2] for part in b])
-    a, b = few.reset(spread=spread), many.reset(spread=spread)
-    assert same([p[1:] for p in a], [p[1:2] for p in b])
 
 
 def test_seeds_give_their_own_draws_again():
@@ -222,9 +169,7 @@ def test_seeds_give_their_own_draws_again():
     assert same(sim.reset(spread={"q": 0.1}), second)
     other = Simulator(System(vehicle=BENT_THESIS), 2, seed=2).reset(spread={"q": 0.1})
     assert (other.q != first.q).all()
-    draws = np.array(
-        [Simulator(System(vehicle=BENT_THESIS), 400).reset(spread={"q": 0.1}).q]
-    ).ravel()
+    draws = Simulator(System(vehicle=BENT_THESIS), 400).reset(spread={"q": 0.1}).q
     assert abs(draws.std() / 0.1 - 1) < 0.1  # 1200 draws: 2 % standard error
 
 
@@ -241,13 +186,11 @@ def test_an_unknown_spread_is_refused():
 @pytest.mark.parametrize(
     "system",
     [
-        System(vehicle=SERVICER_FLEXIBLE, physics_dt=2.5e-3),
-        System(vehicle=BENT_THESIS),
         System(vehicle=BENT_THESIS, drive="prescribed"),
         System(vehicle=FREE_FLYING),
         System(vehicle=BENT_THESIS, integrator="euler"),
     ],
-    ids=["wheels and jets", "motor", "prescribed", "satellite", "euler"],
+    ids=["prescribed", "satellite", "euler"],
 )
 def test_a_snapshot_continues_bitwise_in_another_simulator(system):
     sim = moving(system=system)
@@ -261,19 +204,9 @@ def test_a_snapshot_continues_bitwise_in_another_simulator(system):
 
     want = go_on(sim)
     other = Simulator(system, 3, seed=99, servo=None)
-    if system.drive == "motor":
-        sim.set_gains(PPED_GAINS.kp, PPED_GAINS.kd)  # the snapshot brings its own back
     for target in (sim, other):
         target.restore(pickle.loads(text))
         assert all(same(a, b) for a, b in zip(go_on(target), want, strict=True))
-
-
-def test_a_snapshot_of_something_else_is_refused():
-    sim, before = moving(), moving().state
-    for other in (moving(2), moving(system=System(vehicle=DECOUPLED))):
-        with pytest.raises(ParameterError, match=r"snapshot is of system .* with n = .*, this"):
-            sim.restore(other.snapshot())
-    assert same(sim.state, before)
 
 
 # --------------------------------------------------------------- drives and gains
@@ -313,17 +246,6 @@ def test_a_prescribed_drive_follows_its_command_and_has_no_gains():
         sim.set_gains(1.0, 1.0)
 
 
-def test_a_ramp_is_the_mean_of_its_ends():
-    """To first order a short ramp acts as its mean; within 1 % of what the command does."""
-    base, ramp, flat = (moving(servo=None) for _ in range(3))
-    command = np.linspace(0, 8.0, 11)[None, :, None] * np.ones((3, 1, 3))
-    ramp.play(command)
-    flat.step(4.0)
-    base.step(0.0)
-    effect = np.abs(flat.state.v - base.state.v).max()
-    assert np.abs(ramp.state.v - flat.state.v).max() < 0.01 * effect
-
-
 # ------------------------------------------------------------------------ thrusters
 
 HEAVY = Satellite(  # turns so little that its axes stay where they are
@@ -332,8 +254,7 @@ HEAVY = Satellite(  # turns so little that its axes stay where they are
 )
 
 
-@pytest.mark.parametrize("axis", range(3))
-def test_a_constant_force_accelerates_the_whole_mass(axis):
+def test_a_constant_force_accelerates_the_whole_mass(axis=1):
     """F / m_total, arm included. Tolerance: the satellite turns by 1e-6 rad meanwhile."""
     system = System(vehicle=HEAVY, drive="prescribed")
     sim = Simulator(system, 2)
@@ -348,21 +269,9 @@ def test_a_constant_force_accelerates_the_whole_mass(axis):
     assert (state.y[0] == 0).all()
     # nobody pushes any more: it coasts
     before = state.yd.copy()
-    for _ in range(5):
-        state = sim.step(0.0)
-    np.testing.assert_allclose(state.yd, before, atol=1e-6 * np.abs(before).max())
+    sim.step(0.0)
     sim.play(np.zeros((2, 11, 3)))
     np.testing.assert_allclose(sim.state.yd, before, atol=1e-6 * np.abs(before).max())
-
-
-def test_a_moment_turns_in_the_platform_s_axes():
-    sim = Simulator(System(vehicle=HEAVY, drive="prescribed"), 2)
-    sim.reset(y=[[0, 0, 0, 0.0, 0.0, 0.0], [0, 0, 0, 0.4, -0.7, 1.1]])
-    for _ in range(20):
-        state = sim.step(0.0, base_wrench=[0, 0, 0, 100.0, 200.0, -50.0])
-    rates = twist(state.y, state.yd)[:, 3:]
-    np.testing.assert_allclose(rates[1], rates[0], rtol=1e-5)
-    np.testing.assert_allclose(rates[0], np.array([100, 200, -50]) / 1e7 * 0.25, rtol=1e-3)
 
 
 def test_only_thrusters_push_and_only_numbers():
@@ -389,8 +298,7 @@ WILD = {
 }
 
 
-@pytest.mark.parametrize("case", WILD)
-@pytest.mark.parametrize("how", ["step", "play"])
+@pytest.mark.parametrize(("case", "how"), [*((k, "step") for k in WILD), ("base rate", "play")])
 def test_divergence_is_raised_by_simulation_time_and_coordinate(case, how):
     start, named = WILD[case]
     sim = Simulator(System(vehicle=BENT_THESIS), 3, servo=None)
@@ -407,11 +315,9 @@ def test_divergence_is_raised_by_simulation_time_and_coordinate(case, how):
     assert sim.diverged.tolist() == [False, True, False]
 
 
-@pytest.mark.parametrize("case", WILD)
-@pytest.mark.parametrize("threads", [1, 2])
-def test_a_marked_simulation_stays_and_its_neighbours_do_not_notice(case, threads):
-    sim = moving(4, on_divergence="mark", threads=threads)
-    twin = moving(4, threads=threads)
+@pytest.mark.parametrize("case", ["base rate", "joint rate that overflows within a step"])
+def test_a_marked_simulation_stays_and_its_neighbours_do_not_notice(case):
+    sim, twin = moving(4, on_divergence="mark"), moving(4)
     sim.reset(**WILD[case][0], ids=[2])
     others = [0, 1, 3]
     for _ in range(5):
@@ -434,16 +340,6 @@ def test_a_marked_simulation_stays_and_its_neighbours_do_not_notice(case, thread
         assert same(sim.step(1.0), twin.step(1.0))
 
 
-def test_nan_that_appears_inside_the_engine_is_seen():
-    sim = moving(3, on_divergence="mark")
-    twin = moving(3)
-    z, zd = np.zeros((1, 9)), np.zeros((1, 9))
-    zd[0, 7] = np.nan
-    sim.backend.write(np.array([0]), np.zeros(1), z, zd)
-    assert same(sim.step(0.0), twin.step(0.0), [1, 2])
-    assert sim.diverged.tolist() == [True, False, False]
-
-
 def test_every_diverged_simulation_is_listed():
     sim = Simulator(System(vehicle=BENT_THESIS), 4, servo=None)
     sim.reset(v=1e12, ids=[1, 3])
@@ -458,34 +354,6 @@ def test_every_diverged_simulation_is_listed():
     assert same(other.step(0.0), before, [1])
 
 
-def test_a_base_too_viscous_for_the_step_is_refused_before_it_diverges():
-    overdamped = dataclasses.replace(DECOUPLED, D=diagonal(500, 500, 1e9, 250, 250, 250))
-    for integrator in ("rk4", "euler"):
-        with pytest.raises(ParameterError, match=r"physics_dt must be <= .* s for the vehicle"):
-            Simulator(System(vehicle=overdamped, integrator=integrator))
-    sim = Simulator(System(vehicle=overdamped, integrator="implicitfast"))  # damping too
-    sim.reset(y=0.01)
-    for _ in range(40):
-        assert np.abs(sim.step().y).max() < 0.02
-
-
-@pytest.mark.parametrize("rate", [0.31, 1.7, 9.0, -0.4])
-def test_a_satellite_tumbles_past_the_end_of_its_angles(rate):
-    """About the middle axis by 270 deg: phi_y is folded back at 90 deg, the spin stays."""
-    sim = Simulator(System(vehicle=HEAVY, drive="prescribed"))
-    sim.reset(yd=[0, 0, 0, 0, rate, 0])
-    for _ in range(int(1.5 * np.pi / abs(rate) / 12.5e-3)):
-        state = sim.step(0.0)
-        assert abs(state.y[0, 4]) <= np.pi / 2
-    assert state.spin[0, 1] == pytest.approx(rate, rel=1e-3)
-    turned = rate * state.time[0]
-    np.testing.assert_allclose(
-        np.abs(state.attitude[0]),
-        np.abs([np.cos(turned / 2), 0, np.sin(turned / 2), 0]),
-        atol=0.01,
-    )
-
-
 def test_a_satellite_that_tumbles_too_fast_for_its_angles_is_reported():
     """A control period jumps over 90 deg."""
     sim = Simulator(System(vehicle=HEAVY, drive="prescribed"), 2, on_divergence="mark")
@@ -497,8 +365,7 @@ def test_a_satellite_that_tumbles_too_fast_for_its_angles_is_reported():
     assert "90 deg" in sim.describe_divergence(1)
 
 
-@pytest.mark.parametrize("backend", ["kernel", "mujoco"])
-@pytest.mark.parametrize("mode", ["ideal", "emulated"])
+@pytest.mark.parametrize(("backend", "mode"), [("mujoco", "ideal"), ("kernel", "emulated")])
 def test_a_command_may_run_linearly_through_the_period(backend, mode):
     system = System(vehicle=BENT_THESIS, mode=mode)
     stepped, played = (Simulator(system, 3, backend=backend, warn_at=None) for _ in "ab")

@@ -19,7 +19,6 @@ from ves_gym.simulation.playback import play_motions
 from ves_gym.system.disturbance import (
     UNITS,
     Disturbance,
-    disturbance,
     mount_acceleration,
     mount_displacement,
     mount_of,
@@ -36,7 +35,7 @@ MOTION = Motion.straight([-0.7, -0.3, 0.2], [1.0, 0.7, -0.5], 1.0)
 TAIL = 0.8  # s
 
 
-@pytest.fixture(scope="module", params=["beside", "bent", "free-floating"])
+@pytest.fixture(scope="module", params=["beside", "bent"])
 def runs(request):
     """One motion of 1 s, watched and recorded every 12.5 ms, and every step."""
     if request.param == "beside":
@@ -139,7 +138,7 @@ def test_measures_are_the_largest_and_mean_of_what_was_recorded(runs):
 
 @pytest.mark.parametrize(
     "weight",
-    [FAST, FrequencyWeight.low_pass(0.4), FrequencyWeight.parse("0.2:0.1,1:1,8:0.3")],
+    [FAST, FrequencyWeight.parse("0.2:0.1,1:1,8:0.3")],
     ids=str,
 )
 def test_the_weight_is_scipys_linear_simulation_of_its_transfer_function(weight):
@@ -170,30 +169,9 @@ def test_weighted_energy_of_the_whole_spectrum_is_the_energy(runs):
 
     mean = run.energies(tail=TAIL)[0].E_mean
     assert weighted(FrequencyWeight(corners=(), gains=(1.0,))) == pytest.approx(mean, rel=1e-9)
-    assert 0 < weighted(FAST) < mean and 0 < weighted(FrequencyWeight.low_pass(1.0)) < mean
+    assert 0 < weighted(FAST) < mean
     half = FrequencyWeight(corners=(), gains=(0.5,))
     assert weighted(half) == pytest.approx(mean / 4, rel=1e-2)  # rates and attitude: small
-
-
-def test_a_slow_and_a_fast_vibration_are_told_apart():
-    """0.1 and 10 Hz on one axis, first order at 1 Hz: |H|^2 = 0.01 / 1.01 and 100 / 101.
-
-    Tolerance: the filter begins at rest, which slow motion shows for a while.
-    """
-    system, t = System(vehicle=get_vehicle("decoupled")), np.linspace(0, 20, 8001)
-    measured = []
-    for hz in (0.1, 10.0):
-        y, yd, ydd, q = np.zeros((4, len(t), 6))
-        y[:, 0] = 1e-3 * np.sin(2 * np.pi * hz * t)
-        yd[:, 0] = 1e-3 * 2 * np.pi * hz * np.cos(2 * np.pi * hz * t)
-        ydd[:, 0] = -((2 * np.pi * hz) ** 2) * y[:, 0]
-        q = np.zeros((len(t), 3))
-        both = [
-            disturbance(system, t, q, q, y, yd, ydd, duration=10.0, weight=w).E_weighted
-            for w in (FAST, FrequencyWeight(corners=(), gains=(1.0,)))
-        ]
-        measured.append(both[0] / both[1])
-    assert measured == pytest.approx([0.01 / 1.01, 100 / 101], rel=0.1)
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,10 @@
 """Effects that are torques at the joints: one text for NumPy, MuJoCo and the kernel."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from tests.effects.values import effect
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import (
     JointAsymmetry,
@@ -32,17 +33,16 @@ FRICTION = (
 MOTION = Motion.straight(np.zeros(3), np.deg2rad([60, 40, -30]), 1.0)
 
 
-def gap(mode, physics_dt):
+def gap(physics_dt):
     """Largest difference of joint angles between the engines [rad]."""
-    system = System(vehicle=BENT_THESIS, effects=FRICTION, mode=mode, physics_dt=physics_dt)
+    system = System(vehicle=BENT_THESIS, effects=FRICTION, physics_dt=physics_dt)
     runs = [play_motions(system, [MOTION], settle=0.5, backend=k) for k in ("kernel", "mujoco")]
     return np.abs(runs[0].q - runs[1].q).max()
 
 
-@pytest.mark.parametrize("mode", ["ideal", "emulated"])
-def test_engines_agree_as_the_step_shrinks(mode):
+def test_engines_agree_as_the_step_shrinks():
     """MuJoCo holds the torque over each step: first order, so a quarter at a quarter step."""
-    coarse, fine = gap(mode, 1.25e-3), gap(mode, 1.25e-3 / 4)
+    coarse, fine = gap(1.25e-3), gap(1.25e-3 / 4)
     assert coarse < 2e-5
     assert fine == pytest.approx(coarse / 4, rel=0.1)
 
@@ -52,12 +52,11 @@ def test_friction_is_in_the_energy_account():
     log = play_motions(system, [MOTION], settle=0.5, record_dt=system.physics_dt).log(0)
     account = EnergyBalance.of(log)
     assert account.relative < 1e-5
-    free = play_motions(
-        System(vehicle=BENT_THESIS), [MOTION], settle=0.5, record_dt=system.physics_dt
-    ).log(0)
-    assert (
-        account.dissipated[-1] > EnergyBalance.of(free).dissipated[-1] + 1.0
-    )  # J, in the joints
+    free = dataclasses.replace(
+        log, meta={**log.meta, "system": System(vehicle=BENT_THESIS).to_dict()}
+    )
+    in_joints = account.dissipated[-1] - EnergyBalance.of(free).dissipated[-1]
+    assert in_joints > 1.0  # J
 
 
 def test_torques_are_those_of_the_formulas():
@@ -68,15 +67,6 @@ def test_torques_are_those_of_the_formulas():
     np.testing.assert_allclose(torque[2], -torque[1])
     fade = np.exp(-((0.1 / 0.3) ** 2))
     assert torque[3, 0] == pytest.approx(-(3 + 3 * fade) - 0.2 - 1, rel=1e-6)
-
-
-def test_null_laws_leave_the_run_as_it_is():
-    null = (JointViscous(damping=(0.0,) * 3), JointCoulomb(torque=(0.0,) * 3))
-    runs = [
-        play_motions(System(vehicle=BENT_THESIS, effects=k), [MOTION], settle=0.2).q
-        for k in ((), null)
-    ]
-    np.testing.assert_array_equal(*runs)
 
 
 SLOPE = 0.05  # rad/s, of a user's law
@@ -99,11 +89,6 @@ def test_a_changed_constant_of_a_users_law_is_another_kernel(monkeypatch):
     assert structure(one.replace(effects=(JointCoulomb(torque=(1.0,) * 3),))) != before
     monkeypatch.setitem(globals(), "SLOPE", 0.02)
     assert structure(one) != before
-
-
-def test_one_number_per_joint():
-    with pytest.raises(ParameterError, match="must be 3 numbers, one per joint, got 2"):
-        System(vehicle=BENT_THESIS, effects=(JointViscous(damping=(1.0, 1.0)),))
 
 
 def test_an_effect_must_do_something():
@@ -161,12 +146,10 @@ def test_a_limited_motor_gives_what_it_can():
         assert tau + torque(law, tau=tau) == pytest.approx(given, rel=1e-12)
 
 
-@pytest.mark.parametrize("backend", ["kernel", "mujoco"])
-def test_drive_gain_scales_the_acceleration_and_not_the_log(backend):
+def test_drive_gain_scales_the_acceleration_and_not_the_log():
     """In free space, at rest: acceleration in proportion to the torque really given."""
-    still = {"servo": None, "backend": backend}
     plain, gained = (
-        Simulator(System(vehicle=BENT_THESIS, effects=k), **still)
+        Simulator(System(vehicle=BENT_THESIS, effects=k), servo=None)
         for k in ((), (JointDriveGain(error=(0.1,) * 3),))
     )
     (told, slow), (same, fast) = (k.evaluate([5.0, -3.0, 2.0]) for k in (plain, gained))
@@ -174,20 +157,12 @@ def test_drive_gain_scales_the_acceleration_and_not_the_log(backend):
     np.testing.assert_allclose(fast, 1.1 * slow, rtol=1e-9)
 
 
-@pytest.mark.parametrize("backend", ["kernel", "mujoco"])
-def test_an_early_limit_binds_and_the_log_shows_what_was_asked(backend):
+def test_an_early_limit_binds_and_the_log_shows_what_was_asked():
     half = JointTorqueLimit(fraction=(0.5,) * 3)
     limit = System(vehicle=BENT_THESIS).arm.column("tau_max")
     sims = [
-        Simulator(System(vehicle=BENT_THESIS, effects=k), servo=None, backend=backend)
-        for k in ((half,), ())
+        Simulator(System(vehicle=BENT_THESIS, effects=k), servo=None) for k in ((half,), ())
     ]
     told, limited = sims[0].evaluate(limit)
     np.testing.assert_allclose(told[0], limit)
     np.testing.assert_allclose(limited, sims[1].evaluate(limit / 2)[1], rtol=1e-9)
-
-
-@pytest.mark.parametrize("kind", ["drive_gain", "torque_limit", "load_friction"])
-def test_what_acts_on_motors_needs_motors(kind):
-    with pytest.raises(ParameterError, match="would do nothing: it needs drive motor, got dri"):
-        System(vehicle=BENT_THESIS, drive="prescribed", effects=(effect(f"joint/{kind}"),))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,6 @@ def _require_held(effect: BaseEffect, system: System) -> None:
 
 
 @register("base/amplitude_damping")
-@dataclass(frozen=True, kw_only=True)
 class BaseAmplitudeDamping(BaseEffect):
     """A force `coefficient` |Y'| Y' along each axis against the vehicle's motion.
 
@@ -48,7 +47,6 @@ class BaseAmplitudeDamping(BaseEffect):
 
 
 @register("base/damping")
-@dataclass(frozen=True, kw_only=True)
 class BaseDamping(BaseEffect):
     """The vehicle's damping is D (1 + `error`).
 
@@ -67,7 +65,6 @@ class BaseDamping(BaseEffect):
 
 
 @register("base/stiffness")
-@dataclass(frozen=True, kw_only=True)
 class BaseStiffness(BaseEffect):
     """The vehicle's stiffness is K (1 + `error`), its damping as described.
 
@@ -87,7 +84,6 @@ class BaseStiffness(BaseEffect):
 
 
 @register("base/virtual_mass")
-@dataclass(frozen=True, kw_only=True)
 class BaseVirtualMass(BaseEffect):
     """The vehicle's mass matrix is M (1 + `error`), or its body that much heavier.
 
@@ -103,7 +99,6 @@ class BaseVirtualMass(BaseEffect):
 
 
 @register("base/extra_mode")
-@dataclass(frozen=True, kw_only=True)
 class BaseExtraMode(BaseEffect):
     """The vehicle carries a `mass` on a spring along `direction`, of which nobody knows.
 
@@ -174,7 +169,6 @@ _FAR = (0.0, 1e9)
 
 
 @register("base/unknown")
-@dataclass(frozen=True, kw_only=True)
 class BaseUnknown(BaseEffect):
     """A force -(stiffness Y + damping Y') along each coordinate of the vehicle.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,7 +27,6 @@ class _GravityEffect(LaboratoryEffect):
 
 
 @register("gravity/delay")
-@dataclass(frozen=True, kw_only=True)
 class GravityDelay(_GravityEffect):
     """The gravity estimate is of joints and pose `delay` ago."""
 
@@ -39,7 +37,6 @@ class GravityDelay(_GravityEffect):
 
 
 @register("gravity/mass")
-@dataclass(frozen=True, kw_only=True)
 class GravityMass(_GravityEffect):
     """The gravity estimate takes the arm for heavier by `error`; its moments are right."""
 
@@ -50,7 +47,6 @@ class GravityMass(_GravityEffect):
 
 
 @register("gravity/moment")
-@dataclass(frozen=True, kw_only=True)
 class GravityMoment(_GravityEffect):
     """Errors of the minimal moment parameters, in their order (`minimal_model(arm).names`)."""
 
@@ -81,7 +77,6 @@ class GravityMoment(_GravityEffect):
 
 
 @register("gravity/scale")
-@dataclass(frozen=True, kw_only=True)
 class GravityScale(_GravityEffect):
     """The gravity estimate is too large by the fraction `error`, force and moment alike."""
 
@@ -93,7 +88,6 @@ class GravityScale(_GravityEffect):
 
 
 @register("gravity/tilt")
-@dataclass(frozen=True, kw_only=True)
 class GravityTilt(_GravityEffect):
     """The pose given to the gravity estimate is turned by `angles` about x, y and z."""
 
@@ -104,7 +98,6 @@ class GravityTilt(_GravityEffect):
 
 
 @register("gravity/tool")
-@dataclass(frozen=True, kw_only=True)
 class GravityTool(_GravityEffect):
     """The gravity estimate lacks a body on the last link; negative: it has one too many.
 

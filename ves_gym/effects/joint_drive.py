@@ -19,7 +19,6 @@ from ves_gym.system.system import System
 
 
 @register("joint/drive_gain")
-@dataclass(frozen=True, kw_only=True)
 class JointDriveGain(TorqueEffect):
     """Motors give (1 + `error`) times the torque they are told to.
 
@@ -30,14 +29,12 @@ class JointDriveGain(TorqueEffect):
     needs_motor = True
     error: Vector = parameter("1", bounds=(-0.5, 0.5), shape=(None,), start=0.05)
 
-    def law(self, q: Array, v: Array, tau: Array) -> Any:
+    def law(self: Any, q: Array, v: Array, tau: Array) -> Any:
         """error tau."""
-        error: Any = self.error
-        return error * tau
+        return self.error * tau
 
 
 @register("joint/torque_limit")
-@dataclass(frozen=True, kw_only=True)
 class JointTorqueLimit(TorqueEffect):
     """Motors give at most (1 - `fraction`) of their stated limit (a current limit).
 
@@ -53,15 +50,13 @@ class JointTorqueLimit(TorqueEffect):
         start=tuple((1 - np.geomspace(0.9, 0.05, 16)).tolist()),
     )
 
-    def law(self, q: Array, v: Array, tau: Array) -> Any:
+    def law(self: Any, q: Array, v: Array, tau: Array) -> Any:
         """Return the part of tau above (1 - fraction) tau_max, taken away."""
-        fraction: Any = self.fraction
-        most = (1 - fraction) * self.tau_max
+        most = (1 - self.fraction) * self.tau_max
         return np.clip(tau, -most, most) - tau
 
 
 @register("joint/torque_offset")
-@dataclass(frozen=True, kw_only=True)
 class JointTorqueOffset(TorqueEffect):
     """A constant torque at the joint: an amplifier's offset, a cable's pull.
 
@@ -71,10 +66,9 @@ class JointTorqueOffset(TorqueEffect):
 
     torque: Vector = parameter("N m", bounds=(-50.0, 50.0), shape=(None,), start=1.0)
 
-    def law(self, q: Array, v: Array, tau: Array) -> Any:
+    def law(self: Any, q: Array, v: Array, tau: Array) -> Any:
         """Return the torque, whatever the state."""
-        torque: Any = self.torque
-        return torque
+        return self.torque
 
 
 _MOST = 500.0  # periods per turn
@@ -88,7 +82,6 @@ def _overtone(turned: float, ripple: JointRipple) -> JointRipple:
 
 
 @register("joint/ripple")
-@dataclass(frozen=True, kw_only=True)
 class JointRipple(TorqueEffect):
     """Torque that repeats `cycles` times per turn of the joint (cogging, gear teeth).
 
@@ -130,14 +123,12 @@ class JointRipple(TorqueEffect):
             seen = periods if scope.travel else None
             yield dataclasses.replace(candidate, periods=seen)
 
-    def law(self, q: Array, v: Array, tau: Array) -> Any:
+    def law(self: Any, q: Array, v: Array, tau: Array) -> Any:
         """amplitude sin(cycles q + phase)."""
-        amplitude: Any = self.amplitude
-        return amplitude * np.sin(self.cycles * q + self.phase)
+        return self.amplitude * np.sin(self.cycles * q + self.phase)
 
 
 @register("joint/rotor_inertia")
-@dataclass(frozen=True, kw_only=True)
 class JointRotorInertia(ArmEffect):
     """The rotors, seen through their gears, have `added` more inertia than described.
 
@@ -189,7 +180,6 @@ def _hardened(effect: JointElasticity) -> Hardened:
 
 
 @register("joint/elasticity")
-@dataclass(frozen=True, kw_only=True)
 class JointElasticity(ArmEffect):
     """A spring of `compliance`, with a damper beside it, between rotor and link.
 
@@ -253,7 +243,6 @@ def _thinner(effect: JointBacklash) -> JointBacklash:
 
 
 @register("joint/backlash")
-@dataclass(frozen=True, kw_only=True)
 class JointBacklash(ArmEffect):
     """Rotor and link may turn by `gap` against each other before the teeth touch.
 
@@ -307,7 +296,6 @@ class JointBacklash(ArmEffect):
 
 
 @register("joint/measurement_delay")
-@dataclass(frozen=True, kw_only=True)
 class JointMeasurementDelay(DelayEffect):
     """Servo, gravity estimate and log see joint angles and rates of `delay` ago.
 
@@ -323,7 +311,6 @@ class JointMeasurementDelay(DelayEffect):
 
 
 @register("joint/velocity_lag")
-@dataclass(frozen=True, kw_only=True)
 class JointVelocityLag(DelayEffect):
     """Servo and log see joint rates through a first-order low-pass; angles are as they are.
 
@@ -342,7 +329,6 @@ class JointVelocityLag(DelayEffect):
 
 
 @register("command/delay")
-@dataclass(frozen=True, kw_only=True)
 class CommandDelay(DelayEffect):
     """The drives get the joint commands `delay` later than they are sent.
 

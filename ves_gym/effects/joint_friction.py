@@ -16,7 +16,6 @@ CREEP = 1e-2  # rad/s over which friction builds up from rest
 
 
 @register("joint/coulomb")
-@dataclass(frozen=True, kw_only=True)
 class JointCoulomb(TorqueEffect):
     """Friction of constant size against the motion; smooth at rest, so a joint creeps."""
 
@@ -24,14 +23,12 @@ class JointCoulomb(TorqueEffect):
     creep = CREEP
     torque: Vector = parameter("N m", bounds=(0.0, 50.0), shape=(None,), start=2.0)
 
-    def law(self, q: Array, v: Array, tau: Array) -> Any:
+    def law(self: Any, q: Array, v: Array, tau: Array) -> Any:
         """Return -torque tanh(v / CREEP)."""
-        torque: Any = self.torque
-        return -torque * np.tanh(v / CREEP)
+        return -self.torque * np.tanh(v / CREEP)
 
 
 @register("joint/asymmetry")
-@dataclass(frozen=True, kw_only=True)
 class JointAsymmetry(TorqueEffect):
     """Friction larger for v > 0 and smaller for v < 0: its even part.
 
@@ -45,11 +42,9 @@ class JointAsymmetry(TorqueEffect):
     coulomb: Vector = parameter("N m", bounds=(-20.0, 20.0), shape=(None,), start=1.0)
     viscous: Vector = parameter("N m s/rad", bounds=(-50.0, 50.0), shape=(None,), start=0.5)
 
-    def law(self, q: Array, v: Array, tau: Array) -> Any:
+    def law(self: Any, q: Array, v: Array, tau: Array) -> Any:
         """-coulomb |tanh(v / CREEP)| - viscous |v|."""
-        coulomb: Any = self.coulomb
-        viscous: Any = self.viscous
-        return -coulomb * np.abs(np.tanh(v / CREEP)) - viscous * np.abs(v)
+        return -self.coulomb * np.abs(np.tanh(v / CREEP)) - self.viscous * np.abs(v)
 
 
 _PRESSED = 0.01  # of the motor's limit: what teeth may carry without a load
@@ -61,7 +56,6 @@ def _pressed(friction: JointLoadFriction) -> Pressed:
 
 
 @register("joint/load_friction")
-@dataclass(frozen=True, kw_only=True)
 class JointLoadFriction(TorqueEffect):
     """Friction of the fraction `coefficient` of the motor's torque, against the motion.
 
@@ -77,20 +71,18 @@ class JointLoadFriction(TorqueEffect):
     creep = CREEP
     coefficient: Vector = parameter("1", bounds=(0.0, 0.5), shape=(None,), start=0.1)
 
-    def law(self, q: Array, v: Array, tau: Array) -> Any:
+    def law(self: Any, q: Array, v: Array, tau: Array) -> Any:
         """-coefficient |tau| tanh(v / CREEP)."""
-        coefficient: Any = self.coefficient
-        return -coefficient * np.abs(tau) * np.tanh(v / CREEP)
+        return -self.coefficient * np.abs(tau) * np.tanh(v / CREEP)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pressed(JointLoadFriction):
     """Friction of the fraction `coefficient` of torque and what presses the teeth together."""
 
-    def law(self, q: Array, v: Array, tau: Array) -> Any:
+    def law(self: Any, q: Array, v: Array, tau: Array) -> Any:
         """-coefficient (|tau| + what presses) tanh(v / CREEP)."""
-        coefficient: Any = self.coefficient
-        more = coefficient * _PRESSED * self.tau_max * np.tanh(v / CREEP)
+        more = self.coefficient * _PRESSED * self.tau_max * np.tanh(v / CREEP)
         return super().law(q, v, tau) - more
 
 
@@ -98,7 +90,6 @@ _OF_FADE = 1e-2  # of fade_speed over which friction builds up from rest
 
 
 @register("joint/stribeck")
-@dataclass(frozen=True, kw_only=True)
 class JointStribeck(TorqueEffect):
     """Friction that drops from stiction to Coulomb level with speed.
 
@@ -133,12 +124,10 @@ class JointStribeck(TorqueEffect):
 
             yield placed(cls, f"joint {joint + 1}", numbers, fields)
 
-    def law(self, q: Array, v: Array, tau: Array) -> Any:
+    def law(self: Any, q: Array, v: Array, tau: Array) -> Any:
         """Level fading from stiction to Coulomb with (v / fade_speed)^2, against the motion."""
-        coulomb: Any = self.coulomb
-        stiction: Any = self.stiction
         fade = np.exp(-((v / self.fade_speed) ** 2))
-        level = coulomb + (stiction - coulomb) * fade
+        level = self.coulomb + (self.stiction - self.coulomb) * fade
         return -level * np.tanh(v / self.creep)
 
 
@@ -148,7 +137,6 @@ def _cubed(friction: JointViscous) -> Cubed:
 
 
 @register("joint/viscous")
-@dataclass(frozen=True, kw_only=True)
 class JointViscous(TorqueEffect):
     """Friction in proportion to the joint's rate.
 
@@ -160,10 +148,9 @@ class JointViscous(TorqueEffect):
     forms = (_cubed,)
     damping: Vector = parameter("N m s/rad", bounds=(0.0, 100.0), shape=(None,), start=3.0)
 
-    def law(self, q: Array, v: Array, tau: Array) -> Any:
+    def law(self: Any, q: Array, v: Array, tau: Array) -> Any:
         """-damping v."""
-        damping: Any = self.damping
-        return -damping * v
+        return -self.damping * v
 
 
 @dataclass(frozen=True, kw_only=True)

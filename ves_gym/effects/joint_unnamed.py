@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 from itertools import combinations_with_replacement, pairwise
 from typing import Any
 
@@ -31,7 +30,6 @@ def monomials(n: int) -> tuple[tuple[int, ...], ...]:
 
 
 @register("joint/unknown")
-@dataclass(frozen=True, kw_only=True)
 class JointUnknown(TorqueEffect):
     """Torque regressed on the angles of all joints, and on the rate of its own.
 
@@ -107,7 +105,6 @@ KNOTS = {"over_angle": 30, "over_angle_turning": 24, "over_rate": 16}  # that a 
 
 
 @register("joint/curves")
-@dataclass(frozen=True, kw_only=True)
 class JointCurves(TorqueEffect):
     """Torque over a joint's angle, over its angle against the way it turns, and over its rate.
 
@@ -168,7 +165,6 @@ LEVELS = ("lasting", "rested_fast", "rested", "rested_slow")  # in the order of 
 
 
 @register("joint/memory")
-@dataclass(frozen=True, kw_only=True)
 class JointMemory(DelayEffect):
     """Friction that builds up over a distance after a reversal and grows while a joint rests.
 

@@ -46,7 +46,6 @@ _DIRECTIONS = (
 
 
 @register("payload/mass")
-@dataclass(frozen=True, kw_only=True)
 class PayloadMass(ArmEffect):
     """A point mass rides on the tool, `position` away from it in the last link's axes.
 
@@ -97,7 +96,6 @@ _RANGES = {  # of a payload: usual size, least, most
 
 
 @register("payload/body")
-@dataclass(frozen=True, kw_only=True)
 class PayloadBody(ArmEffect):
     """A rigid body is fixed to the last link, its numbers in that link's frame.
 
@@ -190,7 +188,6 @@ def _made(x: Array) -> PayloadBody:
 
 
 @register("payload/com")
-@dataclass(frozen=True, kw_only=True)
 class PayloadCom(ArmEffect):
     """The last link's centre of mass lies `offset` away from where it is described.
 
@@ -212,7 +209,6 @@ class PayloadCom(ArmEffect):
 
 
 @register("payload/inertia")
-@dataclass(frozen=True, kw_only=True)
 class PayloadInertia(LaboratoryEffect):
     """The compensation takes the arm's inertia for larger by the fraction `error`."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from ves_gym.system.system import System
 
 
 @register("platform/bandwidth")
-@dataclass(frozen=True, kw_only=True)
 class PlatformBandwidth(LaboratoryEffect):
     """The platform's bandwidth differs from the stated one by the fraction `error`.
 
@@ -32,7 +31,6 @@ class PlatformBandwidth(LaboratoryEffect):
 
 
 @register("platform/damping")
-@dataclass(frozen=True, kw_only=True)
 class PlatformDamping(LaboratoryEffect):
     """The platform's damping ratio differs from the stated one by the fraction `error`.
 
@@ -54,7 +52,6 @@ class PlatformDamping(LaboratoryEffect):
 
 
 @register("platform/delay")
-@dataclass(frozen=True, kw_only=True)
 class PlatformDelay(LaboratoryEffect):
     """The platform gets the computer's command `delay` later than the loop assumes.
 
@@ -74,7 +71,6 @@ SHORT = np.geomspace(0.005, 0.6, 16)
 
 
 @register("platform/stroke")
-@dataclass(frozen=True, kw_only=True)
 class PlatformStroke(LaboratoryEffect):
     """The legs' stroke lacks the fraction `travel`, their speed the fraction `speed`.
 

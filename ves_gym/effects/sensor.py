@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from ves_gym.system.system import System
 
 
 @register("sensor/bias")
-@dataclass(frozen=True, kw_only=True)
 class SensorBias(LaboratoryEffect):
     """Offset of the signals in the sensor frame. Zeroing the sensor takes it out."""
 
@@ -44,7 +42,6 @@ class SensorBias(LaboratoryEffect):
 
 
 @register("sensor/calibration")
-@dataclass(frozen=True, kw_only=True)
 class SensorCalibration(LaboratoryEffect):
     """Signals are (1 + `error`) times the wrench in the sensor frame: gains on the diagonal,
     cross-talk beside it. Between forces and moments the unit is 1/m or m.
@@ -58,7 +55,6 @@ class SensorCalibration(LaboratoryEffect):
 
 
 @register("sensor/drift")
-@dataclass(frozen=True, kw_only=True)
 class SensorDrift(LaboratoryEffect):
     """A first-order Gauss-Markov process on the signals, zero when the sensor is reset.
 
@@ -88,7 +84,6 @@ class SensorDrift(LaboratoryEffect):
 
 
 @register("sensor/lag")
-@dataclass(frozen=True, kw_only=True)
 class SensorLag(LaboratoryEffect):
     """The sensor filter's cut-off differs from the stated one by the fraction `error`."""
 
@@ -100,7 +95,6 @@ class SensorLag(LaboratoryEffect):
 
 
 @register("sensor/noise")
-@dataclass(frozen=True, kw_only=True)
 class SensorNoise(LaboratoryEffect):
     """Standard deviation of the signals' noise, as it is left after the sensor's filter."""
 
@@ -116,7 +110,6 @@ class SensorNoise(LaboratoryEffect):
 
 
 @register("sensor/rotation")
-@dataclass(frozen=True, kw_only=True)
 class SensorRotation(LaboratoryEffect):
     """The sensor is turned by the small `angles` about its x, y, z against its stated frame."""
 

@@ -49,8 +49,8 @@ def wrench_on_base(batch: RecordableBatch, acceleration: Array | None = None) ->
         return np.asarray(sim.readings.wrench - sim.readings.gravity, dtype=np.float64)
     if acceleration is None:
         acceleration = sim.evaluate(batch.scene.tau)[1]
-    hidden = sim.internal_state if batch.system.actual.base.m else None
-    return base_wrench(batch.system, sim.last_state, acceleration, hidden)
+    state, hidden = sim.last_state, sim.internal_state if batch.system.actual.base.m else None
+    return base_wrench(batch.system, state.y, state.yd, acceleration, hidden)
 
 
 class Recorder:

@@ -13,7 +13,6 @@ import scipy
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.mechanics.arm import Inertial
 from ves_gym.mechanics.spatial import AXES, body_wrench, matvec, rate_matrix, solve
 from ves_gym.mechanics.vehicle import BaseModel
 
@@ -150,21 +149,12 @@ def require_admittances(bases: BaseModel, form: str) -> None:
         require_admittance(BaseModel(M, D, K), form)
 
 
-def rigid_body(body: Inertial, base: BaseModel) -> Nonlinear:
-    """Return g(X, W) of a satellite: Newton-Euler, plus the constant M, D, K of its base.
-
-    Args:
-        body: mass, centre and inertia of the satellite.
-        base: M, D, K added to it.
-    """
-    return rigid_bodies(body.spatial(), base.M, base.D, base.K)
-
-
 def rigid_bodies(inertia: Array, M: Array, D: Array, K: Array) -> Nonlinear:
-    """Return g(X, W) from the body's spatial inertia and constant M, D, K.
+    """Return g(X, W) of satellites: Newton-Euler, plus constant M, D, K.
 
     Args:
-        inertia, M, D, K: (6, 6), or (n, 6, 6) of n bodies.
+        inertia: (6, 6) spatial inertia of the body, or (n, 6, 6) of n bodies.
+        M, D, K: alike.
     """
 
     def g(X: Array, W: Array) -> Array:

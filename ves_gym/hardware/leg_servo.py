@@ -22,7 +22,7 @@ Table 5-1 are the thesis's; all else is nominal, this project:
 The equal margins give the ratio of the two velocity gains; that they are 12 dB is a
 choice, made knowing that slow errors then fall by about 40 %, as measured in 5.5.
 
-Linear throughout: no end stops, no speed limit (`Stewart.outside`, `Stewart.too_fast`).
+Linear throughout: no end stops, no speed limit (`Stewart.beyond`, `Stewart.too_fast`).
 """
 
 from __future__ import annotations

@@ -258,22 +258,16 @@ class Stewart:
 
     # ------------------------------------------------------------------------ limits
 
-    def clearance(self, y: npt.ArrayLike) -> Array:
-        """(..., 6) distance of each leg from its nearer end stop [m]; negative beyond it."""
-        lengths = self.leg_lengths(y)
-        return np.minimum(lengths - self.length_min, self.length_max - lengths)
+    def beyond(self, lengths: Array) -> tuple[Mask, Index, Array]:
+        """Return the poses that need a leg beyond its end stops.
 
-    def outside(self, y: npt.ArrayLike) -> tuple[Mask, Index, Array]:
-        """Poses that need a leg beyond its end stops.
+        Args:
+            lengths: (..., 6) of the legs [m].
 
         Returns:
             Mask (...,); index 0 to 5 of the leg with the least clearance (...,); its
-            length (...,) [m]. A pose that is NaN is outside.
+            length (...,) [m]. What is NaN is beyond.
         """
-        return self.beyond(self.leg_lengths(y))
-
-    def beyond(self, lengths: Array) -> tuple[Mask, Index, Array]:
-        """`outside` of leg lengths (..., 6) [m]."""
         excess = np.maximum(self.length_min - lengths, lengths - self.length_max)
         return _worst(excess, lengths)
 
@@ -285,39 +279,10 @@ class Stewart:
             dt: time between them [s].
 
         Returns:
-            As `outside`, with the speed [m/s].
+            As `beyond`, with the speed [m/s].
         """
         speeds = np.abs(after - before) / dt
         return _worst(speeds - self.speed_max, speeds)
-
-    def workspace(self, y: npt.ArrayLike = (0.0,) * 6) -> Array:
-        """Reach along each axis of Y from a pose, the other entries held.
-
-        Returns:
-            (6, 2) excursion towards minus and plus [m, rad], to 1e-6; limited by the end
-            stops, by a singular pose, or at +-80 deg. Zero from a pose outside.
-        """
-        centre = finite(y, (6,), "y")
-        way = np.stack([-np.eye(6), np.eye(6)], axis=1).reshape(12, 6)
-        full = np.tile([2.0 * self.length_max] * 3 + [float(np.deg2rad(80))] * 3, (2, 1))
-        home = np.linalg.det(self.jacobian(np.zeros(6)))
-
-        def inside(reach: Array) -> Mask:  # (12, ...) along the twelve ways
-            pose = centre + reach[..., None] * way.reshape(12, *(1,) * (reach.ndim - 1), 6)
-            turned: Mask = np.linalg.det(self.jacobian(pose)) / home > 1e-6
-            return turned & ~self.outside(pose)[0]
-
-        # scan first: a way out may lead back in
-        grid = full.T.reshape(12, 1) * np.linspace(0, 1, 401)
-        first = np.argmin(np.column_stack([inside(grid), np.zeros(12, bool)]), axis=1)
-        high = grid[np.arange(12), np.minimum(first, 400)]
-        low = grid[np.arange(12), np.maximum(first - 1, 0)]
-        for _ in range(16):
-            middle = (low + high) / 2
-            ok = inside(middle)
-            low, high = np.where(ok, middle, low), np.where(ok, high, middle)
-        reach: Array = (low * way.sum(axis=1)).reshape(6, 2)
-        return reach
 
 
 def _dot(a: list[Array], b: list[Array]) -> Array:

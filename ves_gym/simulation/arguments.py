@@ -50,8 +50,8 @@ def numbers(value: npt.ArrayLike, expected: str) -> Array:
     return array.astype(np.float64)
 
 
-def repeated(values: Array, count: int) -> Array:
-    """(n, count, k) view of values (n, k): `np.broadcast_to` would take a tenth of a step."""
-    start = np.ascontiguousarray(values)
-    (n, k), (row, column) = start.shape, start.strides
-    return np.ndarray((n, count, k), np.float64, start, 0, (row, 0, column))
+def whole(value: int, name: str, least: int = 0) -> int:
+    """`value` as a whole number from `least` up; `name` is what an error calls it."""
+    if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
+        raise ParameterError(f"{name} must be a whole number >= {least}, got {value!r}")
+    return int(value)

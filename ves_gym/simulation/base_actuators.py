@@ -129,7 +129,8 @@ class BaseActuators(Part):
             asked = law.moment(self.inertia, self.target, q, spin, stored)
             moment[:, 3:] = asked
             if self.wheels:
-                torque = self._limited(wheel_torques(self.wheels, asked), speed)
+                wanted, dt = wheel_torques(self.wheels, asked), self.system.control_dt
+                torque = within_limits(self.wheels, wanted, speed, dt)
                 moment[:, 3:] += matvec(self._axes, torque)  # what wheels cannot do
                 self.dumping |= (np.abs(h) > law.dump_above * self._full).any(axis=1)
                 self.dumping &= (np.abs(h) > law.dump_below * self._full).any(axis=1)
@@ -158,26 +159,18 @@ class BaseActuators(Part):
         self._command(wrench, np.zeros_like(self.torque) if torque is None else torque)
 
     def _command(self, wrench: Array, torque: Array) -> None:
-        self._blow(wrench)
+        if not self.jets:
+            self.wrench[:] = wrench if self._any_wrench else 0.0
+        else:  # what their pulses make of it
+            dt, force = self.system.control_dt, allocated(self.jets, wrench)
+            given, self.owed, self.left = pulses(self.jets, self.owed, self.left, force, dt)
+            self.wrench[:] = matvec(wrench_matrix(self.jets), given) / dt
+            self.propellant += propellant(self.jets, given)
         self._drive(torque)
         self.commanded[:] = True
         self._send(np.arange(self.n))
-
-    def _limited(self, torque: Array, speed: Array) -> Array:
-        return within_limits(self.wheels, torque, speed, self.system.control_dt)
 
     def _drive(self, torque: Array) -> None:
         """Set the torque on the rotors, friction included."""
         speed, dt = self.machines.wheel_speed, self.system.control_dt
         self.torque[:] = on_rotors(self.wheels, torque, speed, dt) if self.wheels else 0.0
-
-    def _blow(self, wrench: Array) -> None:
-        """Set the jets' wrench to what their pulses make of one asked for."""
-        if not self.jets:
-            self.wrench[:] = wrench if self._any_wrench else 0.0
-            return
-        dt = self.system.control_dt
-        force = allocated(self.jets, wrench)
-        given, self.owed, self.left = pulses(self.jets, self.owed, self.left, force, dt)
-        self.wrench[:] = matvec(wrench_matrix(self.jets), given) / dt
-        self.propellant += propellant(self.jets, given)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +19,6 @@ from ves_gym.mechanics.attitude import (
 )
 from ves_gym.mechanics.kinematics import ToolState, tool_state
 from ves_gym.mechanics.latch import (
-    Impulse,
     ToolMotion,
     body_momentum,
     directions_of,
@@ -33,7 +31,7 @@ from ves_gym.mechanics.latch import (
 from ves_gym.mechanics.payload import Payload, angle_between, numbers_of, with_body
 from ves_gym.mechanics.spatial import matvec, quadratic, rate_matrix, rotation
 from ves_gym.simulation.arguments import simulation_ids
-from ves_gym.simulation.machines import ControlPeriod, Machines, Part
+from ves_gym.simulation.machines import ControlPeriod, Machines, NotingPart
 from ves_gym.simulation.state import State
 from ves_gym.simulation.tool_contact import PayloadState, ToolContact
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
@@ -41,8 +39,7 @@ from ves_gym.system.system import PRESCRIBED_INERTIA, System
 _TURN = 3.2e-3  # rad, the most that a free body turns in a step: 1e-13 rad of error
 
 
-@dataclass(frozen=True)
-class Capture:
+class Capture(NamedTuple):
     """Closing or opening of a latch. Vectors in inertial axes, linear part first."""
 
     simulation: int
@@ -56,24 +53,19 @@ class Capture:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, as a run log's metadata hold it."""
-        yd, v, payload, ud = self.before or ((), (), (), ())
+        names = ("yd", "v", "payload", "ud", "tau")
+        before = (*(self.before or ((),) * 4), self.tau)
         return {
             "time": self.time,
             "kind": self.kind,
             "impulse": list(self.impulse),
             "lost": self.lost,
             "twist": list(self.twist),
-            "before": {
-                "yd": list(yd),
-                "v": list(v),
-                "payload": list(payload),
-                "ud": list(ud),
-                "tau": list(self.tau),
-            },
+            "before": dict(zip(names, map(list, before), strict=True)),
         }
 
 
-class PayloadHandler(Part):
+class PayloadHandler(NotingPart):
     """The payload of every simulation of a `Simulator`, as `Simulator.payload`.
 
     Arrays (n, ...): `mass`, `com` and `inertia` in the payload's own axes, which an episode may
@@ -110,8 +102,8 @@ class PayloadHandler(Part):
         self.position, self.velocity = np.zeros((n, 3)), np.zeros((n, 3))
         self.attitude = np.zeros((n, 4))
         self.place, self.turn = np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1))
-        self.history = np.full(n, None)  # a tuple of captures for each simulation
-        self._forget(np.arange(n))
+        self.history = np.full(n, None)  # of captures
+        self.forget(np.arange(n))
         self.described: list[Payload] = []
         # where the tool can touch it, the engine moves it
         touchable = system.contact is not None and system.contact.on == "payload"
@@ -120,12 +112,6 @@ class PayloadHandler(Part):
 
     # ------------------------------------------------------------------ state
 
-    @property
-    def events(self) -> list[Capture]:
-        """Latches that closed and opened since the resets, in the order of their times."""
-        every = [replace(e, simulation=i) for i, es in enumerate(self.history) for e in es]
-        return sorted(every, key=lambda event: event.time)
-
     def prepare(
         self, machines: Machines, ids: Index, systems: Sequence[System]
     ) -> Callable[[], None]:
@@ -133,7 +119,10 @@ class PayloadHandler(Part):
         return lambda: self._assigned(ids)
 
     def _assigned(self, ids: Index) -> None:
-        self.described = [_payload(system) for system in self.machines.systems]
+        self.described = []
+        for system in self.machines.systems:
+            assert system.payload is not None
+            self.described.append(system.payload)
         payloads = [self.described[i] for i in ids.tolist()]
         for i, payload in zip(ids.tolist(), payloads, strict=True):
             self.mass[i], self.com[i], self.inertia[i] = numbers_of(payload.inertial)
@@ -158,12 +147,8 @@ class PayloadHandler(Part):
             self.mass[alike], self.com[alike], self.inertia[alike] = numbers
             self.position[alike], self.velocity[alike] = payload.position, payload.velocity
             self.attitude[alike], self.spin[alike] = from_angles(payload.angles), payload.spin
-        self._forget(ids)
+        self.forget(ids)
         self._put(ids)
-
-    def _forget(self, ids: Index) -> None:
-        for i in ids.tolist():
-            self.history[i] = ()
 
     def before(self, machines: Machines, period: ControlPeriod) -> None:
         """See `Part`. The engine works in other frames now."""
@@ -215,20 +200,15 @@ class PayloadHandler(Part):
     def state(self) -> PayloadState:
         """Place and motion of the payloads, free or carried."""
         held = np.flatnonzero(self.carried)
-        if not len(held):
-            return PayloadState(*(part.copy() for part in self._free))
         position, attitude = self.position.copy(), self.attitude.copy()
         velocity, spin = self.velocity.copy(), self.spin.copy()
+        if not len(held):
+            return PayloadState(position, attitude, velocity, spin)
         turn, origin, twist = self._carried(held, self._tool(held))
         position[held], attitude[held] = origin, from_matrix(turn)
         velocity[held] = twist[:, :3]
         spin[held] = matvec(np.swapaxes(turn, -1, -2), twist[:, 3:])
         return PayloadState(position, attitude, velocity, spin)
-
-    @property
-    def _free(self) -> PayloadState:
-        """State of payloads as free ones have it, in place."""
-        return PayloadState(self.position, self.attitude, self.velocity, self.spin)
 
     def set_state(self, state: Mapping[str, Array]) -> None:
         """See `Part`."""
@@ -255,10 +235,10 @@ class PayloadHandler(Part):
         if not len(rows):
             return
         if self._contact is not None:
-            for own, moved in zip(
-                self._free, self._contact.bodies(rows, self.com), strict=True
-            ):
-                own[rows] = moved
+            free_ones = self.position, self.attitude, self.velocity, self.spin
+            moved = self._contact.bodies(rows, self.com)
+            for own, part in zip(free_ones, moved, strict=True):
+                own[rows] = part
             return
         com = self.position[rows] + rotate(self.attitude[rows], self.com[rows])
         com += time * self.velocity[rows]
@@ -342,11 +322,13 @@ class PayloadHandler(Part):
                 f"{_degrees(payload.latch_angle)} of the fixture, the tool is"
                 f" {distance[k]:.4g} m{_degrees(float(angle[k]))} away"
             )
-        out = self._impulse(index, motion, rates, closed)
+        M, twist, com = self._bodies(index)
+        driven = 6 if self._still else 0  # the platform moves as it is told
+        X = to_point(com, motion.place)
+        out = inelastic(motion.mass, rates, motion.J, M, twist, X, closed, driven)
         state = machines.state
         kind = "grasp" if closed is None else "touch"
         time, v, yd = state.time[index], state.v[index], state.yd[index]
-        _, twist, _ = self._bodies(index)
         modes = self._modes()
         ud = np.zeros((len(index), 0)) if modes is None else modes[1][index]
         for k, i in enumerate(index.tolist()):
@@ -354,10 +336,8 @@ class PayloadHandler(Part):
             impulse, relative = (
                 tuple(part[k].tolist()) for part in (out.impulse, out.relative)
             )
-            event = Capture(
-                i, float(time[k]), kind, impulse, float(out.lost[k]), relative, before
-            )
-            self.history[i] = (*self.history[i], event)
+            lost = float(out.lost[k])
+            self.note(Capture(i, float(time[k]), kind, impulse, lost, relative, before))
         _, z, _ = machines.backend.read()  # whose angles may be in a frame of their own
         turned = np.linalg.solve(rate_matrix(z[index, :6]), out.rates[:, :6, None])[..., 0]
         size = 6 + machines.joints
@@ -398,7 +378,7 @@ class PayloadHandler(Part):
         self._put(index)
         events = [Capture(i, float(time[i]), "release") for i in index.tolist()]
         for event in events:
-            self.history[event.simulation] = (*self.history[event.simulation], event)
+            self.note(event)
         return events
 
     # ----------------------------------------------------------------- ledger
@@ -495,14 +475,6 @@ class PayloadHandler(Part):
         distance: Array = np.linalg.norm(fixture - tool.place, axis=1)
         return turn, distance, angle_between(axes, tool.turn)
 
-    def _impulse(
-        self, ids: Index, motion: ToolMotion, rates: Array, closed: Array | None
-    ) -> Impulse:
-        M, twist, com = self._bodies(ids)
-        X = to_point(com, motion.place)
-        driven = 6 if self._still else 0  # the platform moves as it is told
-        return inelastic(motion.mass, rates, motion.J, M, twist, X, closed, driven)
-
     def _carried(self, ids: Index, tool: ToolState) -> tuple[Array, Array, Array]:
         """Axes (k, 3, 3), origins (k, 3) and twists of the centres of mass (k, 6) in space."""
         link = tool.turn @ self.machines.system.arm.tool_rotation.T
@@ -529,11 +501,6 @@ class PayloadHandler(Part):
             mass[held], com[held], inertia[held], *body, self.place[which], self.turn[which]
         )
         self.machines.backend.set_last_link(ids, mass, com, inertia)
-
-
-def _payload(system: System) -> Payload:
-    assert system.payload is not None
-    return system.payload
 
 
 def _degrees(angle: float | None) -> str:

@@ -17,11 +17,11 @@ from ves_gym.engine.kernel.maps import weight_function
 from ves_gym.hardware.admittance import Nonlinear
 from ves_gym.mechanics.base_model import BaseModel, carried
 from ves_gym.simulation.blocks.compiled_loop import CompiledLoop
-from ves_gym.simulation.blocks.memory import NamedArrays
 from ves_gym.simulation.blocks.platform import Safety
+from ves_gym.simulation.blocks.wiring import NamedArrays
 from ves_gym.simulation.loop_numbers import BODIES, LoopNumbers
 from ves_gym.simulation.loop_wiring import LoopParts, Needs
-from ves_gym.simulation.machines import ControlPeriod, Machines, Part
+from ves_gym.simulation.machines import ControlPeriod, Machines, NotingPart
 from ves_gym.simulation.state import Event, Readings, State
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import LaboratoryEffect
@@ -32,7 +32,7 @@ from ves_gym.system.system import System
 _AHEAD = 16  # periods whose noise a generator draws at once: a call costs as much as 18 numbers
 
 
-class EmulationLoop(Part):
+class EmulationLoop(NotingPart):
     """n emulators at work on one system.
 
     Args:
@@ -67,8 +67,8 @@ class EmulationLoop(Part):
         self._weights = weight_function(system.actual.arm)
         self._compiled = compiled
         self.table: Array | None = None  # (n, m, 6): replaces the estimate, row by row
-        self.history = np.full(n, None)  # a tuple of safety stops for each simulation
-        self._forget(np.arange(n))
+        self.history = np.full(n, None)  # of safety stops
+        self.forget(np.arange(n))
         self.time = np.zeros(n)  # s since the reset
         self.noise = np.zeros((n, _AHEAD, 18))  # of the coming periods
         self.next_noise = np.full(n, _AHEAD)  # place in it; beyond: none is drawn
@@ -97,12 +97,7 @@ class EmulationLoop(Part):
 
     def _asked(self) -> Needs:
         """Requirements of parameters and table on the blocks."""
-        return Needs.of(
-            self.parameters,
-            self.dt,
-            compensating=self.compensating,
-            tabulated=self.table is not None,
-        )
+        return Needs.of(self.parameters, self.dt, self.compensating, self.table is not None)
 
     def _load(self) -> None:
         """Take the parameters of all simulations to the blocks."""
@@ -184,7 +179,8 @@ class EmulationLoop(Part):
         q, y, yd, kp, kd = start.q, start.y, start.yd, machines.kp[ids], machines.kd[ids]
         rows = self._rows(ids)
         u = {"q": q, "X": np.concatenate([y, yd], axis=-1), "kp": kp, "kd": kd}
-        u["true_weight"] = self._true_weight(q, y, rows)
+        bodies = self.numbers.bodies
+        u["true_weight"] = self._weights(q, y, bodies.mass[rows, None], bodies.P[rows])
         u["start_draws"] = self._drawn(ids, 6, 2)  # start as noisy as it goes on
         if self.table is not None:
             u["table"] = self.table[rows, 0]
@@ -197,7 +193,7 @@ class EmulationLoop(Part):
             couplings = {key: system.actual.base.coupling for key, system in apart.items()}
             coupling = np.stack([couplings[id(system)] for system in systems])
             u |= {"attached": carried(coupling, y), "attached_rate": carried(coupling, yd)}
-        self._forget(ids)
+        self.forget(ids)
         self.time[rows], self.next_noise[rows] = 0.0, _AHEAD
         for block in self.wiring.blocks:
             x, outputs = block.start(self._of(block.name, rows), u)
@@ -238,20 +234,6 @@ class EmulationLoop(Part):
         super().set_state(state)
         self.use_table(state.get("table"))
         self.memory.take_over(state, self._carried)
-
-    @property
-    def events(self) -> list[Event]:
-        """Safety stops since the resets, in the order of their times."""
-        every = [e._replace(simulation=i) for i, es in enumerate(self.history) for e in es]
-        return sorted(every, key=lambda event: event.time)
-
-    def _forget(self, ids: Index) -> None:
-        for i in ids.tolist():
-            self.history[i] = ()
-
-    def _note(self, i: int, reason: str) -> None:
-        event = Event(i, float(self.time[i]), reason)
-        self.history[i] = (*self.history[i], event)
 
     # ------------------------------------------------------------------- tick
 
@@ -314,7 +296,8 @@ class EmulationLoop(Part):
         assert isinstance(safety, Safety)
         for i in ids.tolist():
             sent, command = (memory[k][i] for k in ("command_sent", "command"))
-            self._note(i, safety.reason(sent, command, reading[i]))
+            reason = safety.reason(sent, command, reading[i])
+            self.note(Event(i, float(self.time[i]), reason))
 
     def sense(self, wrench: Array, q: Array) -> None:
         """Take in one period's true wrench; read the sensors.
@@ -449,11 +432,4 @@ class EmulationLoop(Part):
         new = ids[~self.frozen[ids]]
         self.memory.put(new, "frozen", np.ones(len(new)))
         for i in new.tolist():
-            self._note(i, reason)
-
-    # ---------------------------------------------------------------- helpers
-
-    def _true_weight(self, q: Array, y: Array, rows: Rows) -> Array:
-        """True static wrench (m, 6) of the arm on the platform."""
-        bodies = self.numbers.bodies
-        return self._weights(q, y, bodies.mass[rows, None], bodies.P[rows])
+            self.note(Event(i, float(self.time[i]), reason))

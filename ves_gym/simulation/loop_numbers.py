@@ -18,9 +18,10 @@ from ves_gym.hardware.admittance import admittance_matrices
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.simulation.blocks.block import Block, Noted
-from ves_gym.simulation.blocks.payload_compensation import ArmInertia
+from ves_gym.simulation.blocks.sensing import ArmInertia
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import BaseEffect
+from ves_gym.system.effect_rows import stacked
 from ves_gym.system.system import System
 
 BODIES = {field.name for field in fields(Bodies)}
@@ -161,7 +162,7 @@ class LoopNumbers:
             ParameterError: systems that the simulations of one loop cannot have.
         """
         pairs = list(zip(ids.tolist(), systems, strict=True))
-        each = [self.described(k.arm).copy().edited(k.effects) for k in systems]
+        each = [self.described(k.arm).mapped(np.copy).edited(k.effects) for k in systems]
         others = [
             (i, k)
             for i, k in pairs
@@ -177,7 +178,7 @@ class LoopNumbers:
             if _all_bodies(k) not in row_of:
                 row_of[_all_bodies(k)] = self._row(k, f"system of simulation {i}")
         bodies = [(i, k, row_of[_all_bodies(k)]) for i, k in others]
-        return Assignment(pairs, bodies, LoopParameters.stacked(each))
+        return Assignment(pairs, bodies, each[0].mapped(stacked, *each[1:]))
 
     def assign(self, assignment: Assignment) -> None:
         """Put arms and vehicles of an assignment in place; its parameters go through `put`.

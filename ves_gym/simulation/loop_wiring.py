@@ -16,9 +16,6 @@ from ves_gym.simulation.blocks.admittance import (
     NonlinearAdmittance,
 )
 from ves_gym.simulation.blocks.block import Block, LoopShape, ModelOf
-from ves_gym.simulation.blocks.force_sensor import ForceSensorBlock
-from ves_gym.simulation.blocks.gravity_estimate import GravityEstimate
-from ves_gym.simulation.blocks.payload_compensation import ArmInertia, PayloadCompensation
 from ves_gym.simulation.blocks.platform import (
     CommandLine,
     ComputingDelay,
@@ -27,6 +24,12 @@ from ves_gym.simulation.blocks.platform import (
     LegServos,
     PosePlatform,
     Safety,
+)
+from ves_gym.simulation.blocks.sensing import (
+    ArmInertia,
+    ForceSensorBlock,
+    GravityEstimate,
+    PayloadCompensation,
 )
 from ves_gym.simulation.blocks.wiring import Wiring
 from ves_gym.system.deviations import LoopParameters
@@ -46,7 +49,7 @@ class Needs:
     tabulated: bool = False  # the weight comes from a table
 
     @staticmethod
-    def of(p: LoopParameters, dt: float, *, compensating: bool, tabulated: bool) -> Needs:
+    def of(p: LoopParameters, dt: float, compensating: bool, tabulated: bool) -> Needs:
         """Return what parameters ask for.
 
         Args:
@@ -97,82 +100,63 @@ class LoopParts:
         inertia: ArmInertia | None,
         custom: Nonlinear | None,
     ) -> None:
-        spec = system.emulator_settings
+        spec, arm = system.emulator_settings, system.arm
         clock = system.control_dt, system.physics_dt
-        self._system, self._inertia, self._custom = system, inertia, custom
-        self._legs: Legs | None = None
+        legs: Legs | None = None
         if isinstance(spec.platform, LegServo):
-            self._legs = Legs(spec.platform, spec.stewart, *clock)
-        states = 0 if self._legs is None else self._legs.leg.size
-        self.shape = LoopShape(system.substeps + 1, system.arm.n, *clock, states)
-        # joints that give way to the compensated load
-        self._moving = system.arm.n if system.drive == "motor" and inertia is not None else 0
-        platform = self._platform(as_stated=False)
-        self.platform = platform[0]  # has its state
-        self.sensor = ForceSensorBlock(spec.sensor, self.shape)
+            legs = Legs(spec.platform, spec.stewart, *clock)
+        states = 0 if legs is None else legs.leg.size
+        self.shape = shape = LoopShape(system.substeps + 1, arm.n, *clock, states)
+
+        def platform_of(as_stated: bool) -> list[Any]:
+            """Blocks of the platform; the first has its state."""
+            if legs is not None:
+                return [LegServos(legs, as_stated=as_stated), LegSensors(legs)]
+            assert isinstance(spec.platform, PoseServo)
+            return [PosePlatform(spec.platform, shape, as_stated=as_stated)]
+
+        platform = platform_of(as_stated=False)
+        self.platform = platform[0]
+        self.sensor = ForceSensorBlock(spec.sensor, shape)
         self.estimate: GravityEstimate | None = None
-        if spec.operation == "microgravity":
-            self.estimate = GravityEstimate(
-                system.arm, self.shape, needs.estimates, needs.tabulated
+        external = ["q", "y_engine", "yd_engine", "wrench", "draws"]
+        line = CommandLine(spec.stewart, shape, needs.commands, needs.limited)
+        before: list[Block] = [ComputingDelay(spec.delay), Safety(spec, shape), line, *platform]
+        after: list[Block] = [self.sensor]
+        # joints that give way to the compensated load
+        moving = arm.n if system.drive == "motor" and inertia is not None else 0
+        if spec.operation == "position":
+            external.append("motion")
+        else:
+            before.insert(0, _admittance(system, shape, moving, inertia is not None, custom))
+        if inertia is not None:
+            external += ["kp", "kd"]
+            before.insert(0, inertia)
+            if needs.modelled:  # a machine as stated is its own model
+                before += [ModelOf(block) for block in platform_of(as_stated=True)]
+            before.append(
+                PayloadCompensation(shape, moving, spec.sensor.cutoff, needs.modelled)
             )
-        before, after = self._before(needs, platform), self._after()
-        external = self._external(needs)
+        if spec.operation == "microgravity":
+            self.estimate = GravityEstimate(arm, shape, needs.estimates, needs.tabulated)
+            after.append(self.estimate)
+        else:
+            external.append("weight")
+        if needs.tabulated:
+            external.append("table")
+        before.append(EngineInput(shape))
         watched = [k for k in _WATCHED if k not in external]
         self.wiring = Wiring(before, after, external, watched)
 
-    def _before(self, needs: Needs, platform: list[Any]) -> list[Block]:
-        """From the present readings to what the engine's platform is given."""
-        spec, shape = self._system.emulator_settings, self.shape
-        out: list[Block] = [] if self._inertia is None else [self._inertia]
-        if spec.operation != "position":
-            out.append(self._admittance())
-        out += [
-            ComputingDelay(spec.delay),
-            Safety(spec, shape),
-            CommandLine(spec.stewart, shape, needs.commands, needs.limited),
-            *platform,
-        ]
-        if self._inertia is not None:
-            if needs.modelled:  # a machine as stated is its own model
-                out += [ModelOf(block) for block in self._platform(as_stated=True)]
-            cutoff = spec.sensor.cutoff
-            out.append(PayloadCompensation(shape, self._moving, cutoff, needs.modelled))
-        return [*out, EngineInput(shape)]
 
-    def _after(self) -> list[Block]:
-        """From the engine's wrench to the next readings."""
-        return [self.sensor] if self.estimate is None else [self.sensor, self.estimate]
-
-    def _external(self, needs: Needs) -> list[str]:
-        """Signals that come from outside the loop."""
-        out = ["q", "y_engine", "yd_engine", "wrench", "draws"]
-        if self._inertia is not None:
-            out += ["kp", "kd"]
-        if self._system.emulator_settings.operation == "position":
-            out.append("motion")
-        if needs.tabulated:
-            out.append("table")
-        if self.estimate is None:
-            out.append("weight")
-        return out
-
-    def _admittance(self) -> Block:
-        base, spec = self._system.actual.base, self._system.emulator_settings
-        carried = base.m
-        nonlinear = base.body is not None or self._custom is not None
-        if self._inertia is not None:
-            lag = spec.lag(self.shape.control_dt)
-            return CoupledAdmittance(
-                self.shape, carried, self._moving, lag, nonlinear, self._custom
-            )
-        if nonlinear:
-            return NonlinearAdmittance(self.shape, self._custom)
-        return LinearAdmittance(self.shape, carried)
-
-    def _platform(self, *, as_stated: bool) -> list[Any]:
-        """Blocks of the platform; the first has its state."""
-        if self._legs is not None:
-            return [LegServos(self._legs, as_stated=as_stated), LegSensors(self._legs)]
-        servo = self._system.emulator_settings.platform
-        assert isinstance(servo, PoseServo)
-        return [PosePlatform(servo, self.shape, as_stated=as_stated)]
+def _admittance(
+    system: System, shape: LoopShape, moving: int, coupled: bool, custom: Nonlinear | None
+) -> Block:
+    base, spec = system.actual.base, system.emulator_settings
+    nonlinear = base.body is not None or custom is not None
+    if coupled:
+        lag = spec.lag(shape.control_dt)
+        return CoupledAdmittance(shape, base.m, moving, lag, nonlinear, custom)
+    if nonlinear:
+        return NonlinearAdmittance(shape, custom)
+    return LinearAdmittance(shape, base.m)

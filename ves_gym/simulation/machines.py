@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -110,6 +110,27 @@ class Part:
         """Return to a state handed out by `get_state`."""
         for name in self.arrays:
             getattr(self, name)[:] = state[name]
+
+
+class NotingPart(Part):
+    """A part that notes what happens: in `history` a tuple of events for each simulation."""
+
+    history: Any
+
+    def forget(self, ids: Index) -> None:
+        """Nothing has happened to some simulations."""
+        for i in ids.tolist():
+            self.history[i] = ()
+
+    def note(self, event: Any) -> None:
+        """Take note of an event, that says its simulation and time."""
+        self.history[event.simulation] = (*self.history[event.simulation], event)
+
+    @property
+    def events(self) -> list[Any]:
+        """What happened since the resets, in the order of the times."""
+        every = [e._replace(simulation=i) for i, es in enumerate(self.history) for e in es]
+        return sorted(every, key=lambda event: event.time)
 
 
 class Machines(Part):
@@ -311,15 +332,12 @@ class Charts(Part):
         if not far.any():
             return
         ids = np.flatnonzero(far)
-        y, rates = (
-            z[ids, :6],
-            twist(z[ids, :6], zd[ids, :6]),
-        )  # at pose zero rates are the twist
+        y = z[ids, :6]
+        rates = twist(y, zd[ids, :6])  # at pose zero rates are the twist
         q = self.turn[ids]
         self.place[ids] += attitude.rotate(q, y[:, :3])
-        self.turn[ids] = attitude.normalised(
-            attitude.product(q, attitude.from_angles(y[:, 3:]))
-        )
+        turned = attitude.product(q, attitude.from_angles(y[:, 3:]))
+        self.turn[ids] = attitude.normalised(turned)
         self.elsewhere[ids] = True
         machines.backend.set_base(ids, np.zeros((len(ids), 6)), rates)
         period.recentred = ids

@@ -17,7 +17,6 @@ from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix, twist, t
 from ves_gym.simulation.capture import Capture
 from ves_gym.simulation.recording import Recording, Watch
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.simulation.state import State
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
@@ -86,11 +85,19 @@ def play_motions(
     )
 
     edges = np.arange((records - 1) * stride + 1, dtype=np.float64) * np.float64(dt)
-    samples = _stack(motions, edges)
-    commands = _commands(sim, samples)
+    moves = [m.at(edges) for m in motions]
+    samples = Samples(edges, *(np.stack([move[k] for move in moves]) for k in (1, 2, 3)))
+    commands = samples.a  # of a drive that follows its command
+    if system.drive == "motor":
+        tau = sim.servo.torque_feedforward(system.arm, samples)
+        commands = sim.servo_command(samples.q, samples.v, tau)
     clock = edges[:: system.substeps]
-    follow = None if platform is None else _per_run(platform, clock, n, "platform")
-    table = None if gravity is None else _tabulated(gravity, clock, n)
+    follow = table = None
+    if platform is not None:
+        pose, rate = (_per_run(part, clock, n, _FOLLOWED) for part in platform(clock))
+        follow = np.concatenate([pose, rate], axis=-1)
+    if gravity is not None:
+        table = _per_run(gravity(clock), clock, n, "gravity must give wrenches")
 
     rows: list[dict[str, Array]] = []
     watched = Watch(system.arm, n, duration + _OVERSHOOT) if watch else None
@@ -132,9 +139,12 @@ def play_motions(
             progress(k / records)
     columns = {name: np.stack([row[name] for row in rows], axis=1) for name in rows[0]}
     if not emulated:
-        inner = [columns.pop(name) for name in _INNER if name in columns]
-        motion = (columns[name] for name in ("y", "yd", "ydd"))
-        columns["w"] = _wrenches(system, *motion, *inner)
+        shape, parts = columns["y"].shape, [columns[name] for name in ("y", "yd", "ydd")]
+        parts += [columns.pop(name) for name in _INNER if name in columns]
+        flat = [part.reshape(shape[0] * shape[1], part.shape[-1]) for part in parts]
+        y_all, yd_all, ydd_all = flat[:3]
+        wrench = base_wrench(system, y_all, yd_all, ydd_all, flat[3:5], flat[5:] or None)
+        columns["w"] = wrench.reshape(shape)
     end = (len(rows) - 1) * stride + 1
     return Recording(
         system=system,
@@ -151,6 +161,7 @@ def play_motions(
     )
 
 
+_FOLLOWED = "platform must give poses and rates"
 _INNER = ("at", "rate", "torque", "wrench")  # of `_row`, to compute `w` from
 
 
@@ -206,7 +217,7 @@ def _latch(sim: Simulator, kind: str, command: Array) -> list[Capture]:
         return sim.release()
     tau, _ = sim.evaluate(command)
     rows = [tuple(row) for row in tau.tolist()]
-    return [replace(event, tau=rows[event.simulation]) for event in sim.grasp()]
+    return [event._replace(tau=rows[event.simulation]) for event in sim.grasp()]
 
 
 def weigh_poses(
@@ -257,28 +268,12 @@ def weigh_poses(
     )
 
 
-def _per_run(
-    follow: Callable[[Array], tuple[Array, Array]], t: Array, n: int, name: str
-) -> Array:
-    """(n, N, 12) pose and rate of a prescribed platform motion at the instants t."""
-    pose, rate = (np.asarray(part, float) for part in follow(t))
-    for part in (pose, rate):
-        if part.shape not in ((len(t), 6), (n, len(t), 6)):
-            raise ParameterError(
-                f"{name} must give poses and rates of shape ({len(t)}, 6) or ({n}, {len(t)},"
-                f" 6), got {part.shape}"
-            )
-    both = np.concatenate([pose, rate], axis=-1)
-    return np.broadcast_to(both, (n, len(t), 12))
-
-
-def _tabulated(gravity: Callable[[Array], Array], t: Array, n: int) -> Array:
-    """(n, N, 6) gravity wrench at the instants t."""
-    values = np.asarray(gravity(t), float)
+def _per_run(values: Array, t: Array, n: int, what: str) -> Array:
+    """(n, N, 6) values given at the instants t for all runs, or for each."""
+    values = np.asarray(values, float)
     if values.shape not in ((len(t), 6), (n, len(t), 6)):
         raise ParameterError(
-            f"gravity must give wrenches of shape ({len(t)}, 6) or ({n}, {len(t)}, 6),"
-            f" got {values.shape}"
+            f"{what} of shape ({len(t)}, 6) or ({n}, {len(t)}, 6), got {values.shape}"
         )
     return np.broadcast_to(values, (n, len(t), 6))
 
@@ -306,80 +301,32 @@ def _whole_multiple(period: float, dt: float, name: str, what: str) -> int:
     return round(ratio)
 
 
-def _stack(motions: Sequence[Motion], t: Array) -> Samples:
-    parts = [m.at(t) for m in motions]
-    return Samples(t, *(np.stack([p[k] for p in parts]) for k in (1, 2, 3)))
-
-
-def _commands(sim: Simulator, s: Samples) -> Array:
-    """(n, N, joints) drive command at sampled instants: torque, or acceleration."""
-    if sim.system.drive == "prescribed":
-        return s.a
-    tau = sim.servo.torque_feedforward(sim.system.arm, s)
-    return sim.servo_command(s.q, s.v, tau)
-
-
-def _wrenches(
-    system: System, y: Array, yd: Array, ydd: Array, at: Array, rate: Array, *held: Array
-) -> Array:
-    """Return the wrench of the arm on the base in all records (n, N, 6), as `base_wrench`.
-
-    Args:
-        system: arm and vehicle.
-        y, yd, ydd: (n, N, 6) motion of the base.
-        at, rate: (n, N, h) of `Simulator.internal_state`.
-        held: (n, N, ...) torque of wheels and wrench of jets, where the vehicle has them.
-    """
-    count = y.shape[0] * y.shape[1]
-
-    def flat(part: Array) -> Array:
-        return part.reshape(count, part.shape[-1])
-
-    inner = flat(at), flat(rate)
-    actuators = (flat(held[0]), flat(held[1])) if held else None
-    wrench = _wrench_of_motion(system, flat(y), flat(yd), flat(ydd), inner, actuators)
-    return wrench.reshape(y.shape)
-
-
 def base_wrench(
     system: System,
-    state: State,
+    y: Array,
+    yd: Array,
     ydd: Array,
-    hidden: tuple[Array, Array] | None = None,
-    actuators: tuple[Array, Array] | None = None,
+    hidden: Sequence[Array] | None = None,
+    actuators: Sequence[Array] | None = None,
 ) -> Array:
     """Return the wrench of the arm on the base: what the vehicle's motion takes.
 
     Args:
         system: arm and vehicle.
-        state: of n simulations.
-        ydd: (n, 6) acceleration of the base.
+        y, yd, ydd: (n, 6) motion of the base.
         hidden: `Simulator.internal_state`, where the vehicle carries something.
         actuators: torque of its wheels' motors and wrench of its jets, where it has them.
 
     Returns:
         (n, 6) in platform axes [N, N m].
     """
-    return _wrench_of_motion(system, state.y, state.yd, ydd, hidden, actuators)
-
-
-def _wrench_of_motion(
-    system: System,
-    y: Array,
-    yd: Array,
-    ydd: Array,
-    hidden: tuple[Array, Array] | None,
-    actuators: tuple[Array, Array] | None,
-) -> Array:
-    """Return what `base_wrench` does, of n poses, rates and accelerations (n, 6)."""
     base = system.actual.base
     # run by run: one matrix product over the batch would round by its size
     force = matvec(base.M, ydd) + matvec(base.D, yd) + matvec(base.K, y)  # conjugate to Y
     if base.drag is not None:
         force = force + base.drag * np.abs(yd) * yd
     if base.internal is not None:
-        if hidden is None:
-            raise ParameterError("a vehicle with internal modes needs their state")
+        assert hidden is not None
         _, D, K = base.internal.matrices()
         for matrix, part, internal in ((K, y, hidden[0]), (D, yd, hidden[1])):
             stacked = np.concatenate([part, internal[:, -base.m :]], axis=-1)

@@ -13,7 +13,7 @@ from ves_gym.engine.backends.registry import make_backend
 from ves_gym.hardware.admittance import Nonlinear
 from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo
 from ves_gym.mechanics.vehicle import has_jets
-from ves_gym.simulation.arguments import broadcast, numbers, repeated, simulation_ids
+from ves_gym.simulation.arguments import broadcast, numbers, simulation_ids, whole
 from ves_gym.simulation.assigned_systems import assign, assign_effects
 from ves_gym.simulation.base_actuators import BaseActuators
 from ves_gym.simulation.capture import Capture, PayloadHandler
@@ -72,23 +72,15 @@ class Simulator:
         warn_at: npt.ArrayLike | None = 0.0,
         compiled: bool = True,
     ) -> None:
-        if not isinstance(n, (int, np.integer)) or isinstance(n, bool) or n < 1:
-            raise ParameterError(f"n must be a whole number >= 1, got {n!r}")
-        if (
-            not isinstance(threads, (int, np.integer))
-            or isinstance(threads, bool)
-            or threads < 0
-        ):
-            raise ParameterError(f"threads must be a whole number >= 0, got {threads!r}")
+        self.system, self.n = system, whole(n, "n", 1)
         if on_divergence not in ("raise", "mark"):
             raise ParameterError(f"on_divergence must be raise or mark, got {on_divergence!r}")
         if system.mode == "ideal" or system.actual.arm.geared:
             require_stable_step(system.actual)
         if system.mode == "ideal" and admittance is not None:
             raise ParameterError("an admittance needs mode emulated, got mode ideal")
-        self.system, self.n = system, int(n)
         self.joints, self.on_divergence = system.arm.n, on_divergence
-        self.backend = make_backend(backend, system.actual, self.n, threads)
+        self.backend = make_backend(backend, system.actual, self.n, whole(threads, "threads"))
         self.machines = machines = Machines(system, self.n, self.backend)
         self.generators: list[np.random.Generator] = []
         self.seed(seed)
@@ -179,12 +171,8 @@ class Simulator:
 
     def seed(self, seed: int) -> None:
         """Restart the random generators."""
-        if not isinstance(seed, (int, np.integer)) or isinstance(seed, bool) or seed < 0:
-            raise ParameterError(f"seed must be a whole number >= 0, got {seed!r}")
-        self.generators[:] = [
-            np.random.Generator(np.random.PCG64(np.random.SeedSequence((int(seed), i))))
-            for i in range(self.n)
-        ]
+        root = whole(seed, "seed")
+        self.generators[:] = [np.random.default_rng((root, i)) for i in range(self.n)]
 
     def reset(
         self,
@@ -291,10 +279,8 @@ class Simulator:
         if theirs != ours:
             told = ("system {} with n = {} on backend {}".format(*k) for k in (theirs, ours))
             raise ParameterError("snapshot is of {}, this is {}".format(*told))
-        machines, current, then = self.machines, self.machines.assigned, snapshot.assigned
-        ids = [
-            i for i in sorted(then.keys() | current.keys()) if then.get(i) is not current.get(i)
-        ]
+        machines, now, then = self.machines, self.machines.assigned, snapshot.assigned
+        ids = [i for i in sorted(then.keys() | now.keys()) if then.get(i) is not now.get(i)]
         if ids:
             self.assign([then.get(i, self.system) for i in ids], np.array(ids))
         self.backend.set_state(snapshot.arrays["engine"])
@@ -420,9 +406,12 @@ class Simulator:
             platform: pose (n, 6), or pose and rate (n, 12), that the platform shall
                 follow; emulators under position control only.
         """
-        start = broadcast(command, "command", (self.n, self.joints))
-        # a held command as a view of length k + 1: the kernel copies nothing then
-        nodes = repeated(start, self.system.substeps + 1)
+        start = np.ascontiguousarray(broadcast(command, "command", (self.n, self.joints)))
+        # a held command as a view of length k + 1: the kernel copies nothing then, and
+        # `np.broadcast_to` would take a tenth of a step
+        shape = (self.n, self.system.substeps + 1, self.joints)
+        row, column = start.strides
+        nodes: Array = np.ndarray(shape, np.float64, start, 0, (row, 0, column))
         if until is not None:
             end = broadcast(until, "until", start.shape)
             nodes = start[:, None] + (end - start)[:, None] * self._shares
@@ -583,9 +572,7 @@ class Simulator:
 
     def _platform(self, platform: npt.ArrayLike, periods: int) -> Array:
         """(n, periods, 12) pose and rate that the platform shall follow."""
-        if self.emulation_loop is None:
-            raise ParameterError("platform needs mode emulated, got mode ideal")
-        operation = self.emulation_loop.spec.operation
+        operation = self._laboratory("platform needs").spec.operation
         if operation != "position":
             raise ParameterError(
                 f"platform needs an emulator under position control, got {operation}"
@@ -600,12 +587,16 @@ class Simulator:
 
     # --------------------------------------------------------------- laboratory
 
+    def _laboratory(self, needs: str) -> EmulationLoop:
+        """The emulation loop, or a ParameterError of what needs one."""
+        if self.emulation_loop is None:
+            raise ParameterError(f"{needs} mode emulated, got mode ideal")
+        return self.emulation_loop
+
     @property
     def readings(self) -> Readings:
         """Mode emulated: what force sensor, gravity estimate and platform report now."""
-        if self.emulation_loop is None:
-            raise ParameterError("readings need mode emulated, got mode ideal")
-        return self.emulation_loop.readings
+        return self._laboratory("readings need").readings
 
     @property
     def events(self) -> list[Event]:
@@ -628,15 +619,12 @@ class Simulator:
 
     def zero_sensor(self, ids: npt.ArrayLike | None = None) -> None:
         """Set the force sensors' zero from the gravity estimate (thesis App. E, step 9)."""
-        if self.emulation_loop is None:
-            raise ParameterError("zero_sensor needs mode emulated, got mode ideal")
-        self.emulation_loop.zero(simulation_ids(ids, self.n))
+        self._laboratory("zero_sensor needs").zero(simulation_ids(ids, self.n))
 
     def freeze(self, ids: npt.ArrayLike | None = None) -> None:
         """Press the platforms' panic buttons: they stand until reset (thesis App. E rule 1)."""
-        if self.emulation_loop is None:
-            raise ParameterError("freeze needs mode emulated, got mode ideal")
-        self.emulation_loop.freeze(simulation_ids(ids, self.n), "panic button")
+        ids = simulation_ids(ids, self.n)
+        self._laboratory("freeze needs").freeze(ids, "panic button")
 
     def evaluate(self, command: npt.ArrayLike) -> tuple[Array, Array]:
         """Drive torque (n, joints) [N m] and base acceleration Y'' (n, 6) at this state.
@@ -656,16 +644,14 @@ class Simulator:
         new = self.backend.faults()
         if self.system.base.body is not None:
             new |= self.machines.tumbled
-        if not new.any():
-            return
-        new &= ~self.diverged
+        if new.any():
+            new &= ~self.diverged
         if not new.any():
             return
         self.machines.diverged |= new
         if self.on_divergence == "raise":
-            raise Divergence(
-                self.describe_divergence(int(np.flatnonzero(new)[0])), np.flatnonzero(new)
-            )
+            ids = np.flatnonzero(new)
+            raise Divergence(self.describe_divergence(int(ids[0])), ids)
 
     def describe_divergence(self, i: int) -> str:
         """One line naming simulation, time and the worst coordinate while it was finite."""

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from ves_gym._util.params import Array, ParameterError, to_plain
+from ves_gym._util.params import Array, to_plain
 from ves_gym._util.tables import table
 from ves_gym._util.views import Viewable
 from ves_gym.hardware.leg_servo import LegServo
@@ -28,8 +28,7 @@ from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
 SCHEMA = "ves-emulation-check/1"
-_LOW, _HIGH = 0.2, 200.0  # Hz, searched for the largest stable bandwidth
-_GRID = 25
+_BANDWIDTHS, _GAINS = (0.2, 200.0), (1 / 16, 16.0)  # Hz, 1: searched for the largest stable
 _NEAR = 20.0  # Hz: modes reported
 
 
@@ -89,22 +88,18 @@ class EmulationCheck(Viewable):
         ]
         if self.searched and isinstance(lab.platform, PoseServo):
             limit = self.max_bandwidth
-            text = f"none up to {_HIGH:g} Hz" if limit is None else f"{limit:.2f} Hz"
+            text = f"none up to {_BANDWIDTHS[1]:g} Hz" if limit is None else f"{limit:.2f} Hz"
             own = f"this one has {lab.platform.bandwidth:g} Hz"
             rows.append(("largest bandwidth", text, own))
         elif self.searched:
             text = "none up to 16" if self.max_gain is None else f"{self.max_gain:.2f}"
             rows.append(("largest gain factor", text, "on K1 and K2 of the legs"))
-        modes = [
-            (
-                f"{mode.frequency:.3f}",
-                f"{mode.emulated_frequency:.3f}",
-                f"{100 * mode.damping:.2f}",
-                f"{100 * mode.emulated_damping:.2f}",
-                f"{100 * (mode.emulated_damping - mode.damping):+.2f}",
-            )
-            for mode in self.modes
-        ]
+        modes = []
+        for mode in self.modes:
+            hertz = (f"{f:.3f}" for f in (mode.frequency, mode.emulated_frequency))
+            ratios = (f"{100 * z:.2f}" for z in (mode.damping, mode.emulated_damping))
+            added = f"{100 * (mode.emulated_damping - mode.damping):+.2f}"
+            modes.append((*hertz, *ratios, added))
         head = ("f [Hz]", "emulated", "damping [%]", "emulated", "added [%]")
         title = "modes of arm and base: in space, and as the laboratory shows them"
         return (
@@ -130,23 +125,17 @@ def check_emulation(
         ParameterError: the system is not emulated, or the platform is position controlled.
     """
     angles = joint_angles(system, q)
-    A = transition(system, angles, servo=servo)
+    A = linearise(system, angles, servo=servo).A
     z = np.linalg.eigvals(A).astype(np.complex128)
     radius = float(np.abs(z).max())
-    H = inertia(system.arm, angles)
-    ratio = _payload_ratio(system, H)
-    bandwidth = gain = None
-    if search:
-        if isinstance(system.emulator_settings.platform, PoseServo):
-            bandwidth = max_bandwidth(system, angles, servo=servo)
-        else:
-            gain = max_gain(system, angles, servo=servo)
+    limit = largest_stable(system, angles, servo=servo) if search else None
+    posed = isinstance(system.emulator_settings.platform, PoseServo)
     return EmulationCheck(
         spectral_radius=radius,
         stable=radius <= 1 + SLACK,
-        payload_ratio=ratio,
-        max_bandwidth=bandwidth,
-        max_gain=gain,
+        payload_ratio=_payload_ratio(system, inertia(system.arm, angles)),
+        max_bandwidth=limit if posed else None,
+        max_gain=None if posed else limit,
         lag=system.emulator_settings.lag(system.control_dt),
         growth=float(np.log(radius) / system.control_dt),
         modes=_modes(
@@ -175,85 +164,36 @@ def linearise(
     return linearise_loop(Simulator, system, q, servo=servo)
 
 
-def spectral_radius(
+def largest_stable(
     system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = OWN_GAINS
-) -> float:
-    """Return the largest eigenvalue magnitude of the loop over one control period.
+) -> float | None:
+    """Return the platform at which the loop first becomes unstable, from the slowest one up.
 
     Args:
         system, q, servo: see `linearise`.
-    """
-    return linearise(system, q, servo=servo).spectral_radius
-
-
-def transition(
-    system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = OWN_GAINS
-) -> Array:
-    """Return the (s, s) linear map of the loop's state over one control period.
-
-    Args:
-        system, q, servo: see `linearise`.
-    """
-    return linearise(system, q, servo=servo).A
-
-
-def max_bandwidth(
-    system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = OWN_GAINS
-) -> float | None:
-    """Return the platform bandwidth at which the loop first becomes unstable [Hz], from 0.2 up.
-
-    Args:
-        system, q, servo: see `linearise`; the platform has a pose servo.
 
     Returns:
-        None if it is stable up to 200 Hz; 0.2 if it is nowhere.
+        Bandwidth of a pose servo (0.2 to 200 Hz), or factor on the gains of legs (1/16 to 16);
+        the largest one searched is stable where it is None, none where it is the least.
     """
     lab = system.emulator_settings
-    if not isinstance(lab.platform, PoseServo):
-        raise ParameterError(f"max_bandwidth needs a pose servo, got {lab.platform.kind}")
-    platform: PoseServo = lab.platform
+    given = lab.platform
 
     def stable(log: float) -> bool:
-        fast = replace(lab, platform=replace(platform, bandwidth=float(np.exp(log))))
-        return spectral_radius(system.replace(emulator=fast), q, servo=servo) <= 1 + SLACK
+        factor = float(np.exp(log))
+        if isinstance(given, PoseServo):
+            platform: PoseServo | LegServo = replace(given, bandwidth=factor)
+        else:
+            platform = given.scaled(factor)
+        faster = system.replace(emulator=replace(lab, platform=platform))
+        return linearise(faster, q, servo=servo).spectral_radius <= 1 + SLACK
 
-    return _first_loss(stable, np.linspace(np.log(_LOW), np.log(_HIGH), _GRID))
-
-
-def max_gain(
-    system: System, q: npt.ArrayLike = 0.0, *, servo: JointServo | None = OWN_GAINS
-) -> float | None:
-    """Return the factor on the leg gains at which the loop first becomes unstable.
-
-    Args:
-        system, q, servo: see `linearise`; the platform has leg servos.
-
-    Returns:
-        1/16 to 16; None if it is stable up to there.
-    """
-    lab = system.emulator_settings
-    if not isinstance(lab.platform, LegServo):
-        raise ParameterError(f"max_gain needs a leg servo, got {lab.platform.kind}")
-    platform: LegServo = lab.platform
-
-    def stable(log: float) -> bool:
-        fast = replace(lab, platform=platform.scaled(float(np.exp(log))))
-        return spectral_radius(system.replace(emulator=fast), q, servo=servo) <= 1 + SLACK
-
-    return _first_loss(stable, np.linspace(-np.log(16), np.log(16), 17))
-
-
-def _first_loss(stable: Any, grid: Array) -> float | None:
-    last = None
-    for log in grid:
-        if not stable(float(log)):
-            break
-        last = float(log)
-    else:
-        return None
-    if last is None:
-        return float(np.exp(grid[0]))
-    low, high = last, float(log)
+    ends, count = (_BANDWIDTHS, 25) if isinstance(given, PoseServo) else (_GAINS, 17)
+    grid = np.linspace(np.log(ends[0]), np.log(ends[1]), count).tolist()
+    broken = next((k for k, log in enumerate(grid) if not stable(log)), None)
+    if not broken:
+        return None if broken is None else float(np.exp(grid[0]))
+    low, high = grid[broken - 1], grid[broken]
     for _ in range(7):
         middle = (low + high) / 2
         low, high = (middle, high) if stable(middle) else (low, middle)
@@ -315,12 +255,6 @@ def _modes(ideal: npt.NDArray[np.complex128], emulated: Any) -> tuple[Mode, ...]
             continue
         near = min(free, key=lambda k: abs(k - s))
         free.remove(near)
-        out.append(
-            Mode(
-                float(abs(s) / 2 / np.pi),
-                float(-s.real / abs(s)),
-                float(abs(near) / 2 / np.pi),
-                float(-near.real / abs(near)),
-            )
-        )
+        each = ((float(abs(k) / 2 / np.pi), float(-k.real / abs(k))) for k in (s, near))
+        out.append(Mode(*next(each), *next(each)))
     return tuple(out)

@@ -191,7 +191,7 @@ def derived(cls: EffectClass, scope: Scope) -> Iterator[Candidate]:
     Raises:
         ParameterError: shapes that do not fit the effect's places.
     """
-    free = _free(cls)
+    free, metadata = _free(cls), _metadata(cls)
     places = cls.places or _places(tuple(free.values()))
     makers = {"joint": _at_joints, "axis": _along_axes, "row": _by_rows, "whole": _as_a_whole}
     if not free or places not in makers:
@@ -199,10 +199,32 @@ def derived(cls: EffectClass, scope: Scope) -> Iterator[Candidate]:
             f"effect {cls.kind}: places must be one of {', '.join(PLACES)} and some parameter"
             f" free, got {places!r} and {', '.join(free) or 'none'}"
         )
-    yield from makers[places](cls, free, scope)
+    joints = scope.joints if places == "joint" else 0
+    for slot, entries in makers[places](cls, free, scope):
+        rest = {}  # of the parameters, in other places
+        for name in free if places != "axis" else [name for name, _, _ in entries]:
+            fill = metadata[name]["null"]
+            if fill is None:
+                fill = number_of(cls, name).starts[0] if joints else 0.0
+            rest[name] = np.full([joints if k is None else k for k in free[name]], fill)
+
+        def fields(
+            x: Array, entries: Entries = entries, rest: dict[str, Array] = rest
+        ) -> dict[str, Any]:
+            out = {name: values.copy() for name, values in rest.items()}
+            for (name, index, _), value in zip(entries, x, strict=True):
+                out[name][index] = value + (metadata[name]["null"] or 0.0)
+            return out
+
+        # coordinates of one thing that are about zero cost nothing
+        whole = places == "whole" and len(free) == 1 and () not in free.values()
+        numbers = [number for _, _, number in entries]
+        yield placed(cls, slot, numbers, fields, sparse=whole or places == "row")
 
 
 Shapes = dict[str, tuple[int | None, ...]]  # of the free parameters
+Entries = list[tuple[str, tuple[int, ...], Number]]  # parameter, place in it, its number
+Slots = Iterator[tuple[str, Entries]]
 
 
 def _metadata(cls: EffectClass) -> dict[str, Any]:
@@ -249,30 +271,20 @@ def _axes(cls: EffectClass, size: int) -> tuple[str, ...]:
     return named.get(size, tuple(str(k + 1) for k in range(size)))
 
 
-def _at_joints(cls: EffectClass, free: Shapes, scope: Scope) -> Iterator[Candidate]:
+def _at_joints(cls: EffectClass, free: Shapes, scope: Scope) -> Slots:
     """One candidate per joint: entries of (n,), and numbers that all joints share."""
-    numbers = [number_of(cls, name) for name in free if free[name] in ((), (None,))]
-    vectors = [x for x, shape in zip(numbers, free.values(), strict=False) if shape]
-    if len(numbers) < len(free) or not vectors:
+    if not {(None,)} <= set(free.values()) <= {(), (None,)}:
         raise ParameterError(
             f"effect {cls.kind}: parameters of places `joint` must be one number or one per"
             f" joint, got shapes {', '.join(map(str, free.values()))}"
         )
-    null = {name: _metadata(cls)[name]["null"] for name in free}
+    numbers = {name: number_of(cls, name) for name in free}
     for joint in range(scope.joints):
-
-        def fields(x: Array, joint: int = joint) -> dict[str, Any]:
-            out: dict[str, Any] = {}
-            for (name, shape), value, number in zip(free.items(), x, numbers, strict=True):
-                start = number.starts[0] if null[name] is None else null[name]
-                total = float(value) + (null[name] or 0.0)
-                out[name] = at_joint(joint, scope.joints, total, start) if shape else total
-            return out
-
-        yield placed(cls, f"joint {joint + 1}", numbers, fields)
+        places = {name: (joint,) if shape else () for name, shape in free.items()}
+        yield f"joint {joint + 1}", [(k, places[k], numbers[k]) for k in free]
 
 
-def _along_axes(cls: EffectClass, free: Shapes, scope: Scope) -> Iterator[Candidate]:
+def _along_axes(cls: EffectClass, free: Shapes, scope: Scope) -> Slots:
     """One candidate per axis, one number each: of (k,), or of a force and a moment (3,)."""
     sizes = [shape[0] or 0 for shape in free.values() if len(shape) == 1]
     single, both = len(free) == 1 and len(sizes) == 1, len(free) == 2 and sizes == [3, 3]
@@ -281,60 +293,31 @@ def _along_axes(cls: EffectClass, free: Shapes, scope: Scope) -> Iterator[Candid
             f"effect {cls.kind}: parameters of places `axis` must be one of k numbers or two"
             f" of 3, got shapes {', '.join(map(str, free.values()))}"
         )
-    at = 0
-    slots = _axes(cls, sum(sizes))
+    slots = iter(_axes(cls, sum(sizes)))
     for name, size in zip(free, sizes, strict=True):
         units = number_of(cls, name).unit.split(", ")  # of translations, of rotations
         for k in range(size):
-
-            def fields(x: Array, name: str = name, size: int = size, k: int = k) -> Any:
-                return {name: _only(k, size, float(x[0]), cls, name)}
-
             unit = units[-1] if 2 * k >= size else units[0]
-            yield placed(cls, slots[at + k], [number_of(cls, name, unit=unit)], fields)
-        at += size
+            yield next(slots), [(name, (k,), number_of(cls, name, unit=unit))]
 
 
-def _by_rows(cls: EffectClass, free: Shapes, scope: Scope) -> Iterator[Candidate]:
-    """One candidate per row of a matrix; entries about zero cost nothing."""
+def _by_rows(cls: EffectClass, free: Shapes, scope: Scope) -> Slots:
+    """One candidate per row of a matrix."""
     ((name, shape),) = free.items()
     rows, columns = (k or 0 for k in shape)
     numbers = [number_of(cls, name, column) for column in _axes(cls, columns)]
     for i, slot in enumerate(_axes(cls, rows)):
-
-        def fields(x: Array, i: int = i) -> dict[str, Any]:
-            matrix = np.zeros((rows, columns))
-            matrix[i] = x
-            return {name: tuple(map(tuple, matrix.tolist()))}
-
-        yield placed(cls, slot, numbers, fields, sparse=True)
+        yield slot, [(name, (i, k), number) for k, number in enumerate(numbers)]
 
 
-def _as_a_whole(cls: EffectClass, free: Shapes, scope: Scope) -> Iterator[Candidate]:
-    """One candidate for all; the coordinates of one vector that are about zero cost nothing."""
-    numbers: list[Number] = []
-    sizes = []
+def _as_a_whole(cls: EffectClass, free: Shapes, scope: Scope) -> Slots:
+    """One candidate for all."""
+    entries: Entries = []
     for name, shape in free.items():
-        count = int(np.prod([k or 0 for k in shape], dtype=int))
-        axes = _axes(cls, count) if shape else ("",)
-        join = "_" if count in _NAMED else ""
+        places = list(np.ndindex(*(k or 0 for k in shape)))
+        axes = _axes(cls, len(places)) if shape else ("",)
+        join = "_" if len(places) in _NAMED else ""
         beside = f"{name}{join}" if len(free) > 1 else ""
-        numbers += [number_of(cls, name, f"{beside}{axis}" if axis else "") for axis in axes]
-        sizes.append(count)
-    null = {name: _metadata(cls)[name]["null"] or 0.0 for name in free}
-
-    def fields(x: Array) -> dict[str, Any]:
-        parts = np.split(np.asarray(x), np.cumsum(sizes)[:-1])
-        return {
-            name: (null[name] + part.reshape([k or 0 for k in shape])).tolist()
-            for (name, shape), part in zip(free.items(), parts, strict=True)
-        }
-
-    vector = len(free) == 1 and bool(next(iter(free.values())))
-    yield placed(cls, "", numbers, fields, sparse=vector)
-
-
-def _only(k: int, size: int, value: float, cls: EffectClass, name: str) -> tuple[float, ...]:
-    """Return a parameter (size,) of which one entry differs from null by `value`."""
-    null = _metadata(cls)[name]["null"] or 0.0
-    return at_joint(k, size, null + value, null)
+        for place, axis in zip(places, axes, strict=True):
+            entries.append((name, place, number_of(cls, name, f"{beside}{axis}" * bool(axis))))
+    yield "", entries

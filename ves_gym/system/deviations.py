@@ -6,7 +6,7 @@ drives. Effects add to them; the simulation reads them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -131,10 +131,7 @@ class LoopParameters:
     @property
     def as_stated(self) -> bool:
         """True if every platform is as described."""
-        parts = (self.bandwidth, self.damping, self.platform_delay)
-        return not any(
-            part.any() for part in (*parts, self.platform_travel, self.platform_speed)
-        )
+        return not any(getattr(self, name).any() for name in OF_PLATFORM)
 
     def edited(self, effects: Iterable[Any]) -> LoopParameters:
         """The same, with effects added.
@@ -156,11 +153,6 @@ class LoopParameters:
                 )
         return self
 
-    def copy(self) -> LoopParameters:
-        """Arrays of its own."""
-        sensor = SensorErrors(*(part.copy() for part in self.sensor.parts()))
-        return replace(self, sensor=sensor, **{k: getattr(self, k).copy() for k in ARRAYS})
-
     def put(self, rows: Rows, other: LoopParameters) -> set[str]:
         """Replace rows.
 
@@ -179,50 +171,26 @@ class LoopParameters:
                 changed.add(name)
         return changed
 
-    def rows(self, which: Rows) -> LoopParameters:
-        """Those of some simulations."""
-        return self._made_of([part[which] for part in self.parts()])
-
     def parts(self) -> list[Array]:
         """All arrays, those of the sensor last."""
         return [*(getattr(self, k) for k in ARRAYS), *self.sensor.parts()]
 
-    def _made_of(self, parts: list[Array]) -> LoopParameters:
-        """Parameters of the same arm from other arrays, in the order of `parts`."""
+    def mapped(self, make: Callable[..., Array], *others: LoopParameters) -> LoopParameters:
+        """Parameters of the same arm, of which each array is made of one of these and others.
+
+        Args:
+            make: an array of each -> array.
+            others: further parameters.
+        """
+        parts = [
+            make(*each) for each in zip(*(p.parts() for p in (self, *others)), strict=True)
+        ]
         arrays: dict[str, Any] = dict(zip(ARRAYS, parts, strict=False))
         return replace(self, sensor=SensorErrors(*parts[len(ARRAYS) :]), **arrays)
 
-    def repeated(self, n: int) -> LoopParameters:
-        """A single row, n times."""
-        return self._made_of([np.repeat(part, n, axis=0) for part in self.parts()])
-
-    def with_simulations_last(self) -> LoopParameters:
-        """The axis of the simulations moved to the end of every array."""
-        return self._made_of([axis_to_end(part) for part in self.parts()])
-
-    def with_simulations_first(self, row: LoopParameters, n: int) -> LoopParameters:
-        """The way back from `with_simulations_last`.
-
-        Args:
-            row: one row, for the shapes.
-            n: simulations; an array that is alike for all may have length 1 there.
-        """
-        out = []
-        for part, one in zip(self.parts(), row.parts(), strict=True):
-            shape = (*one.shape[1:], n)
-            full = part if part.shape == shape else np.broadcast_to(part, shape)
-            out.append(np.ascontiguousarray(full.transpose(-1, *range(full.ndim - 1))))
-        return self._made_of(out)
-
-    @staticmethod
-    def stacked(rows: Sequence[LoopParameters]) -> LoopParameters:
-        """Return the parameters of several simulations, one after the other."""
-        sensors = zip(*(row.sensor.parts() for row in rows), strict=True)
-        return LoopParameters(
-            arm=rows[0].arm,
-            sensor=SensorErrors(*(np.concatenate(parts) for parts in sensors)),
-            **{k: np.concatenate([getattr(row, k) for row in rows]) for k in ARRAYS},
-        )
+    def rows(self, which: Rows) -> LoopParameters:
+        """Those of some simulations."""
+        return self.mapped(lambda part: part[which])
 
 
 def axis_to_end(values: Array) -> Array:
@@ -230,6 +198,7 @@ def axis_to_end(values: Array) -> Array:
     return values.transpose(*range(1, values.ndim), 0)
 
 
+OF_PLATFORM = ("bandwidth", "damping", "platform_delay", "platform_travel", "platform_speed")
 # fields of LoopParameters that are an array each
 ARRAYS = [k.name for k in fields(LoopParameters) if k.name not in ("arm", "sensor")]
 

@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections import UserDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from inspect import isabstract
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
 import numpy as np
 
@@ -304,8 +304,14 @@ def parameter(
 E = TypeVar("E", bound=type[Effect])
 
 
+@dataclass_transform(
+    kw_only_default=True, frozen_default=True, field_specifiers=(parameter, unit)
+)
 def register(kind: str) -> Callable[[E], E]:
-    """Class decorator: file an effect under "place/name"; a name already taken is an error."""
+    """Class decorator: file an effect under "place/name"; a name already taken is an error.
+
+    A class that is no dataclass yet becomes one, frozen and with keywords alone.
+    """
 
     def decorate(cls: E) -> E:
         if not issubclass(cls, KINDS):
@@ -314,12 +320,13 @@ def register(kind: str) -> Callable[[E], E]:
             raise ParameterError(
                 f"effect {kind!r} must be a subclass of one of {choices}, got {bases}"
             )
+        if "__dataclass_params__" not in vars(cls):
+            dataclasses.dataclass(frozen=True, kw_only=True)(cls)  # in place
         if isabstract(cls):
             missing = ", ".join(sorted(cls.__abstractmethods__))
             raise ParameterError(f"effect {kind!r} must have the method {missing}, got none")
-        if getattr(cls, "port", None) not in PORTS:
+        if (got := getattr(cls, "port", None)) not in PORTS:
             choices = ", ".join(PORTS)
-            got = getattr(cls, "port", None)
             raise ParameterError(
                 f"effect {kind!r}: port must be one of {choices}, got {got!r}"
                 f"{did_you_mean(got, PORTS)}"

@@ -103,12 +103,17 @@ class EffectRows:
         Raises:
             ParameterError: relative changes that add up to -1 or less.
         """
-        p = start.repeated(len(self)).with_simulations_last()
+        p = start.mapped(lambda row: axis_to_end(np.repeat(row, len(self), axis=0)))
         for i in range(self.places[0], len(self.template.effects)):
             effect = self._turned(i)
             if isinstance(effect, LaboratoryEffect):
                 effect.edit(p)
-        return p.with_simulations_first(start, len(self)).checked()
+
+        def first(part: Array, row: Array) -> Array:
+            full = np.broadcast_to(part, (*row.shape[1:], len(self)))  # some are alike for all
+            return np.ascontiguousarray(full.transpose(-1, *range(full.ndim - 1)))
+
+        return p.mapped(first, start).checked()
 
     def laws(self) -> dict[str, Array]:
         """Parameters (k,) of the torque laws that differ, by their names in the kernel."""
@@ -134,7 +139,7 @@ class EffectRows:
         Args:
             start: parameters as described, (1, ...).
         """
-        out = start.copy()
+        out = start.mapped(np.copy)
         for effect in self.template.effects[: self.places[0]]:
             if isinstance(effect, LaboratoryEffect):
                 effect.edit(out)
@@ -193,8 +198,9 @@ class EffectRows:
         try:
             if self.varied(LaboratoryEffect) and start is not None:
                 ours = self.loop_parameters(self.before(start))
-                rows = [start.copy().edited(system.effects) for system in systems]
-                if not _same(ours, LoopParameters.stacked(rows)):
+                rows = [start.mapped(np.copy).edited(system.effects) for system in systems]
+                theirs = rows[0].mapped(stacked, *rows[1:])
+                if not all(map(_same, ours.parts(), theirs.parts())):
                     return False
             if self.varied(BaseEffect) and not _same_bases(self.bases(), systems):
                 return False
@@ -202,22 +208,25 @@ class EffectRows:
                 delays = [system.delays() for system in systems]
                 for field in dataclasses.fields(Delays):
                     alone = np.concatenate([getattr(d, field.name) for d in delays])
-                    if getattr(self.delays(), field.name).tobytes() != alone.tobytes():
+                    if not _same(getattr(self.delays(), field.name), alone):
                         return False
         except (ValueError, IndexError, TypeError):
             return False
         return True
 
 
-def _same(ours: LoopParameters, theirs: LoopParameters) -> bool:
-    pairs = zip(ours.parts(), theirs.parts(), strict=True)
-    return all(a.shape == b.shape and a.tobytes() == b.tobytes() for a, b in pairs)
+def stacked(*parts: Array) -> Array:
+    """Arrays (k, ...) one after the other."""
+    return np.concatenate(parts)
+
+
+def _same(a: Array, b: Array) -> bool:
+    return a.shape == b.shape and a.tobytes() == b.tobytes()
 
 
 def _same_bases(ours: BaseModel, systems: list[System]) -> bool:
-    bases = [system.actual.base for system in systems]
-    none = np.zeros(6)
-    drags = [none if base.drag is None else base.drag for base in bases]
-    theirs = [np.array([getattr(base, name) for base in bases]) for name in ("M", "D", "K")]
-    pairs = zip((ours.M, ours.D, ours.K, ours.drag), (*theirs, np.array(drags)), strict=True)
-    return all(a is not None and a.tobytes() == b.tobytes() for a, b in pairs)
+    def all_of(base: BaseModel) -> list[Array]:
+        return [base.M, base.D, base.K, np.zeros(6) if base.drag is None else base.drag]
+
+    theirs = zip(*(all_of(system.actual.base) for system in systems), strict=True)
+    return all(_same(a, np.array(b)) for a, b in zip(all_of(ours), theirs, strict=True))

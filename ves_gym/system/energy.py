@@ -31,72 +31,6 @@ from ves_gym.system.system import System
 Internal = tuple[Array, Array]
 
 
-def own_modes(system: System, internal: Internal | None) -> Internal | None:
-    """Return u and u' of what the vehicle has beside its pose, None where it has nothing.
-
-    Args:
-        system: arm and vehicle.
-        internal: u and u' (..., p + m) of flexures and modes; None: not known.
-
-    Raises:
-        ParameterError: the arm bends, and its deflections are not given.
-    """
-    p = system.arm.bends
-    if p and (internal is None or internal[0].shape[-1] < p):
-        raise ParameterError(
-            f"the energy of an arm that bends at {p} flexures needs their motion (columns u and"
-            " ud of a simulation's log)"
-        )
-    if internal is None or not system.base.hidden:
-        return None
-    return internal[0][..., p:], internal[1][..., p:]
-
-
-def moving_inertia(system: System, q: Array, internal: Internal | None) -> Array:
-    """Inertia over base twist, deflections and joint rates (..., 6 + p + n, 6 + p + n).
-
-    Args:
-        system: arm and vehicle; a satellite is not in it.
-        q: (..., n) joint angles [rad].
-        internal: begins with the deflections where the arm bends.
-    """
-    p = system.arm.bends
-    if not p or internal is None:
-        return inertia(system.arm, q)
-    return expand(system.arm).inertia(q, internal[0][..., :p])
-
-
-def moving_rates(system: System, twist: Array, internal: Internal | None) -> Array:
-    """(..., 6 + p) base twist, and the rates of the deflections where the arm bends.
-
-    Args:
-        system: arm and vehicle.
-        twist: (..., 6) of the base.
-        internal: u and u'.
-    """
-    p = system.arm.bends
-    if not p or internal is None:
-        return twist
-    return np.concatenate([twist, internal[1][..., :p]], axis=-1)
-
-
-def in_flexures(
-    system: System, internal: Internal | None
-) -> tuple[Array | float, Array | float]:
-    """Strain energy of the flexures and the power that they lose (...) [J], [W].
-
-    Args:
-        system: arm and vehicle.
-        internal: u and u'.
-    """
-    p = system.arm.bends
-    if not p or internal is None:
-        return 0.0, 0.0
-    chain = expand(system.arm)
-    d, rate = internal[0][..., :p], internal[1][..., :p]
-    return quadratic(np.diag(chain.stiffness), d), 2 * quadratic(np.diag(chain.damping), rate)
-
-
 TAIL = 10.0  # s after the motion that E_mean covers
 SETTLED = 0.05  # of the peak
 
@@ -161,41 +95,92 @@ def base_energy(
     Raises:
         ParameterError: the base has internal coordinates whose motion is not given.
     """
-    base = system.base
     pose, rate = np.asarray(y, float), np.asarray(yd, float)
-    modes = own_modes(system, internal)
-    size = 6 + system.arm.bends
-    body = moving_inertia(system, np.asarray(q, float), internal)[..., :size, :size]
-    if base.body is not None:
-        body[..., :6, :6] += base.body.spatial()
-    if base.carried and modes is not None:
-        turning = np.array([not isinstance(k, ReactionWheel) for k in base.carried])
-        modes = modes[0], modes[1] * np.r_[turning, np.ones(base.m, bool)]
-    strain, moving, _ = interface_energies(base, pose, rate, modes)
-    bent, _ = in_flexures(system, internal)
-    rates = moving_rates(system, twist(pose, rate), internal)
-    return BaseEnergy(strain + bent, moving + quadratic(body, rates))
+    strain, moving, _ = vehicle_energies(system, pose, rate, internal, locked=True)
+    locked = body_energy(system, np.asarray(q, float), pose, rate, internal)
+    return BaseEnergy(strain, moving + locked)
 
 
-def interface_energies(
-    base: BaseModel, y: Array, yd: Array, internal: Internal | None
+def body_energy(
+    system: System,
+    q: Array,
+    y: Array,
+    yd: Array,
+    internal: Internal | None,
+    v: Array | None = None,
+) -> Array:
+    """Kinetic energy (...) of the arm, its flexures and a satellite's body [J].
+
+    Args:
+        system: arm and vehicle.
+        q: (..., n) joint angles [rad].
+        y, yd: (..., 6) pose of the base and its rate.
+        internal: u and u', first those of the p flexures where the arm bends.
+        v: (..., n) joint rates [rad/s]; None: the joints are locked.
+    """
+    rates, H = [twist(y, yd)], inertia(system.arm, q) if not system.arm.bends else None
+    if H is None:
+        assert internal is not None  # `vehicle_energies` has refused an arm that bends
+        d, rate = (part[..., : system.arm.bends] for part in internal)
+        rates.append(rate)
+        H = expand(system.arm).inertia(q, d)
+    if v is not None:
+        rates.append(v)
+    if system.base.body is not None:
+        H[..., :6, :6] += system.base.body.spatial()
+    moving = np.concatenate(rates, axis=-1)
+    size = moving.shape[-1]
+    return quadratic(H[..., :size, :size], moving)
+
+
+def vehicle_energies(
+    system: System, y: Array, yd: Array, internal: Internal | None, locked: bool = False
 ) -> tuple[Array, Array, Array]:
-    """Strain energy of the base, kinetic energy of M and what it carries, power lost in D."""
-    strain, kinetic = quadratic(base.K, y), quadratic(base.M, yd)
-    power = 2 * quadratic(base.D, yd)
+    """Strain energy of vehicle and flexures, kinetic energy of M and of what it carries, loss.
+
+    Args:
+        system: arm and vehicle; a satellite's body is not in it.
+        y, yd: (..., 6) pose of the base and its rate.
+        internal: u and u' (..., p + m); None: not known.
+        locked: wheels count as locked.
+
+    Returns:
+        (...) [J], [J], [W].
+
+    Raises:
+        ParameterError: motion that is needed is not given.
+    """
+    base, p = system.base, system.arm.bends
+    if p and (internal is None or internal[0].shape[-1] < p):
+        raise ParameterError(
+            f"the energy of an arm that bends at {p} flexures needs their motion (columns u and"
+            " ud of a simulation's log)"
+        )
     if base.hidden and internal is None:
         raise ParameterError(
             f"the energy of a base with {base.hidden} internal coordinates (modes, wheels,"
             " appendages) needs their motion"
         )
-    if base.carried and internal is not None:
+    strain, kinetic = quadratic(base.K, y), quadratic(base.M, yd)
+    power = 2 * quadratic(base.D, yd)
+    if base.drag is not None:
+        power = power + np.sum(base.drag * np.abs(yd) ** 3, axis=-1)
+    if internal is None:
+        return strain, kinetic, power
+    u, ud = internal
+    if p:
+        chain = expand(system.arm)
+        strain = strain + quadratic(np.diag(chain.stiffness), u[..., :p])
+        power = power + 2 * quadratic(np.diag(chain.damping), ud[..., :p])
+        u, ud = u[..., p:], ud[..., p:]
+    if base.carried:
         k = len(base.carried)
-        at, turning = internal[0][..., :k], internal[1][..., :k]
-        parts = carried_energy(base.carried, twist(y, yd), at, turning)
+        still = [locked and isinstance(part, ReactionWheel) for part in base.carried]
+        turning = np.where(still, 0.0, ud[..., :k])
+        parts = carried_energy(base.carried, twist(y, yd), u[..., :k], turning)
         strain, kinetic, power = strain + parts[0], kinetic + parts[1], power + parts[2]
-        internal = internal[0][..., k:], internal[1][..., k:]
-    if base.internal is not None and internal is not None:
-        u, ud = internal
+        u, ud = u[..., k:], ud[..., k:]
+    if base.internal is not None:
         stretch = (u - base.attached(y)) * base.internal.omega
         strain = strain + 0.5 * np.sum(stretch**2, axis=-1)
         kinetic = kinetic + 0.5 * np.sum(ud**2, axis=-1)
@@ -253,14 +238,10 @@ def port_energy(
     system: System, y: Array, yd: Array, internal: Internal | None
 ) -> tuple[Array, Array]:
     """Energy stored in the vehicle and in flexures, and the power that both dissipate."""
-    base = system.base
-    strain, kinetic, power = interface_energies(base, y, yd, own_modes(system, internal))
-    bent, lost = in_flexures(system, internal)
-    stored, power = strain + kinetic + bent, power + lost
-    if base.body is not None:
-        stored = stored + quadratic(base.body.spatial(), twist(y, yd))
-    if base.drag is not None:
-        power = power + np.sum(base.drag * np.abs(yd) ** 3, axis=-1)
+    strain, kinetic, power = vehicle_energies(system, y, yd, internal)
+    stored = strain + kinetic
+    if system.base.body is not None:
+        stored = stored + quadratic(system.base.body.spatial(), twist(y, yd))
     return stored, power
 
 

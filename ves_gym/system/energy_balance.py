@@ -16,18 +16,15 @@ from ves_gym.mechanics.attitude import conjugate, rotate, to_matrix
 from ves_gym.mechanics.carried import carried_inertia
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.kinematics import tool_frame, tool_twists
-from ves_gym.mechanics.spatial import matvec, quadratic, rotation, twist
+from ves_gym.mechanics.spatial import matvec, rotation, twist
 from ves_gym.system.effect import joint_torque
 from ves_gym.system.energy import (
     Internal,
-    in_flexures,
-    interface_energies,
+    body_energy,
     internal_of,
-    moving_inertia,
-    moving_rates,
-    own_modes,
     port_energy,
     system_of,
+    vehicle_energies,
 )
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.runlog_files import QUANTITIES
@@ -88,93 +85,46 @@ class EnergyBalance(Viewable):
         laws = joint_torque(system.effects, log.q, log.v, log.tau, system.arm.column("tau_max"))
         power = -np.sum(laws * log.v, axis=-1)
         in_joints = scipy.integrate.cumulative_simpson(power, x=log.t, initial=0.0)
-        parts = log.t, log.q, log.v, log.y, log.yd
-        work = _drive_work(system, log) + actuator_work(log, system)
-        balance = cls.close(system, *parts, work, in_joints=in_joints, internal=internal)
-        if log.contact is None:
-            return balance
-        stored, lost = contact_energies(log, system)
-        return replace(
-            balance,
-            strain=balance.strain + stored,
-            dissipated=balance.dissipated + lost,
-            scale=max(balance.scale, float(np.abs(stored + lost).max())),
-        )
-
-    @classmethod
-    def _across(cls, log: RunLog) -> EnergyBalance:
-        """Join the accounts between captures; what a latch takes is dissipated at once."""
-        system, pieces = system_of(log).actual, segments(log)
-        offset, columns, scale, first = np.zeros(3), [], 0.0, None
-        for piece, lost in pieces:
-            part = cls.of(piece)
-            body = payload_energy(system, piece)
-            start = _kinetic_at_start(system, piece)
-            kinetic = part.kinetic + start + body
-            first = kinetic[0] if first is None else first
-            offset[2] += lost
-            sums = np.stack([part.work, part.strain, part.dissipated]) + offset[:, None]
-            columns.append(np.vstack([sums, kinetic - first]))
-            offset, scale = sums[:, -1], max(scale, part.scale, lost)
-        rows = np.hstack([*(k[:, :-1] for k in columns[:-1]), columns[-1]])
-        work, strain, dissipated, moving = rows
+        strain, moving, _ = vehicle_energies(system, log.y, log.yd, internal)
+        kinetic = moving + body_energy(system, log.q, log.y, log.yd, internal, log.v)
+        held, lost = port_energy(system, log.y, log.yd, internal)
+        dissipated = scipy.integrate.cumulative_simpson(lost, x=log.t, initial=0.0)
+        # the largest work through the port, not the last: a free base gives back what it took
+        scale = float(np.abs(held - held[0] + dissipated).max())
+        strain, dissipated = strain - strain[0], dissipated + in_joints
+        if log.contact is not None:
+            stored, taken = contact_energies(log, system)
+            strain, dissipated = strain + stored, dissipated + taken
+            scale = max(scale, float(np.abs(stored + taken).max()))
         return cls(
             t=log.t,
-            work=work,
-            kinetic=moving,
+            work=_drive_work(system, log) + actuator_work(log, system),
+            kinetic=kinetic - kinetic[0],
             strain=strain,
             dissipated=dissipated,
             scale=scale,
         )
 
     @classmethod
-    def close(
-        cls,
-        system: System,
-        t: Array,
-        q: Array,
-        v: Array,
-        y: Array,
-        yd: Array,
-        work: Array,
-        *,
-        in_joints: Array | float = 0.0,
-        turned_over: float | None = None,
-        internal: Internal | None = None,
-    ) -> EnergyBalance:
-        """Set the work of the drives against the energies of the samples.
-
-        Args:
-            system: mode ideal; arm and vehicle as they really are.
-            t: (N,) s.
-            q, v: (N, n) joint angles and rates [rad, rad/s].
-            y, yd: (N, 6) base pose and its rate.
-            work: (N,) of the drives since the first sample [J].
-            in_joints: (N,) taken by effects at the joints [J].
-            turned_over: all work of the drives, whatever its sign [J]. With it the residual
-                is judged by that and the energy at the first sample, else by the largest
-                work through the base port.
-            internal: u and u' (N, m) of a base with internal modes.
-
-        Returns:
-            The account, its losses in the vehicle by Simpson's rule.
-        """
-        modes = own_modes(system, internal)
-        strain, _, _ = interface_energies(system.base, y, yd, modes)
-        strain = strain + in_flexures(system, internal)[0]
-        kinetic = _kinetic(system, q, v, y, yd, internal)
-        stored, power = port_energy(system, y, yd, internal)
-        dissipated = scipy.integrate.cumulative_simpson(power, x=t, initial=0.0)
-        if turned_over is not None:
-            scale = float(kinetic[0] + strain[0]) + turned_over
-        else:  # the largest, not the last: a free base gives back what it took
-            scale = float(np.abs(stored - stored[0] + dissipated).max())
+    def _across(cls, log: RunLog) -> EnergyBalance:
+        """Join the accounts between captures; what a latch takes is dissipated at once."""
+        system, pieces = system_of(log).actual, segments(log)
+        offset, columns, scale = np.zeros(3), [], 0.0
+        for piece, lost in pieces:
+            part = cls.of(piece)
+            kinetic = payload_energy(system, piece) + _kinetic_at_start(system, piece)
+            offset[2] += lost
+            sums = np.stack([part.work, part.strain, part.dissipated]) + offset[:, None]
+            columns.append(np.vstack([sums, part.kinetic + kinetic]))
+            offset, scale = sums[:, -1], max(scale, part.scale, lost)
+        rows = np.hstack([*(k[:, :-1] for k in columns[:-1]), columns[-1]])
+        work, strain, dissipated, kinetic = rows
         return cls(
-            t=t,
+            t=log.t,
             work=work,
             kinetic=kinetic - kinetic[0],
-            strain=strain - strain[0],
-            dissipated=dissipated + in_joints,
+            strain=strain,
+            dissipated=dissipated,
             scale=scale,
         )
 
@@ -184,20 +134,9 @@ def _kinetic_at_start(system: System, log: RunLog) -> float:
     assert log.v is not None and log.yd is not None
     internal = internal_of(system, log)
     first = None if internal is None else (internal[0][:1], internal[1][:1])
-    return float(_kinetic(system, log.q[:1], log.v[:1], log.y[:1], log.yd[:1], first)[0])
-
-
-def _kinetic(
-    system: System, q: Array, v: Array, y: Array, yd: Array, internal: Internal | None
-) -> Array:
-    """(N,) kinetic energy of arm and base [J], arguments as of `EnergyBalance.close`."""
-    rates = moving_rates(system, twist(y, yd), internal)
-    body = moving_inertia(system, q, internal)
-    if system.base.body is not None:
-        body[..., :6, :6] += system.base.body.spatial()
-    moving = interface_energies(system.base, y, yd, own_modes(system, internal))[1]
-    out: Array = quadratic(body, np.concatenate([rates, v], axis=-1)) + moving
-    return out
+    y, yd = log.y[:1], log.yd[:1]
+    moving = vehicle_energies(system, y, yd, first)[1]
+    return float((moving + body_energy(system, log.q[:1], y, yd, first, log.v[:1]))[0])
 
 
 def _drive_work(system: System, log: RunLog) -> Array:

@@ -37,16 +37,6 @@ class FrequencyWeight:
             )
 
     @classmethod
-    def low_pass(cls, corner: float) -> FrequencyWeight:
-        """Motion slower than a corner [Hz], first order."""
-        return cls(corners=(corner,), gains=(1.0, 0.0))
-
-    @classmethod
-    def high_pass(cls, corner: float) -> FrequencyWeight:
-        """Motion faster than a corner [Hz], first order."""
-        return cls(corners=(corner,), gains=(0.0, 1.0))
-
-    @classmethod
     def through(cls, points: Sequence[tuple[float, float]]) -> FrequencyWeight:
         """Gains at frequencies (Hz, gain), the corners half-way between on a logarithmic scale.
 
@@ -120,4 +110,5 @@ class FrequencyWeight:
         return out, rate
 
 
-FAST = FrequencyWeight.high_pass(1.0)  # what slow attitude control leaves: above 1 Hz
+# what slow attitude control leaves: above 1 Hz
+FAST = FrequencyWeight(corners=(1.0,), gains=(0.0, 1.0))

@@ -1,56 +1,12 @@
-"""Memory of the loop: in rows and in lanes, across snapshots and rewirings."""
+"""Memory of the loop across snapshots and rewirings, in rows and in lanes."""
 
 import numpy as np
 import pytest
 
 from tests.simulation.blocks.machines import simulator_of
-from ves_gym.effects import GravityDelay, PlatformDelay, PlatformStroke
+from ves_gym.effects import GravityDelay, PlatformDelay
 from ves_gym.mechanics.vehicle import BENT_THESIS
-from ves_gym.simulation.blocks.memory import NamedArrays
 from ves_gym.system.system import System
-
-SHAPES = {"filter": (6, 2), "frozen": (), "history": (0, 12), "X": (12,)}
-N = 11  # no multiple of the lanes
-
-
-@pytest.fixture(params=[True, False], ids=["lanes", "rows"])
-def memory(request):
-    return NamedArrays(SHAPES, N, request.param)
-
-
-def test_arrays_come_back_as_they_were_written(memory):
-    rng = np.random.default_rng(0)
-    wanted = {name: rng.normal(size=(N, *shape)) for name, shape in SHAPES.items()}
-    for name in SHAPES:
-        assert name in memory and memory[name].shape == (N, *SHAPES[name])
-        assert not memory[name].any()
-        memory[name] = wanted[name]
-    assert "drift" not in memory and memory.size == 25
-    for name, values in wanted.items():
-        np.testing.assert_array_equal(memory[name], values)
-
-
-def test_rows_are_written_one_by_one(memory):
-    rng, ids = np.random.default_rng(0), np.array([9, 0, 4])
-    for name, shape in SHAPES.items():
-        memory[name] = np.zeros((N, *shape))
-        rows = rng.normal(size=(3, *shape))
-        memory.put(ids, name, rows)
-        wanted = np.zeros((N, *shape))
-        wanted[ids] = rows
-        np.testing.assert_array_equal(memory[name], wanted)
-
-
-def test_what_was_handed_out_stays_as_it_is(memory):
-    """A snapshot is no view."""
-    memory["X"] = np.ones((N, 12))
-    copies, seen = memory.copied(SHAPES), memory["X"]
-    memory.put(np.array([2]), "X", np.full((1, 12), 5.0))
-    assert (copies["X"] == 1).all() and (seen == 1).all()
-    assert memory["X"][2, 0] == 5
-
-
-# ----------------------------------------------------------- memory of another length
 
 # kinds alike, so that one can be assigned to the simulator of the other
 SOON = System(
@@ -124,22 +80,3 @@ def test_a_snapshot_fits_memory_of_another_length(compiled, monkeypatch):
     fresh.restore(late)  # long memory into short
     assert fresh.systems[1].hash == LATE.hash
     np.testing.assert_array_equal(swing(fresh, 12), wanted_late)
-
-
-@compiled_or_not
-def test_short_legs_assigned_later_rewire_the_loop(compiled, monkeypatch):
-    """Limits on the legs' travel are wired where somebody has them."""
-    plain = System(
-        vehicle=BENT_THESIS, mode="emulated", effects=(PlatformStroke(travel=0.0, speed=0.0),)
-    )
-    short = plain.replace(effects=(PlatformStroke(travel=0.999, speed=0.999),))
-    sim = simulator_of(monkeypatch, plain, 3, compiled=compiled)
-    assert not sim.emulation_loop.wiring.block("command_line").limited
-    sim.assign([short], [2])
-    assert sim.emulation_loop.wiring.block("command_line").limited
-    alone = simulator_of(monkeypatch, short, 3, compiled=compiled)
-    for k in (sim, alone):
-        k.reset()
-    ours, theirs = swing(sim, 12), swing(alone, 12)
-    np.testing.assert_array_equal(ours[:, 2], theirs[:, 2])
-    assert np.abs(ours[:, 1] - theirs[:, 1]).max() > 1e-5

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.effects import GravityDelay, PlatformBandwidth, PlatformStroke
+from ves_gym.effects import PlatformBandwidth
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.blocks.block import Block, LoopShape, Memory, ModelOf, signal_of
 from ves_gym.simulation.blocks.wiring import Wiring
 from ves_gym.simulation.emulation_loop import EmulationLoop
-from ves_gym.system.emulator_settings import OPERATIONS, EmulatorSettings
+from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 SHAPE = LoopShape(nodes=4, joints=3, control_dt=0.01, physics_dt=0.01 / 3)
@@ -121,38 +121,6 @@ def test_a_block_may_run_several_times_a_period():
 
 
 # ----------------------------------------------------------------- the emulation loop
-
-EFFECTS = (
-    (),
-    (PlatformBandwidth(error=0.1), PlatformStroke(travel=0.1), GravityDelay(delay=0.1)),
-)
-
-
-@pytest.mark.parametrize("effects", EFFECTS, ids=["nominal", "effects"])
-@pytest.mark.parametrize("operation", OPERATIONS)
-@pytest.mark.parametrize("compensation", [True, False])
-def test_every_number_of_a_loop_is_listed(operation, compensation, effects):
-    """Wires end at the blocks that read them, memory and parameters have the shapes listed."""
-    if operation != "microgravity":
-        effects = effects[:2]
-    loop = loop_of(*effects, operation=operation, payload_compensation=compensation)
-    wires = loop.wiring.describe(loop.shape)
-    blocks = {row["name"]: row for row in loop.wiring.describe_blocks(loop.p)}
-    outside = {signal_of(name).outside for name in loop.wiring.external} | {"engine"}
-    assert {row["to"] for row in wires} <= {*blocks, "engine"}
-    assert {row["from"] for row in wires} <= {*blocks, *outside} and "outside" not in outside
-    for block in loop.wiring.blocks:
-        read = [row["signal"] for row in wires if row["to"] == block.name]
-        assert tuple(read) == block.inputs
-        row = blocks[block.name]
-        for name, shape in row["memory"].items():
-            assert loop.memory[f"{block.name}.{name}"].shape == (2, *shape)
-        for name, shape in row["parameters"].items():
-            assert loop.p[block.name][name].shape == (2, *shape)
-        assert row["summary"].endswith(".")
-    # what arrives late is held; nothing else of the loop is, but what others read
-    late = {row["signal"] for row in wires if row["when"] == "a period later"}
-    assert late <= set(loop.wiring.delayed)
 
 
 def test_the_signals_of_a_period_have_the_shapes_listed():

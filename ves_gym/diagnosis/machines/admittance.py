@@ -21,7 +21,7 @@ from ves_gym.diagnosis.machines.controller_signals import (
     on_log_clock,
     taken_in,
 )
-from ves_gym.hardware.admittance import admittance_matrices, integrate, rigid_body
+from ves_gym.hardware.admittance import admittance_matrices, integrate, rigid_bodies
 from ves_gym.mechanics.spatial import matvec, rate_matrix
 from ves_gym.mechanics.vehicle import BaseModel
 from ves_gym.system.system import System
@@ -113,7 +113,8 @@ def _linear_gap(base: BaseModel, y: Array, force: Array, system: System) -> Arra
 def _body_gap(base: BaseModel, y: Array, force: Array, system: System) -> Array:
     """Of a satellite: by the loop's own integration."""
     assert base.body is not None
-    g, dt = rigid_body(base.body, base), system.control_dt
+    g = rigid_bodies(base.body.spatial(), base.M, base.D, base.K)
+    dt = system.control_dt
     v = (y[:, 1:] - y[:, :-1]) / dt
     for _ in range(_ROUNDS):
         end = integrate(g, np.concatenate([y[:, :-1], v], axis=-1), force[:, :-1], dt)

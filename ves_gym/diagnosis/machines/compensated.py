@@ -28,7 +28,7 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.spatial import matvec, rate_matrix
 from ves_gym.simulation.blocks.admittance import CoupledAdmittance
 from ves_gym.simulation.blocks.block import LoopShape
-from ves_gym.simulation.blocks.payload_compensation import PayloadCompensation
+from ves_gym.simulation.blocks.sensing import PayloadCompensation
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.system import System
 

@@ -18,6 +18,7 @@ from ves_gym.diagnosis.machines.platform_response import (
 )
 from ves_gym.simulation.blocks.platform import EngineInput
 from ves_gym.system.deviations import LoopParameters
+from ves_gym.system.effect_rows import stacked
 from ves_gym.system.system import System
 
 
@@ -36,7 +37,7 @@ def platform_gap(run: Run, systems: Sequence[System], described: System) -> Arra
     k, m = int(np.prod(copies, dtype=int)), len(systems)
     settings = described.emulator_settings
     nominals = [LoopParameters.nominal(s.arm, settings, k).edited(s.effects) for s in systems]
-    p = LoopParameters.stacked(nominals)
+    p = nominals[0].mapped(stacked, *nominals[1:])
     y, command, begin = _start(run, p, described, m)
     out = y - platform_response(described, p, command, y[:, 0], begin)
     return out.reshape(m, *copies, length, 6)

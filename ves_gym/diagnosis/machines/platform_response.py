@@ -12,9 +12,8 @@ from ves_gym.hardware.leg_servo import Legs
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.simulation.blocks.block import Block, LoopShape
 from ves_gym.simulation.blocks.compiled_loop import CompiledLoop
-from ves_gym.simulation.blocks.memory import NamedArrays
 from ves_gym.simulation.blocks.platform import CommandLine, LegSensors, LegServos, PosePlatform
-from ves_gym.simulation.blocks.wiring import Wiring
+from ves_gym.simulation.blocks.wiring import NamedArrays, Wiring
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.system import System
 

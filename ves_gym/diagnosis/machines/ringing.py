@@ -9,7 +9,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.servo import JointServo
-from ves_gym.simulation.stability import in_space, poles_in_space, transition
+from ves_gym.simulation.stability import in_space, linearise, poles_in_space
 from ves_gym.system.system import System
 
 _NEAR = 0.03  # by which a mode's frequency may differ from that of a tone, relative
@@ -40,7 +40,7 @@ def loop_rings(
         return False
     for q in angles:
         if system.mode == "emulated":
-            z = np.linalg.eigvals(transition(system, q, servo=servo)).astype(complex)
+            z = np.linalg.eigvals(linearise(system, q, servo=servo).A).astype(complex)
             poles = np.log(z[np.abs(z) > 1e-9]) / system.control_dt
         else:
             poles = poles_in_space(*in_space(system, q, servo=servo))

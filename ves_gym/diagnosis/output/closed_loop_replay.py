@@ -121,7 +121,7 @@ def replay_runs(
         if system.mode == "emulated":
             wrench = sim.readings.wrench
         else:
-            wrench = base_wrench(system, state, ydd, sim.internal_state)
+            wrench = base_wrench(system, state.y, state.yd, ydd, sim.internal_state)
         rows.append((sim.measured[0].copy(), tau.copy(), state.y.copy(), wrench.copy()))
         if i < periods:
             platform = None if follow is None else follow[:, i : i + 1]

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.hardware.admittance import Nonlinear, implicit_step, integrate, rigid_bodies
 from ves_gym.mechanics.spatial import matvec, rate_matrix, solve
-from ves_gym.simulation.blocks.block import Block, LoopShape, Memory, Values
+from ves_gym.simulation.blocks.block import Block, LoopShape, Memory, Stepped, Values
 from ves_gym.simulation.blocks.platform import standing
 from ves_gym.system.deviations import LoopParameters
 
@@ -27,15 +25,9 @@ class _Admittance(Block):
     def __init__(self, shape: LoopShape, carried: int, joints: int = 0) -> None:
         """`carried`: oscillators of the vehicle; `joints` that a servo holds."""
         self.shape, self.carried, self.joints = shape, carried, joints
-
-    @property
-    def memory(self) -> dict[str, Memory]:
-        coupled = 2 * (self.joints + self.carried)  # coordinates, then their rates
-        return {"X": Memory((12,)), "coupled": Memory((coupled,))}
-
-    @property
-    def structure(self) -> tuple[Any, ...]:
-        return (self.carried, self.joints)
+        coupled = 2 * (joints + carried)  # coordinates, then their rates
+        self.memory = {"X": Memory((12,)), "coupled": Memory((coupled,))}
+        self.structure = (carried, joints)
 
     @property
     def oscillators(self) -> tuple[slice, slice]:
@@ -53,7 +45,7 @@ class _Admittance(Block):
         """Generalised force (n, 6) of a wrench in platform axes."""
         return matvec(np.swapaxes(rate_matrix(X[:, :6]), -1, -2), wrench)
 
-    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+    def start(self, p: Values, u: Values) -> Stepped:
         coupled = np.zeros((len(u["X"]), 2 * (self.joints + self.carried)))
         if self.carried:
             coupled[:, self.oscillators[0]] = u["attached"]
@@ -69,9 +61,7 @@ class LinearAdmittance(_Admittance):
     def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
         return {"phi": bodies.phi, "gamma": bodies.gamma, "drag": bodies.drag}
 
-    def step(
-        self, p: Values, x: Values, u: Values
-    ) -> tuple[dict[str, Array], dict[str, Array]]:
+    def step(self, p: Values, x: Values, u: Values) -> Stepped:
         X = self.present_state(x, u)
         force = self.force(X, u["reading"] - u["weight"])
         force = force - p["drag"] * np.abs(X[:, 6:]) * X[:, 6:]
@@ -103,18 +93,11 @@ class NonlinearAdmittance(_Admittance):
             return {}
         return {"body": bodies.body, "M": bodies.M, "D": bodies.D, "K": bodies.K}
 
-    def vehicle(self, p: Values) -> Nonlinear:
-        """Return g of the vehicles."""
-        if self.custom is not None:
-            return self.custom
-        return rigid_bodies(p["body"], p["M"], p["D"], p["K"])
-
-    def step(
-        self, p: Values, x: Values, u: Values
-    ) -> tuple[dict[str, Array], dict[str, Array]]:
+    def step(self, p: Values, x: Values, u: Values) -> Stepped:
         X = self.present_state(x, u)
         force = self.force(X, u["reading"] - u["weight"])
-        X = integrate(self.vehicle(p), X, force, self.shape.control_dt)
+        g = self.custom or rigid_bodies(p["body"], p["M"], p["D"], p["K"])
+        X = integrate(g, X, force, self.shape.control_dt)
         return {"X": X, "coupled": x["coupled"]}, {"motion": X}
 
 
@@ -125,15 +108,8 @@ class CoupledAdmittance(_Admittance):
     """
 
     inputs = (
-        "reading",
-        "weight",
-        "payload",
-        "inertia",
-        "kp",
-        "kd",
-        "command_sent",
-        "frozen",
-    )
+        "reading", "weight", "payload", "inertia", "kp", "kd", "command_sent", "frozen",
+    )  # fmt: skip
     sparse = ("M", "D", "K", "drag", "wide", "body")
 
     def __init__(
@@ -149,10 +125,7 @@ class CoupledAdmittance(_Admittance):
         super().__init__(shape, carried, joints)
         self.lag, self.nonlinear, self.custom = lag, nonlinear, custom
         self.compiles = custom is None
-
-    @property
-    def structure(self) -> tuple[Any, ...]:
-        return (*super().structure, self.lag, self.nonlinear)
+        self.structure = (carried, joints, lag, nonlinear)
 
     def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
         parts = {"M": bodies.M, "D": bodies.D, "K": bodies.K, "drag": bodies.drag}
@@ -162,9 +135,7 @@ class CoupledAdmittance(_Admittance):
             parts["body"] = bodies.body
         return parts
 
-    def step(
-        self, p: Values, x: Values, u: Values
-    ) -> tuple[dict[str, Array], dict[str, Array]]:
+    def step(self, p: Values, x: Values, u: Values) -> Stepped:
         X = self.present_state(x, u)
         force = self.force(X, u["reading"] - u["weight"] + u["payload"])
         M, D, K, state, W = self.coupled_system(p, X, x["coupled"], force, u)
@@ -174,7 +145,7 @@ class CoupledAdmittance(_Admittance):
         ahead = self.split(implicit_step(M, D, K, state, W, self.lag))[0]
         return {"X": X, "coupled": coupled}, {"motion": ahead}
 
-    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+    def start(self, p: Values, u: Values) -> Stepped:
         """Set the state back by what the platform is told ahead."""
         x, _ = super().start(p, u)
         X, coupled = x["X"], x["coupled"]

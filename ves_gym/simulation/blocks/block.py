@@ -14,6 +14,7 @@ from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.system.deviations import LoopParameters
 
 Values = Mapping[str, Array]  # arrays by name, leading axis = simulation
+Stepped = tuple[dict[str, Array], dict[str, Array]]  # memory and outputs
 
 WRENCH, POSE = "N, N m", "m, rad"
 RATE, ACCELERATION = "m/s, rad/s", "m/s^2, rad/s^2"
@@ -142,16 +143,14 @@ class Block(ABC):
     repeats: int = 1  # times that `step` runs in a control period
     stacked: tuple[str, ...] = ()  # outputs that repetitions put side by side, not over again
     sparse: ClassVar[tuple[str, ...]] = ()  # parameters whose zeros are part of the structure
+    memory: Mapping[str, Memory] = {}  # arrays that the block carries over
+    # all that `step` depends on beside `shape` and `p`, for the key of compiled code
+    structure: tuple[Any, ...] = ()
 
     @property
     def summary(self) -> str:
         """First sentence about the block."""
         return " ".join((type(self).__doc__ or "").split("\n\n")[0].split())
-
-    @property
-    def memory(self) -> dict[str, Memory]:
-        """Arrays that the block carries over."""
-        return {}
 
     def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
         """Return the block's parameters, one row per row of what is given.
@@ -165,9 +164,7 @@ class Block(ABC):
         return {}
 
     @abstractmethod
-    def step(
-        self, p: Values, x: Values, u: Values
-    ) -> tuple[dict[str, Array], dict[str, Array]]:
+    def step(self, p: Values, x: Values, u: Values) -> Stepped:
         """Advance by a control period.
 
         Args:
@@ -179,7 +176,7 @@ class Block(ABC):
             The new memory and the outputs.
         """
 
-    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+    def start(self, p: Values, u: Values) -> Stepped:
         """Return memory and held outputs at a reset.
 
         Args:
@@ -189,11 +186,6 @@ class Block(ABC):
         """
         m = len(u["X"])
         return {k: np.zeros((m, *v.shape)) for k, v in self.memory.items()}, {}
-
-    @property
-    def structure(self) -> tuple[Any, ...]:
-        """All that `step` depends on beside `shape` and `p`, for the key of compiled code."""
-        return ()
 
 
 class ModelOf(Block):
@@ -209,28 +201,45 @@ class ModelOf(Block):
         self.outputs = tuple(self._names[k] for k in block.outputs)
         self.stacked = tuple(self._names[k] for k in block.stacked)
         self.compiles, self.repeats, self.shape = block.compiles, block.repeats, block.shape
+        self.memory = block.memory
+        self.structure = (type(block).__name__, *block.structure)
 
     @property
     def summary(self) -> str:
         return self.block.summary
 
-    @property
-    def memory(self) -> dict[str, Memory]:
-        return self.block.memory
-
-    @property
-    def structure(self) -> tuple[Any, ...]:
-        return (type(self.block).__name__, *self.block.structure)
-
     def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
         return self.block.parameters(p, bodies)
 
-    def step(
-        self, p: Values, x: Values, u: Values
-    ) -> tuple[dict[str, Array], dict[str, Array]]:
+    def step(self, p: Values, x: Values, u: Values) -> Stepped:
         x_new, y = self.block.step(p, x, {self._back.get(k, k): v for k, v in u.items()})
         return x_new, {self._names.get(k, k): v for k, v in y.items()}
 
-    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+    def start(self, p: Values, u: Values) -> Stepped:
         x, y = self.block.start(p, {self._back.get(k, k): v for k, v in u.items()})
         return x, {self._names.get(k, k): v for k, v in y.items()}
+
+
+def shares(age: Array, nodes: int) -> Array:
+    """Return weights (n, nodes) that interpolate past values linearly at an age.
+
+    Args:
+        age: (n,) in periods, 0 to nodes - 1.
+        nodes: values remembered, newest first.
+    """
+    away: Array = np.abs(np.arange(nodes) - age[:, None])
+    return np.asarray(np.clip(1 - away, 0.0, None), dtype=np.float64)
+
+
+def mixed(weights: Array, history: Array) -> Array:
+    """Return sums of remembered values.
+
+    Args:
+        weights: (n, m).
+        history: (n, m, c).
+
+    Returns:
+        (n, c).
+    """
+    out: Array = (weights[:, None, :] @ history)[:, 0]
+    return out

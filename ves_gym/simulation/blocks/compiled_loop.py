@@ -18,8 +18,7 @@ from ves_gym.engine.kernel.compiled_function import CompiledFunction, Piece, Pro
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.symbolic import column, symbols, traced
 from ves_gym.simulation.blocks.block import Block
-from ves_gym.simulation.blocks.memory import NamedArrays
-from ves_gym.simulation.blocks.wiring import Parameters, Wiring
+from ves_gym.simulation.blocks.wiring import NamedArrays, Parameters, Wiring
 
 if TYPE_CHECKING:
     import casadi

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from ves_gym._util.params import Array
@@ -11,8 +9,15 @@ from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.hardware.leg_servo import Legs
 from ves_gym.hardware.platform import PoseServo, second_order
 from ves_gym.hardware.stewart import Stewart
-from ves_gym.simulation.blocks.block import Block, LoopShape, Memory, Values
-from ves_gym.simulation.blocks.gravity_estimate import mixed, shares
+from ves_gym.simulation.blocks.block import (
+    Block,
+    LoopShape,
+    Memory,
+    Stepped,
+    Values,
+    mixed,
+    shares,
+)
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.emulator_settings import EmulatorSettings
 
@@ -28,18 +33,13 @@ class ComputingDelay(Block):
 
     def __init__(self, periods: int) -> None:
         self.periods = periods
+        self.memory = {"queue": Memory((periods, 12))}  # commands on their way, oldest first
 
-    @property
-    def memory(self) -> dict[str, Memory]:
-        return {"queue": Memory((self.periods, 12))}  # commands on their way, oldest first
-
-    def step(
-        self, p: Values, x: Values, u: Values
-    ) -> tuple[dict[str, Array], dict[str, Array]]:
+    def step(self, p: Values, x: Values, u: Values) -> Stepped:
         queue = np.concatenate([x["queue"], u["motion"][:, None]], axis=1)
         return {"queue": queue[:, 1:]}, {"command": queue[:, 0]}
 
-    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+    def start(self, p: Values, u: Values) -> Stepped:
         return {"queue": np.repeat(u["X"][:, None], self.periods, axis=1)}, {"command": u["X"]}
 
 
@@ -52,15 +52,9 @@ class Safety(Block):
 
     def __init__(self, settings: EmulatorSettings, shape: LoopShape) -> None:
         self.settings, self.shape = settings, shape
+        self.structure = (settings.stewart, settings.force_max, settings.moment_max)
 
-    @property
-    def structure(self) -> tuple[Any, ...]:
-        s = self.settings
-        return (s.stewart, s.force_max, s.moment_max)
-
-    def step(
-        self, p: Values, x: Values, u: Values
-    ) -> tuple[dict[str, Array], dict[str, Array]]:
+    def step(self, p: Values, x: Values, u: Values) -> Stepped:
         spec, stewart, reading = self.settings, self.settings.stewart, u["reading"]
         before = stewart.leg_lengths(u["command_sent"][:, :6])
         lengths = stewart.leg_lengths(u["command"][:, :6])
@@ -78,7 +72,7 @@ class Safety(Block):
         sent = np.where(frozen[:, None] != 0.0, standing(u), u["command"])
         return {}, {"command_sent": sent, "frozen": frozen}
 
-    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+    def start(self, p: Values, u: Values) -> Stepped:
         return {}, {"command_sent": u["X"], "frozen": np.zeros(len(u["X"]))}
 
     def reason(self, before: Array, command: Array, reading: Array) -> str:
@@ -132,17 +126,11 @@ class CommandLine(Block):
         """`oldest`: commands to look back over; `limited`: legs may be short or slow."""
         self.stewart, self.shape = stewart, shape
         self.oldest, self.limited = oldest, limited
-
-    @property
-    def memory(self) -> dict[str, Memory]:
-        return {
-            "history": Memory((self.oldest, 12)),  # earlier commands, newest first
-            "received": Memory((12,), feeds_back=self.limited),
+        self.memory = {
+            "history": Memory((oldest, 12)),  # earlier commands, newest first
+            "received": Memory((12,), feeds_back=limited),
         }
-
-    @property
-    def structure(self) -> tuple[Any, ...]:
-        return (self.limited and self.stewart, self.oldest)
+        self.structure = (limited and stewart, oldest)
 
     def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
         age = p.platform_delay / self.shape.control_dt
@@ -152,9 +140,7 @@ class CommandLine(Block):
             "speed": p.platform_speed,
         }
 
-    def step(
-        self, p: Values, x: Values, u: Values
-    ) -> tuple[dict[str, Array], dict[str, Array]]:
+    def step(self, p: Values, x: Values, u: Values) -> Stepped:
         out = u["command_sent"]
         nodes = np.concatenate([out[:, None], x["history"]], axis=1)
         if self.oldest:
@@ -163,7 +149,7 @@ class CommandLine(Block):
             out = self.within_reach(p, out, x["received"])
         return {"history": nodes[:, :-1], "received": out}, {"command_received": out}
 
-    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+    def start(self, p: Values, u: Values) -> Stepped:
         X = u["X"]
         return {"history": np.repeat(X[:, None], self.oldest, axis=1), "received": X}, {}
 
@@ -223,14 +209,8 @@ class PosePlatform(Block):
         """`as_stated`: by the description, whatever the effects."""
         self.servo, self.shape, self.as_stated = servo, shape, as_stated
         self.nodes = np.arange(shape.nodes) * np.float64(shape.physics_dt)
-
-    @property
-    def memory(self) -> dict[str, Memory]:
-        return {"y": Memory((6,)), "yd": Memory((6,))}
-
-    @property
-    def structure(self) -> tuple[Any, ...]:
-        return (self.servo.rate_feedforward,)
+        self.memory = {"y": Memory((6,)), "yd": Memory((6,))}
+        self.structure = (servo.rate_feedforward,)
 
     def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
         return {"response": self.response(p)}
@@ -242,9 +222,7 @@ class PosePlatform(Block):
         zeta = self.servo.damping_ratio * (1 + change * p.damping)
         return second_order(w, zeta, self.nodes)
 
-    def step(
-        self, p: Values, x: Values, u: Values
-    ) -> tuple[dict[str, Array], dict[str, Array]]:
+    def step(self, p: Values, x: Values, u: Values) -> Stepped:
         y_cmd, rate = u["command_received"][:, :6], u["command_received"][:, 6:]
         if not self.servo.rate_feedforward:
             rate = 0.0 * rate
@@ -256,7 +234,7 @@ class PosePlatform(Block):
         out = {"y": y, "yd": yd, "ydd": path[:, :, 2], "y_measured": y[:, -1]}
         return {"y": y[:, -1], "yd": yd[:, -1]}, out
 
-    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+    def start(self, p: Values, u: Values) -> Stepped:
         y, yd = np.split(u["X"], 2, axis=-1)
         return {"y": y, "yd": yd}, {"y_measured": y}
 
@@ -276,29 +254,21 @@ class LegServos(Block):
     def __init__(self, legs: Legs, *, as_stated: bool = False) -> None:
         """`as_stated`: by the description, whatever the effects."""
         self.legs, self.repeats, self.as_stated = legs, legs.samples, as_stated
-
-    @property
-    def memory(self) -> dict[str, Memory]:
-        return {"legs": Memory((self.legs.leg.size, 6)), "pose": Memory((6,))}
-
-    @property
-    def structure(self) -> tuple[Any, ...]:
-        return (self.legs.servo, self.legs.stewart, self.legs.leg.steps)
+        self.memory = {"legs": Memory((legs.leg.size, 6)), "pose": Memory((6,))}
+        self.structure = (legs.servo, legs.stewart, legs.leg.steps)
 
     def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
         change = 0.0 if self.as_stated else 1.0
         return {"gain": 1 + change * p.bandwidth, "brake": 1 + change * p.damping}
 
-    def step(
-        self, p: Values, x: Values, u: Values
-    ) -> tuple[dict[str, Array], dict[str, Array]]:
+    def step(self, p: Values, x: Values, u: Values) -> Stepped:
         y_cmd = u["command_received"][:, :6]
         gains = p["gain"][:, None], p["brake"][:, None]
         legs, pose, *path = self.legs.advance(x["legs"], x["pose"], y_cmd, *gains)
         memory = {"legs": legs, "pose": pose}
         return memory, {**dict(zip(self.stacked, path, strict=True)), **memory}
 
-    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+    def start(self, p: Values, u: Values) -> Stepped:
         pose = u["X"][:, :6]  # hydraulic legs start from rest, whatever rate the vehicle has
         memory = {"legs": self.legs.at_rest(pose), "pose": pose}
         return memory, memory
@@ -317,14 +287,9 @@ class LegSensors(Block):
 
     def __init__(self, legs: Legs) -> None:
         self.legs = legs
+        self.structure = (legs.servo, legs.stewart)
 
-    @property
-    def structure(self) -> tuple[Any, ...]:
-        return (self.legs.servo, self.legs.stewart)
-
-    def step(
-        self, p: Values, x: Values, u: Values
-    ) -> tuple[dict[str, Array], dict[str, Array]]:
+    def step(self, p: Values, x: Values, u: Values) -> Stepped:
         last = (u["pose"], *self.legs.motion(u["legs"], u["pose"]))
         out = {
             name: np.concatenate([u[f"{name}_nodes"], end[:, None]], axis=1)
@@ -332,7 +297,7 @@ class LegSensors(Block):
         }
         return {}, {**out, "y_measured": self.legs.measured(u["legs"], u["pose"])}
 
-    def start(self, p: Values, u: Values) -> tuple[dict[str, Array], dict[str, Array]]:
+    def start(self, p: Values, u: Values) -> Stepped:
         return {}, {"y_measured": self.legs.measured(u["legs"], u["pose"])}
 
 
@@ -358,9 +323,7 @@ class EngineInput(Block):
         self._twice[0], self._twice[-1] = h * h * (k / 2 - 1 / 6), h * h / 6
         self._clock = np.arange(k + 1)[:, None] * h
 
-    def step(
-        self, p: Values, x: Values, u: Values
-    ) -> tuple[dict[str, Array], dict[str, Array]]:
+    def step(self, p: Values, x: Values, u: Values) -> Stepped:
         t, ydd, rate = self._duration, u["ydd"], u["yd_engine"]
         miss = u["y"][:, -1] - (u["y_engine"] + t * rate + np.matmul(self._twice, ydd))
         miss_rate = u["yd"][:, -1] - (rate + np.matmul(self._once, ydd))
