@@ -8,7 +8,8 @@ import numpy as np
 import pinocchio as pin
 
 from benchmarks.timing import Pair, side_by_side
-from ves_gym.engine.mjcf import TO_Y, pinocchio_model
+from ves_gym.engine.mjcf import TO_Y
+from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.planners.coupling import coupling_matrix
 from ves_gym.system.system import System
 

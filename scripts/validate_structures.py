@@ -24,9 +24,8 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm_library import PUMA_560
-from ves_gym.mechanics.beam import Beam
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.flexible_base import FlexibleBase
+from ves_gym.mechanics.flexible_base import Beam, FlexibleBase
 from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.spatial import skew
 from ves_gym.mechanics.vehicle import (

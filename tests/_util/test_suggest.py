@@ -126,7 +126,7 @@ def _controller():
 
 
 def _backend():
-    from ves_gym.engine.backends.registry import make_backend
+    from ves_gym.engine.backends.base import make_backend
     from ves_gym.system.system import System
 
     make_backend("kernl", System(), 1, 1)

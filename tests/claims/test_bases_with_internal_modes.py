@@ -23,7 +23,8 @@ from ves_gym.damping.plant import plant_at
 from ves_gym.engine.backends.mujoco import compile_model
 from ves_gym.engine.kernel.sensitivity import rollout_gradients
 from ves_gym.engine.linear import linearise_ideal
-from ves_gym.engine.mjcf import TO_Y, pinocchio_model
+from ves_gym.engine.mjcf import TO_Y
+from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS

@@ -12,8 +12,9 @@ import pinocchio as pin
 import pytest
 
 from ves_gym.engine.backends.mujoco import model_spec
-from ves_gym.engine.mjcf import TO_Y, pinocchio_model
+from ves_gym.engine.mjcf import TO_Y
 from ves_gym.mechanics.arm import Inertial, Mount
+from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.attitude import to_matrix
 from ves_gym.mechanics.payload import Payload

@@ -13,7 +13,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from ves_gym.engine.mjcf import TO_Y, pinocchio_model
+from ves_gym.engine.mjcf import TO_Y
+from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, FREE_FLYING
 from ves_gym.simulation.playback import play_motions

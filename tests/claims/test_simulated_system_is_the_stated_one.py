@@ -21,8 +21,9 @@ import pinocchio as pin
 import pytest
 
 from ves_gym.engine.backends.mujoco import compile_model
-from ves_gym.engine.mjcf import TO_Y, pinocchio_model
+from ves_gym.engine.mjcf import TO_Y
 from ves_gym.mechanics.arm import Inertial, matrix
+from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.kinematics import joint_positions

@@ -12,7 +12,7 @@ import pytest
 
 from ves_gym._util import optional
 from ves_gym._util.optional import PACKAGES, MissingPackageError, explain, require
-from ves_gym.engine.mjcf import pinocchio_model
+from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.system.system import System
 
 ROOT = Path(__file__).parents[2]

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
+from ves_gym.engine.backends.base import BackendWarning
 from ves_gym.engine.backends.kernel import stepper
-from ves_gym.engine.backends.registry import BackendWarning
 from ves_gym.engine.kernel import build, numbers, trace
-from ves_gym.engine.kernel.blocks import aligned
-from ves_gym.engine.kernel.compiled_function import CompiledFunction, Stepper
+from ves_gym.engine.kernel.compiled_function import CompiledFunction, Stepper, aligned
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.mechanics.arm import matrix
 from ves_gym.mechanics.arm_library import PUMA_560

@@ -6,13 +6,14 @@ import pytest
 from tests.arms import planar_arm, six_joint_arm
 from tests.mechanics.test_gravity import random_arm
 from ves_gym._util.params import ParameterError
-from ves_gym.engine.mjcf import TO_Y, pinocchio_model
-from ves_gym.engine.regressors import (
+from ves_gym.engine.kernel.maps import (
     gravity_regressor,
     inertia_regressor,
     inertial_parameters,
     weight_parameters,
 )
+from ves_gym.engine.mjcf import TO_Y
+from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.gravity import GravityModel, gravity_vector, minimal_model

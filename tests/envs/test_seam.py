@@ -10,9 +10,10 @@ from tests.envs.runs import EMULATED, Blind, controlled
 from ves_gym._util.params import ParameterError
 from ves_gym.baselines.controllers import Random, Zero
 from ves_gym.baselines.resolved import Resolved, base_torque
-from ves_gym.engine.mjcf import TO_Y, pinocchio_model
+from ves_gym.engine.mjcf import TO_Y
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.spatial import quadratic

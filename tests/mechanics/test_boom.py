@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy
+from ves_gym.mechanics.beam import Tube
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.arm_library import get_arm
-from ves_gym.mechanics.beam import Tube
 from ves_gym.mechanics.boom import (
     NO_ARM,
     QUASI_ISOTROPIC,
@@ -20,9 +20,8 @@ from ves_gym.mechanics.boom import (
     Boom,
     BoomMember,
 )
-from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.dynamics import expand, inertia
 from ves_gym.mechanics.flexible_base import FlexibleBase, Polyline, Strut, bent_line
-from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.spatial import rotation

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.sparse
+from ves_gym.mechanics.beam import Tube
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics import craig_bampton
 from ves_gym.mechanics.arm_library import PUMA_560
-from ves_gym.mechanics.beam import Tube
 from ves_gym.mechanics.craig_bampton import reduce
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.finite_elements import polyline

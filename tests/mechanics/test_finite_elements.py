@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.optimize
+from ves_gym.mechanics.beam import ALUMINIUM, Material, Section, Tube, cowper
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Inertial, diagonal
-from ves_gym.mechanics.beam import ALUMINIUM, Material, Section, Tube, cowper
 from ves_gym.mechanics.finite_elements import BeamFrame, Member, element, polyline
 
 # so slender that rotary inertia and shear change nothing in six digits

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 import scipy.linalg
+from ves_gym.mechanics.beam import Section, Tube
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Inertial, diagonal, matrix
-from ves_gym.mechanics.beam import Section, Tube
 from ves_gym.mechanics.flexible_base import (
     ELEMENTS,
     CornerBody,

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from tests.arms import planar_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
-from ves_gym.engine.mjcf import TO_Y, pinocchio_model
+from ves_gym.engine.mjcf import TO_Y
 from ves_gym.mechanics.arm import Arm, Inertial, Link, diagonal
+from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.gravity import (

@@ -6,9 +6,10 @@ import pytest
 
 from tests.urdf_arms import slider_urdf
 from ves_gym._util.params import ParameterError
-from ves_gym.engine.mjcf import TO_Y, pinocchio_model
+from ves_gym.engine.mjcf import TO_Y
 from ves_gym.envs.build import build_task
 from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.limits import LimitError, require_limits
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse
+from ves_gym.mechanics.beam import ALUMINIUM, Tube
 
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.beam import ALUMINIUM, Tube
 from ves_gym.mechanics.craig_bampton import reduce
 from ves_gym.mechanics.finite_elements import polyline
 from ves_gym.mechanics.matrix_files import read_matrices

@@ -10,11 +10,12 @@ from scipy.integrate import quad
 from tests.arms import six_joint_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import GravityDelay, SensorDrift, SensorNoise
-from ves_gym.engine.mjcf import TO_Y, pinocchio_model
+from ves_gym.engine.mjcf import TO_Y
 from ves_gym.hardware.leg_servo import FILTERED, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.hardware.stewart import VES
 from ves_gym.mechanics.arm import diagonal
+from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.arm_library import PUMA_560, get_arm
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.gravity import GRAVITY, GravityModel, gravity_vector

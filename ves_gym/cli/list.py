@@ -169,7 +169,7 @@ def _environments() -> Rows:
 
 
 def _backends() -> Rows:
-    from ves_gym.engine.backends.registry import BACKENDS
+    from ves_gym.engine.backends.base import BACKENDS
 
     return [{"name": name} for name in BACKENDS]
 

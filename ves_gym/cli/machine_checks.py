@@ -37,8 +37,7 @@ from ves_gym.damping.tuning import OBJECTIVES, Bounds
 from ves_gym.mechanics.arm import Arm, read_arm
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.servo import JointServo
-from ves_gym.mechanics.structure import UNITS, read_structure
-from ves_gym.mechanics.structure_summary import BAND, ERROR, vehicle_of
+from ves_gym.mechanics.structure import BAND, ERROR, UNITS, read_structure, vehicle_of
 from ves_gym.mechanics.vehicle import vehicle_name
 from ves_gym.planners.coupling_map import OTHERS
 from ves_gym.planners.scenes import map_data

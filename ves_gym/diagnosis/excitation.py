@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.engine.regressors import inertia_regressor
+from ves_gym.engine.kernel.maps import inertia_regressor
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.limits import limit_ratios

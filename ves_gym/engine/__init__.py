@@ -1,1 +1,1 @@
-"""From equations to numbers: MJCF, linear models, regressors, the compiled kernel, engines."""
+"""From equations to numbers: MJCF, linear models, the compiled kernel, engines."""

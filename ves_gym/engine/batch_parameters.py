@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError, Rows, content_hash
+from ves_gym._util.params import Array, ParameterError, Rows
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
 from ves_gym.engine.kernel.numbers import laws, parameters, structure
 from ves_gym.hardware.admittance import admittance_matrices, require_admittance
@@ -19,14 +19,14 @@ from ves_gym.system.system import System
 
 _SETTINGS = ("mode", "drive", "integrator", "physics_dt", "control_dt")
 _GEOMETRY = ("d", "a", "alpha", "beta", "offset", "slides")
+_SATELLITE = ("thrusters", "wheels", "jets", "appendages", "pointing")
 
 
 def require_alike(template: System, other: System, which: str) -> None:
     """Check that two systems differ in numbers only.
 
     Masses, centres of mass, inertias, rotors, torque limits, M, D, K, a satellite's body and
-    the values of effects are numbers. The check of `other.base` is left out for a vehicle
-    that is the very same object.
+    the values of effects are numbers.
 
     Args:
         template: the simulator's system.
@@ -37,59 +37,38 @@ def require_alike(template: System, other: System, which: str) -> None:
         ParameterError: names the difference.
     """
 
-    def refuse(what: str, mine: Any, theirs: Any) -> None:
-        raise ParameterError(f"{which}: {what} must be the simulator's {mine}, got {theirs}")
+    theirs = _alike(other)
+    for what, mine in _alike(template).items():
+        if mine != theirs[what]:
+            raise ParameterError(
+                f"{which}: {what} must be the simulator's {mine}, got {theirs[what]}"
+            )
 
-    for name in _SETTINGS:
-        if getattr(template, name) != getattr(other, name):
-            refuse(name, repr(getattr(template, name)), repr(getattr(other, name)))
-    kinds = tuple([e.kind for e in s.effects] for s in (template, other))
-    if kinds[0] != kinds[1]:
-        refuse("the kinds of effects", *(", ".join(k) or "none" for k in kinds))
-    rubs = tuple(
-        tuple(any(getattr(k, name) for k in s.arm.links) for name in ("damping", "friction"))
-        for s in (template, other)
-    )
-    if rubs[0] != rubs[1]:
-        refuse("damping and friction of the arm", *rubs)
-    if other.arm is not template.arm:
-        if other.arm.n != template.arm.n:
-            refuse("number of joints", template.arm.n, other.arm.n)
-        if other.arm.mount != template.arm.mount:
-            refuse("mount", template.arm.mount, other.arm.mount)
-        for i, (a, b) in enumerate(
-            zip(template.arm.links, other.arm.links, strict=True), start=1
-        ):
-            for name in _GEOMETRY:
-                if getattr(a, name) != getattr(b, name):
-                    refuse(f"{name} of link {i}", getattr(a, name), getattr(b, name))
-    if template.actual.arm.geared != other.actual.arm.geared:
-        mine, theirs = ([i + 1 for i in s.actual.arm.geared] for s in (template, other))
-        refuse("joints whose gears give way", mine or "none", theirs or "none")
-    carried = tuple(s.actual.base.m for s in (template, other))
-    if carried[0] != carried[1]:
-        refuse("the number of the vehicle's internal modes", *carried)
-    if other.vehicle is not template.vehicle:
-        bodies = tuple("a body" if s.base.body else "no body" for s in (template, other))
-        if bodies[0] != bodies[1]:
-            refuse("the vehicle's kind", *bodies)
-        jets = tuple(getattr(s.vehicle, "thrusters", False) for s in (template, other))
-        if jets[0] != jets[1]:
-            refuse("thrusters", *jets)
-        for name in ("wheels", "jets", "appendages", "pointing"):
-            parts = tuple(getattr(s.vehicle, name, None) for s in (template, other))
-            if parts[0] != parts[1]:
-                refuse(name, *parts)
-    payloads = tuple("none" if s.payload is None else "one" for s in (template, other))
-    if payloads[0] != payloads[1]:
-        refuse("the payload", *payloads)
-    if template.contact != other.contact:
-        refuse("contact", template.contact, other.contact)
-    if other.emulator is not template.emulator:
-        for field in dataclasses.fields(template.emulator_settings):
-            a, b = (getattr(s.emulator_settings, field.name) for s in (template, other))
-            if a is not b and content_hash(a) != content_hash(b):
-                refuse(f"emulator.{field.name}", a, b)
+
+def _alike(system: System) -> dict[str, Any]:
+    """What systems of one batch have alike, by what it is called; number of joints first."""
+    arm, actual, vehicle = system.arm, system.actual, system.vehicle
+    out: dict[str, Any] = {
+        "number of joints": arm.n,
+        **{name: repr(getattr(system, name)) for name in _SETTINGS},
+        "the kinds of effects": ", ".join(e.kind for e in system.effects) or "none",
+        "damping": any(k.damping for k in arm.links),
+        "friction": any(k.friction for k in arm.links),
+        "mount": arm.mount,
+        "joints whose gears give way": [i + 1 for i in actual.arm.geared] or "none",
+        "the number of the vehicle's internal modes": actual.base.m,
+        "the vehicle's kind": "a body" if system.base.body else "no body",
+        "the payload": "none" if system.payload is None else "one",
+        "contact": system.contact,
+    }
+    out |= {name: getattr(vehicle, name, None) for name in _SATELLITE}
+    for i, link in enumerate(arm.links, start=1):
+        out |= {f"{name} of link {i}": getattr(link, name) for name in _GEOMETRY}
+    if system.mode == "emulated":
+        settings = system.emulator_settings
+        for field in dataclasses.fields(settings):
+            out[f"emulator.{field.name}"] = getattr(settings, field.name)
+    return out
 
 
 def share_base(template: System, other: System) -> None:

@@ -1,4 +1,4 @@
-"""The simulated system as a MuJoCo model and as a Pinocchio model, from one description.
+"""The simulated system as a MuJoCo model.
 
 The base moves on three slides and three hinges in Z-Y-X order. A symmetric 6x6 M, D or
 K becomes six fixed tendons, one per eigenvector, with the eigenvalue as armature,
@@ -8,19 +8,21 @@ damping or stiffness (`docs/physics.md`), so the engine integrates the vehicle n
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ves_gym._util.mujoco_loader import mujoco
-from ves_gym._util.optional import require
-from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym._util.params import Array, Index
 from ves_gym.mechanics.arm import Arm, Inertial, matrix
-from ves_gym.mechanics.flexure import expand
-from ves_gym.mechanics.vehicle import BaseModel, InternalModes
-
-if TYPE_CHECKING:
-    import pinocchio
+from ves_gym.mechanics.dynamics import expand
+from ves_gym.mechanics.vehicle import (
+    Appendage,
+    BaseModel,
+    InternalModes,
+    ReactionWheel,
+    rotor_inertia,
+)
 
 # Base joints in the engine's order; Y[i] is engine coordinate TO_Y[i], and back.
 BASE_JOINTS = ("x", "y", "z", "phi_z", "phi_y", "phi_x")
@@ -43,6 +45,7 @@ def build_spec(
     gravity: tuple[float, float, float],
     integrator: str,
     physics_dt: float,
+    whole: bool = False,
 ) -> mujoco.MjSpec:
     """Return an editable MuJoCo model of the arm on its base.
 
@@ -57,13 +60,14 @@ def build_spec(
         gravity: [m/s^2].
         integrator: MuJoCo's name of it.
         physics_dt: [s].
+        whole: M, D and K as six tendons each, all on all six axes, whatever their numbers
+            are, so that every model of one structure has one layout.
     """
     spec, platform = _empty_spec(arm.name, gravity, integrator, physics_dt)
     set_inertial(platform, regularised_inertial(expand(arm).arm.base))
     if base.body is not None:
         set_inertial(platform.add_body(name="satellite"), base.body)
-    for what, values in (("armature", base.M), ("damping", base.D), ("stiffness", base.K)):
-        _add_tendons(spec, what, values)
+    _add_tendons(spec, base, whole)
     _add_links(spec, platform, arm)
     return spec
 
@@ -223,23 +227,18 @@ def _empty_spec(
 def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
     """The arm's links, joints and drives on a body at the platform-top frame."""
     chain = expand(arm)
-    body, (position, rotation) = root, _mount(chain.arm)
-    bent = 0
-    for place, link in enumerate(chain.arm.links):
-        turn = np.array(
-            [
-                [np.cos(link.offset), -np.sin(link.offset), 0],
-                [np.sin(link.offset), np.cos(link.offset), 0],
-                [0, 0, 1],
-            ]
-        )
+    body, bent = root, 0
+    *frames, (tool, tip) = chain.arm.placements
+    for place, (link, (rotation, position)) in enumerate(
+        zip(chain.arm.links, frames, strict=True)
+    ):
         driven = place in chain.driven
         bent += not driven
         i = place + 1 - bent
         body = body.add_body(
             name=f"link_{i}" if driven else f"part_{bent}",
             pos=position.tolist(),
-            quat=_quaternion(rotation @ turn),
+            quat=_quaternion(rotation),
         )
         body.add_joint(
             name=f"q_{i}" if driven else f"f_{bent}",
@@ -250,18 +249,9 @@ def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
         if link.gear is not None:  # the link turns on, the rotor does not
             body.add_joint(name=f"d_{i}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
         set_inertial(body, regularised_inertial(link.inertial_at_joint))
-        rotation, position = link.far_end
         if driven:
             _add_drive(spec, f"drive_{i}", f"q_{i}", 1.0, link.tau_max)
-    turn = arm.tool_rotation
-    body.add_site(name="tool", pos=position.tolist(), quat=_quaternion(rotation @ turn))
-
-
-def _mount(arm: Arm) -> tuple[Array, Array]:
-    """Position (3,) and rotation (3, 3) of the first joint's frame."""
-    if arm.mount is None:
-        return np.zeros(3), np.eye(3)
-    return np.array(arm.mount.position), arm.mount.rotation
+    body.add_site(name="tool", pos=tip.tolist(), quat=_quaternion(tool))
 
 
 def _add_drive(
@@ -282,32 +272,30 @@ def _add_drive(
         drive.forcerange = [-limit, limit]
 
 
-def _add_tendons(spec: mujoco.MjSpec, what: str, values: Array) -> None:
-    """Six fixed tendons whose `what` reproduces the symmetric matrix `values` on Y.
+def _add_tendons(spec: mujoco.MjSpec, base: BaseModel, whole: bool) -> None:
+    """Add six fixed tendons for each of M, D and K, which reproduce the matrix on Y.
 
     Those of a diagonal matrix lie on one axis, all others on all six, also where a component
     of the eigenvector is zero. Which components come out as exactly zero depends on LAPACK's
     rounding, hence on the processor, and the engine's sums depend on how many there are: a
     simulation would change when a neighbour's vehicle makes its batch take the layout that
-    holds every matrix (`Simulator.assign`).
+    holds every matrix (`whole`, see `Simulator.assign`).
     """
-    size = np.abs(values).max()
-    if size == 0:
-        return
-    diagonal = not (values - np.diag(np.diag(values))).any()
-    eigenvalues, vectors = np.linalg.eigh(values)
-    for k in range(6):
-        value = float(eigenvalues[k])
-        if value <= 1e-15 * size:
-            continue
-        tendon = spec.add_tendon(name=f"{what}_{k + 1}")
-        for i, name in enumerate(BASE_JOINTS):
-            weight = float(vectors[TO_Y[i], k])
-            if weight != 0.0 or not diagonal:
-                tendon.wrap_joint(name, weight)
-        tendon.springlength = [0.0, 0.0]
-        # stiffness and damping are polynomials in the engine; the first term is linear
-        setattr(tendon, what, value if what == "armature" else [value, 0.0, 0.0])
+    for what, values in (("armature", base.M), ("damping", base.D), ("stiffness", base.K)):
+        diagonal = not (whole or (values - np.diag(np.diag(values))).any())
+        eigenvalues, vectors = np.linalg.eigh(values)
+        least = 1e-15 * np.abs(values).max()
+        for k in range(6):
+            value = float(eigenvalues[k]) if eigenvalues[k] > least else 0.0
+            if not (whole or value):
+                continue
+            tendon = spec.add_tendon(name=f"{what}_{k + 1}")
+            for name, weight in zip(BASE_JOINTS, vectors[TO_Y, k].tolist(), strict=True):
+                if weight != 0.0 or not diagonal:
+                    tendon.wrap_joint(name, weight)
+            tendon.springlength = [0.0, 0.0]
+            # stiffness and damping are polynomials in the engine; the first term is linear
+            setattr(tendon, what, value if what == "armature" else [value, 0.0, 0.0])
 
 
 def regularised_inertial(inertial: Inertial) -> Inertial:
@@ -342,62 +330,65 @@ def _quaternion(rotation: Array) -> list[float]:
     return [float(k) for k in quaternion]
 
 
-def pinocchio_model(arm: Arm, base: BaseModel) -> pinocchio.Model:
-    """Return the same arm on the same six base joints in Pinocchio, in MuJoCo's joint order.
+# ----------------------------------------------------- what a satellite carries
 
-    The constant M of the base is not a body; add it to the base block of the inertia
-    matrix in Y. Gravity is zero.
+_DISC = 1 + 1e-9  # a shade thicker than a thin disc: the engine compares principal moments
+
+
+def add_carried(spec: mujoco.MjSpec, base: BaseModel) -> None:
+    """Add a body on a hinge or slide for each wheel and appendage; wheels leave the satellite.
 
     Args:
-        arm: the arm.
-        base: the vehicle.
-
-    Raises:
-        MissingPackageError: Pinocchio is not installed.
+        spec: written.
+        base: with what it carries.
     """
-    require("pinocchio_model", "pinocchio")
-    if base.carried:
-        raise ParameterError("a Pinocchio model has no wheels and appendages of the base")
-    import pinocchio as pin
-
-    model = pin.Model()
-    model.name = arm.name
-    model.gravity.linear[:] = 0.0
-    kinds = {
-        "x": pin.JointModelPX,
-        "y": pin.JointModelPY,
-        "z": pin.JointModelPZ,
-        "phi_z": pin.JointModelRZ,
-        "phi_y": pin.JointModelRY,
-        "phi_x": pin.JointModelRX,
-    }
-    joint = 0
-    for name in BASE_JOINTS:
-        joint = model.addJoint(joint, kinds[name](), pin.SE3.Identity(), name)
-    chain = expand(arm)
-    model.appendBodyToJoint(joint, _pin_inertia(chain.arm.base), pin.SE3.Identity())
-    if base.body is not None:
-        model.appendBodyToJoint(joint, _pin_inertia(base.body), pin.SE3.Identity())
-    position, rotation = _mount(chain.arm)
-    placement = pin.SE3(rotation, position)
-    bent = 0
-    for place, link in enumerate(chain.arm.links):
-        turn = pin.SE3(pin.utils.rotate("z", link.offset), np.zeros(3))
-        driven = place in chain.driven
-        bent += not driven
-        name = f"q_{place + 1 - bent}" if driven else f"f_{bent}"
-        moves = pin.JointModelPZ() if link.slides else pin.JointModelRZ()
-        joint = model.addJoint(joint, moves, placement * turn, name)
-        model.appendBodyToJoint(joint, _pin_inertia(link.inertial_at_joint), pin.SE3.Identity())
-        placement = pin.SE3(*link.far_end)
-    model.armature[6:] = chain.arm.column("rotor_inertia")
-    placement = placement * pin.SE3(arm.tool_rotation, np.zeros(3))
-    tool = pin.Frame("tool", joint, placement, pin.FrameType.OP_FRAME)
-    model.addFrame(tool)
-    return model
+    if not base.carried:
+        return
+    assert base.body is not None
+    platform, inside = spec.body("platform"), np.array(base.body.inertia, float)
+    for i, part in enumerate(base.carried, start=1):
+        body = platform.add_body(name=f"carried_{i}")
+        kind = mujoco.mjtJoint.mjJNT_HINGE
+        if isinstance(part, Appendage):
+            set_inertial(body, regularised_inertial(part.body))
+            if part.joint == "slide":
+                kind = mujoco.mjtJoint.mjJNT_SLIDE
+            body.add_joint(
+                name=f"carried_{i}", type=kind, axis=list(part.axis), pos=list(part.point)
+            )
+            stiffness, damping = part.stiffness, part.damping
+        else:
+            rotor = _DISC * rotor_inertia(part) + (1 - _DISC) * _about(part)
+            inside -= rotor
+            moments = Inertial(mass=LEAST, com=(0.0, 0.0, 0.0), inertia=matrix(rotor))
+            set_inertial(body, moments)
+            body.add_joint(name=f"carried_{i}", type=kind, axis=list(part.axis))
+            stiffness, damping = 0.0, part.viscous
+        tendon = spec.add_tendon(name=f"carried_{i}")
+        tendon.wrap_joint(f"carried_{i}", 1.0)
+        tendon.springlength = [0.0, 0.0]
+        tendon.stiffness, tendon.damping = [stiffness, 0, 0], [damping, 0, 0]
+    set_inertial(spec.body("satellite"), replace(base.body, inertia=matrix(inside)))
 
 
-def _pin_inertia(inertial: Inertial) -> pinocchio.Inertia:
-    import pinocchio as pin
+def _about(wheel: ReactionWheel) -> Any:
+    axis = np.array(wheel.axis)
+    return wheel.inertia * np.outer(axis, axis)
 
-    return pin.Inertia(inertial.mass, np.array(inertial.com), np.array(inertial.inertia))
+
+def add_jets(spec: mujoco.MjSpec) -> None:
+    """Add six actuators, after the drives: force and moment in the platform's own axes."""
+    spec.body("platform").add_site(name="jets")
+    for i in range(6):
+        gear = [0.0] * 6
+        gear[i] = 1.0
+        spec.add_actuator(
+            name=f"jet_{i + 1}",
+            trntype=mujoco.mjtTrn.mjTRN_SITE,
+            target="jets",
+            gear=gear,
+            dyntype=mujoco.mjtDyn.mjDYN_INTEGRATOR,
+            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+            biastype=mujoco.mjtBias.mjBIAS_NONE,
+            gainprm=[1.0] + [0.0] * 9,
+        )

@@ -7,8 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 from ves_gym._util.params import Array, Index, Mask
 from ves_gym.engine.backends.kernel import KernelBackend
-from ves_gym.engine.kernel.blocks import aligned, fill, unlane
-from ves_gym.engine.kernel.compiled_function import CompiledFunction, Piece, Program
+from ves_gym.engine.kernel.compiled_function import (
+    CompiledFunction,
+    Piece,
+    Program,
+    aligned,
+    fill,
+    unlane,
+)
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.envs.compiled import Shape
 

@@ -18,8 +18,14 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.engine.kernel.blocks import aligned, fill, unlane
-from ves_gym.engine.kernel.compiled_function import CompiledFunction, Program, everywhere
+from ves_gym.engine.kernel.compiled_function import (
+    CompiledFunction,
+    Program,
+    aligned,
+    everywhere,
+    fill,
+    unlane,
+)
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.maps import inertia_function
 from ves_gym.engine.kernel.numbers import parameters

@@ -7,15 +7,15 @@ from ves_gym._util.lazy import lazily as _lazily
 if TYPE_CHECKING:
     from ves_gym.mechanics.arm_library import arm_names as arm_names
     from ves_gym.mechanics.arm_library import get_arm as get_arm
-    from ves_gym.mechanics.beam import Material as Material
-    from ves_gym.mechanics.beam import Section as Section
-    from ves_gym.mechanics.beam import Tube as Tube
     from ves_gym.mechanics.boom import Boom as Boom
     from ves_gym.mechanics.boom import BoomJoint as BoomJoint
     from ves_gym.mechanics.boom import BoomMember as BoomMember
     from ves_gym.mechanics.boom import get_boom as get_boom
     from ves_gym.mechanics.carried import Appendage as Appendage
     from ves_gym.mechanics.carried import ReactionWheel as ReactionWheel
+    from ves_gym.mechanics.finite_elements import Material as Material
+    from ves_gym.mechanics.finite_elements import Section as Section
+    from ves_gym.mechanics.finite_elements import Tube as Tube
     from ves_gym.mechanics.flexible_base import CornerBody as CornerBody
     from ves_gym.mechanics.flexible_base import FlexibleBase as FlexibleBase
     from ves_gym.mechanics.flexible_base import Polyline as Polyline
@@ -29,55 +29,17 @@ if TYPE_CHECKING:
     from ves_gym.mechanics.vehicle import BENT as BENT
     from ves_gym.mechanics.vehicle import BENT_THESIS as BENT_THESIS
 
-__all__ = [
-    "BENT",
-    "BENT_THESIS",
-    "Appendage",
-    "AttitudeControl",
-    "Boom",
-    "BoomJoint",
-    "BoomMember",
-    "CornerBody",
-    "FlexibleBase",
-    "GravityModel",
-    "Jet",
-    "Material",
-    "Polyline",
-    "ReactionWheel",
-    "Reduced",
-    "Section",
-    "Strut",
-    "Tube",
-    "arm_names",
-    "get_arm",
-    "get_boom",
-    "minimal_model",
-    "read_structure",
-]
-
-_HOMES = {
-    "Appendage": "carried",
-    "AttitudeControl": "pointing",
-    "Jet": "pointing",
-    "ReactionWheel": "carried",
-    "arm_names": "arm_library",
-    "get_arm": "arm_library",
-    "get_boom": "boom",
-    "BENT": "vehicle",
-    "BENT_THESIS": "vehicle",
-    "Boom": "boom",
-    "BoomJoint": "boom",
-    "BoomMember": "boom",
-    "CornerBody": "flexible_base",
-    "FlexibleBase": "flexible_base",
-    "GravityModel": "gravity",
-    "Material": "beam",
-    "Polyline": "flexible_base",
-    "Reduced": "flexible_base",
-    "Section": "beam",
-    "Strut": "flexible_base",
-    "Tube": "beam",
-    "minimal_model": "gravity",
-    "read_structure": "structure",
+_NAMES = {  # by module
+    "arm_library": ("arm_names", "get_arm"),
+    "boom": ("Boom", "BoomJoint", "BoomMember", "get_boom"),
+    "carried": ("Appendage", "ReactionWheel"),
+    "finite_elements": ("Material", "Section", "Tube"),
+    "flexible_base": ("CornerBody", "FlexibleBase", "Polyline", "Reduced", "Strut"),
+    "gravity": ("GravityModel", "minimal_model"),
+    "pointing": ("AttitudeControl", "Jet"),
+    "structure": ("read_structure",),
+    "vehicle": ("BENT", "BENT_THESIS"),
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names}
+__all__ = sorted(_HOMES)
 __getattr__, __dir__ = _lazily(__name__, _HOMES)

@@ -322,6 +322,17 @@ class Arm:
             return np.eye(3), np.zeros(3)
         return self.mount.rotation, np.array(self.mount.position)
 
+    @property
+    def placements(self) -> list[tuple[Array, Array]]:
+        """Each joint's frame at zero in the one before, and last the tool's: n + 1 rotations
+        (3, 3) and positions (3,) [m], the first in the platform-top frame."""
+        out = []
+        R, p = self.start
+        for link in self.links:
+            out.append((R @ turned_about(2, link.offset), p))
+            R, p = link.far_end
+        return [*out, (R @ self.tool_rotation, p)]
+
     @cached_property
     def bodies(self) -> LinkBodies:
         """Base link and links as arrays."""
@@ -361,14 +372,7 @@ class Arm:
         return tuple(i for i, link in enumerate(self.links) if link.slides)
 
     def require_turning(self, what: str) -> None:
-        """Refuse joints that slide.
-
-        Args:
-            what: it is that takes all joints for revolute.
-
-        Raises:
-            ParameterError: names the joints.
-        """
+        """Refuse joints that slide, by name; `what` it is that takes all for revolute."""
         if self.sliding:
             names = ", ".join(self.links[i].name or f"joint {i + 1}" for i in self.sliding)
             raise ParameterError(
@@ -383,14 +387,7 @@ class Arm:
         return sum(len(part or ()) for part in parts)
 
     def require_rigid(self, what: str) -> None:
-        """Refuse links that bend.
-
-        Args:
-            what: it is that takes links for rigid.
-
-        Raises:
-            ParameterError: names the arm, and what to do.
-        """
+        """Refuse links that bend; `what` it is that takes them for rigid."""
         if self.bends:
             raise ParameterError(
                 f"{what} takes links for rigid, got {self.name} with {self.bends} flexures: put"

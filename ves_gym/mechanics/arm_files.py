@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -13,15 +13,18 @@ import numpy as np
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.arm import Arm, Capsule, Inertial, turned_about
+from ves_gym.mechanics.arm import Arm, Capsule, Inertial
 from ves_gym.mechanics.arm_reader import ChainChoice, arm_of_tree
 from ves_gym.mechanics.attitude import from_matrix
 from ves_gym.mechanics.chain import angles_of
+from ves_gym.mechanics.dynamics import expand
 from ves_gym.mechanics.mjcf_arm import MjcfTree
 from ves_gym.mechanics.urdf import UrdfTree
 
 if TYPE_CHECKING:
     import pinocchio
+
+    from ves_gym.mechanics.base_model import BaseModel
 
 _LEAST = 1e-13  # kg, kg m^2: what MuJoCo takes of a body that moves
 
@@ -49,20 +52,6 @@ def _top(path: Path) -> str:
 def _joint_names(arm: Arm) -> list[str]:
     """Return the joints' names, numbers where they have none."""
     return [link.name or f"q_{i}" for i, link in enumerate(arm.links, start=1)]
-
-
-def _placements(arm: Arm) -> list[tuple[Array, Array]]:
-    """Return each joint's frame at zero in the one before, and last the tool's.
-
-    Returns:
-        n + 1 rotations (3, 3) and positions (3,) [m]; the first in the platform-top frame.
-    """
-    out = []
-    R, p = arm.start
-    for link in arm.links:
-        out.append((R @ turned_about(2, link.offset), p))
-        R, p = link.far_end
-    return [*out, (R @ arm.tool_rotation, p)]
 
 
 def _require_rigid(arm: Arm, what: str) -> None:
@@ -118,7 +107,7 @@ def urdf_text(arm: Arm) -> str:
         _urdf_link(robot, name, inertial, shape)
     SubElement(robot, "link", name="tool")
     joints = [*_joint_names(arm), "tool_joint"]
-    for i, (R, p) in enumerate(_placements(arm)):
+    for i, (R, p) in enumerate(arm.placements):
         moves = i < arm.n
         kind = "revolute" if moves else "fixed"
         if moves and arm.links[i].slides:
@@ -192,11 +181,7 @@ def _along(axis: Array) -> Array:
 
 
 def mjcf_text(arm: Arm) -> str:
-    """Return an arm as MJCF: a motor per joint, the tool a site, speeds as <numeric>.
-
-    Args:
-        arm: without gears.
-    """
+    """Return an arm without gears as MJCF: motors, the tool a site, speeds as <numeric>."""
     _require_rigid(arm, "Arm.to_mjcf")
     top = Element("mujoco", model=arm.name)
     SubElement(top, "compiler", angle="radian", autolimits="true")
@@ -206,7 +191,7 @@ def mjcf_text(arm: Arm) -> str:
     if arm.bandwidth is not None:
         SubElement(custom, "numeric", name="ves_bandwidth", data=_text([arm.bandwidth]))
     body = SubElement(SubElement(top, "worldbody"), "body", name="base")
-    names, bodies, places = _joint_names(arm), _bodies(arm), _placements(arm)
+    names, bodies, places = _joint_names(arm), _bodies(arm), arm.placements
     _mjcf_body(body, *bodies[0], moves=False)
     actuators = Element("actuator")
     for i, link in enumerate(arm.links):
@@ -272,28 +257,47 @@ def _mjcf_body(
 # -------------------------------------------------------------------------- Pinocchio
 
 
-def pinocchio_model(arm: Arm) -> pinocchio.Model:
-    """Return the arm on a base that stands still, its rotors as armature, no gravity set."""
-    require("Arm.to_pinocchio", "pinocchio")
-    if arm.bends:
-        raise ParameterError(
-            f"Arm.to_pinocchio takes links for rigid, got {arm.name} with {arm.bends} flexures:"
-            " engine.mjcf.pinocchio_model has them as joints"
-        )
+def pinocchio_model(arm: Arm, base: BaseModel | None = None) -> pinocchio.Model:
+    """Return the arm in Pinocchio, its rotors as armature; flexures are joints of their own.
+
+    On a base that stands still, gravity Pinocchio's; or without gravity on the base's six
+    joints, in MuJoCo's order. The constant M of a base is not a body: add it to the base block
+    of the inertia matrix in Y.
+
+    Args:
+        arm: the arm.
+        base: the vehicle; None: it stands still.
+
+    Raises:
+        MissingPackageError: Pinocchio is not installed.
+    """
+    require("Arm.to_pinocchio" if base is None else "pinocchio_model", "pinocchio")
     import pinocchio as pin
 
-    def inertia(inertial: Inertial) -> Any:
-        return pin.Inertia(inertial.mass, np.array(inertial.com), np.array(inertial.inertia))
+    def append(body: Inertial) -> None:
+        inertia = pin.Inertia(body.mass, np.array(body.com), np.array(body.inertia))
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
 
-    model = pin.Model()
+    model, joint, chain = pin.Model(), 0, expand(arm)
     model.name = arm.name
-    model.appendBodyToJoint(0, inertia(arm.base), pin.SE3.Identity())
-    joint, places = 0, [pin.SE3(R, p) for R, p in _placements(arm)]
-    for link, name, place in zip(arm.links, _joint_names(arm), places, strict=False):
+    if base is not None:
+        if base.carried:
+            raise ParameterError("a Pinocchio model has no wheels and appendages of the base")
+        model.gravity.linear[:] = 0.0
+        for name in ("x", "y", "z", "phi_z", "phi_y", "phi_x"):
+            kind = getattr(pin, f"JointModel{'R' if '_' in name else 'P'}{name[-1].upper()}")
+            joint = model.addJoint(joint, kind(), pin.SE3.Identity(), name)
+        if base.body is not None:
+            append(base.body)
+    append(chain.arm.base)
+    *places, tool = (pin.SE3(R, p) for R, p in chain.arm.placements)
+    names = dict(zip(chain.driven, _joint_names(arm), strict=True))
+    names |= {place: f"f_{k}" for k, place in enumerate(chain.passive, start=1)}
+    for i, (link, place) in enumerate(zip(chain.arm.links, places, strict=True)):
         limits = [np.array([k]) for k in (link.tau_max, link.v_max, link.q_min, link.q_max)]
         moves = pin.JointModelPZ() if link.slides else pin.JointModelRZ()
-        joint = model.addJoint(joint, moves, place, name, *limits)
-        model.appendBodyToJoint(joint, inertia(link.inertial_at_joint), pin.SE3.Identity())
-    model.armature[:] = arm.column("rotor_inertia")
-    model.addFrame(pin.Frame("tool", joint, places[-1], pin.FrameType.OP_FRAME))
+        joint = model.addJoint(joint, moves, place, names[i], *limits)
+        append(link.inertial_at_joint)
+    model.armature[model.nv - chain.arm.n :] = chain.arm.column("rotor_inertia")
+    model.addFrame(pin.Frame("tool", joint, tool, pin.FrameType.OP_FRAME))
     return model

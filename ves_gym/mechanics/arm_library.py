@@ -119,11 +119,7 @@ def get_arm(name: str | os.PathLike[str]) -> Arm:
 
 
 def arm_from(value: Any) -> Arm:
-    """Return an arm of a name, a file, plain data or an `Arm`.
-
-    Args:
-        value: one of these.
-    """
+    """Return an arm of a name, a file, plain data or an `Arm`."""
     if isinstance(value, Arm):
         return value
     if isinstance(value, (str, os.PathLike)):

@@ -30,11 +30,7 @@ _LOWER = np.tril_indices(4)
 
 
 def inertia_matrix(numbers: npt.ArrayLike) -> Array:
-    """Return (3, 3) inertia about the frame's origin [kg m^2].
-
-    Args:
-        numbers: (10,) in the order of `PARAMETERS`.
-    """
+    """Return (3, 3) inertia about the frame's origin of (10,) `PARAMETERS` [kg m^2]."""
     out = np.zeros((3, 3))
     for (i, j), value in zip(PLACES, np.asarray(numbers, float)[4:], strict=True):
         out[i, j] = out[j, i] = value
@@ -49,11 +45,7 @@ def numbers_of_body(body: Inertial) -> Array:
 
 
 def pseudo_inertia(numbers: npt.ArrayLike) -> Array:
-    """Return (4, 4) second moments of (x, y, z, 1) over the mass.
-
-    Args:
-        numbers: (10,) in the order of `PARAMETERS`.
-    """
+    """Return (4, 4) second moments of (x, y, z, 1) over the mass, of (10,) `PARAMETERS`."""
     x, about = np.asarray(numbers, float), inertia_matrix(numbers)
     out = np.empty((4, 4))
     out[:3, :3] = np.trace(about) / 2 * np.eye(3) - about

@@ -36,13 +36,12 @@ from ves_gym.mechanics.arm import (
     Link,
     Mount,
     diagonal,
-    matrix,
 )
-from ves_gym.mechanics.beam import Material, Section, Tube
 from ves_gym.mechanics.chain import Joint, LinkMass, Lump, angles_of, arm_of
 from ves_gym.mechanics.craig_bampton import reduce
+from ves_gym.mechanics.dynamics import expand
+from ves_gym.mechanics.finite_elements import Material, Section, Tube
 from ves_gym.mechanics.flexible_base import REACH, FlexibleBase, Reduced
-from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.kinematics import frames
 
 _SOFTEST = 1e-9  # of the flange's ways, in compliance over the largest: below it none
@@ -143,13 +142,8 @@ class Flange(NamedTuple):
 
 
 def _hinges_of(member: BoomMember, start: Array, inner: list[_Hinge]) -> list[_Hinge]:
-    """A member's joints and hinges at zero, each with the body up to the next.
-
-    Args:
-        member: that follows.
-        start: (3,) where it begins [m].
-        inner: of the members before; the last takes a body from a member without joints.
-    """
+    """A member's joints and hinges at zero, each with the body up to the next; `inner` are
+    those before, the last of which takes a body from a member without joints."""
     out = []
     for joint in member.joints:
         housing = Lump()
@@ -309,11 +303,7 @@ class Boom:
         )
 
     def reach(self, q: npt.ArrayLike) -> Flange:
-        """Return where the flange is at rest.
-
-        Args:
-            q: (joints,) [rad].
-        """
+        """Return where the flange is at rest, joints at q (joints,) [rad]."""
         return self._pose(q).flange
 
     @on_one_thread()
@@ -359,20 +349,10 @@ class Boom:
         M_z, K_z, D_z = ((k + k.T) / 2 for k in parts)
         reduction = reduce(M_z, K_z, np.arange(6), min(modes, p - 6), damping=D_z)
         moved = np.vstack([back @ _ways(events, at, n) for at, n in centreline]) @ T
+        at_rest = np.array([at - flange.position for at, _ in centreline]) @ back.T
+        line = at_rest, moved @ reduction.static, moved @ reduction.shapes
         return FlexibleBase(
-            structure=Reduced(
-                K=matrix(reduction.K),
-                M=matrix(reduction.M),
-                coupling=matrix(reduction.coupling),
-                omega=tuple(reduction.omega.tolist()),
-                damping=matrix(reduction.damping if reduction.damping is not None else D_z),
-                centreline=matrix(
-                    np.array([at - flange.position for at, _ in centreline]) @ back.T
-                ),
-                static=matrix(moved @ reduction.static),
-                shapes=matrix(moved @ reduction.shapes),
-                diameter=max(_diameter(member) for member in self.members),
-            ),
+            structure=Reduced.of(reduction, line, max(map(_diameter, self.members))),
             modes=reduction.m,
             fastest=fastest,
             source=f"{self.source}; joints on their brakes at"

@@ -57,11 +57,7 @@ class Reduction:
         return mass, stiffness
 
     def truncated(self, modes: int) -> Reduction:
-        """Return the reduction with its slowest modes only; the others become static.
-
-        Args:
-            modes: to keep; all where there are fewer.
-        """
+        """Return the reduction with its slowest modes only; the others become static."""
         m = min(modes, self.m)
         return replace(
             self,
@@ -128,11 +124,7 @@ class Reduction:
         )
 
     def turned(self, axes: Array) -> Reduction:
-        """Return the reduction with the interface in other axes.
-
-        Args:
-            axes: (3, 3) columns: the new x, y, z in the old axes.
-        """
+        """Return the reduction in other interface axes (3, 3), their x, y, z as columns."""
         turn = np.kron(np.eye(2), axes)  # new components -> old
         damping = self.damping
         if damping is not None:

@@ -7,7 +7,7 @@ kernel, its derivatives and its energies (`engine.kernel.trace`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -356,15 +356,3 @@ def form(matrix: Array, vector: Array) -> Array:
     """Return x^T A x."""
     out: Array = (vector * matvec(matrix, vector)).sum(axis=-1)
     return out
-
-
-def merged(bodies: Sequence[tuple[Any, Any, Any]]) -> tuple[Any, Any, Any]:
-    """Mass, centre of mass (3,) and inertia about it (3, 3) of bodies, each by the same."""
-    mass = sum(k[0] for k in bodies)
-    com = sum(k[0] * k[1] for k in bodies) / mass
-    inertia = 0.0
-    for share, centre, moments in bodies:
-        r = centre - com
-        square = (r * r).sum(axis=-1)
-        inertia = inertia + moments + share * (square * np.eye(3) - r[:, None] * r)
-    return mass, com, inertia

@@ -1,4 +1,4 @@
-"""Frames of straight members in space by finite elements: mass, stiffness, stress.
+"""Materials, cross sections, and frames of straight members by finite elements.
 
 Two-node elements whose shapes are exact under end loads: Timoshenko's with rotary inertia
 (Friedman and Kosmatka, Computers & Structures 47, 1993), Euler and Bernoulli's where the
@@ -8,135 +8,159 @@ Six freedoms a node, in the frame's axes: (x, y, z, phi_x, phi_y, phi_z), small.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import ClassVar
 
 import numpy as np
-import scipy
 
-from ves_gym._util.params import Array, ParameterError, finite
+from ves_gym._util.params import (
+    Array,
+    ParameterError,
+    Vector,
+    finite,
+    freeze_arrays,
+    require_positive,
+    unit,
+)
 from ves_gym.mechanics.arm import Inertial
-from ves_gym.mechanics.beam import Material, Section, Tube
 
 _GAUSS = np.polynomial.legendre.leggauss(4)  # exact to degree 7; the mass needs 6
 
 
-class Member(NamedTuple):
-    """A straight piece between two nodes of a frame."""
+@dataclass(frozen=True, kw_only=True)
+class Material:
+    """An isotropic elastic material."""
 
-    start: int
-    end: int
-    section: Section | Tube
-    material: Material
+    youngs_modulus: float = unit("Pa")
+    shear_modulus: float = unit("Pa")
+    density: float = unit("kg/m^3")
+    source: str
+
+    def __post_init__(self) -> None:
+        require_positive(self, "youngs_modulus", "shear_modulus", "density")
+
+    @property
+    def poisson(self) -> float:
+        """Poisson's ratio E / 2G - 1 [1]."""
+        return self.youngs_modulus / (2 * self.shear_modulus) - 1
+
+
+ALUMINIUM = Material(
+    youngs_modulus=72e9, shear_modulus=27e9, density=2.8e3, source="thesis App. A.2"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A cross section by its numbers, in principal axes; the member runs along local x.
+
+    `shear_y`, `shear_z`: share of the area that carries shear (Timoshenko); without them
+    the member does not shear (Euler-Bernoulli). `up`: direction near which local z lies.
+    """
+
+    kind: ClassVar[str] = "section"
+    area: float = unit("m^2")
+    second_y: float = unit("m^4")  # int z^2 dA: resists bending along z
+    second_z: float = unit("m^4")  # int y^2 dA: resists bending along y
+    torsion: float = unit("m^4")  # Saint-Venant's
+    shear_y: float | None = unit("1", default=None)
+    shear_z: float | None = unit("1", default=None)
+    fibre: float | None = unit("m", default=None)  # from the axis to the outermost fibre
+    up: Vector | None = unit("1", default=None)
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        require_positive(self, "area", "second_y", "second_z", "torsion")
+        for name in ("shear_y", "shear_z", "fibre"):
+            if getattr(self, name) is not None:
+                require_positive(self, name)
+        if (self.shear_y is None) != (self.shear_z is None):
+            raise ParameterError(
+                "Section needs both shear_y and shear_z or neither, got"
+                f" {self.shear_y} and {self.shear_z}"
+            )
+        if self.up is not None and not np.linalg.norm(finite(self.up, (3,), "Section.up")):
+            raise ParameterError("Section.up must not be zero")
+
+    def of(self, material: Material) -> Section:
+        """Return the section itself; a `Tube` becomes one with its material's shear."""
+        return self
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tube:
+    """A round tube. With `shear` it also shears (Timoshenko, Cowper's coefficient)."""
+
+    kind: ClassVar[str] = "tube"
+    outer_diameter: float = unit("m")
+    wall: float = unit("m")
+    shear: bool = False
+
+    def __post_init__(self) -> None:
+        require_positive(self, "outer_diameter", "wall")
+        if 2 * self.wall >= self.outer_diameter:
+            raise ParameterError(
+                f"Tube.wall must be < half the outer diameter {self.outer_diameter} m,"
+                f" got {self.wall} m"
+            )
+
+    def of(self, material: Material) -> Section:
+        """Return the section's numbers; the shear coefficient depends on Poisson's ratio."""
+        outer, inner = self.outer_diameter, self.outer_diameter - 2 * self.wall
+        second = np.pi / 64 * (outer**4 - inner**4)
+        share = cowper(inner / outer, material.poisson) if self.shear else None
+        return Section(
+            area=np.pi / 4 * (outer**2 - inner**2),
+            second_y=second,
+            second_z=second,
+            torsion=2 * second,
+            shear_y=share,
+            shear_z=share,
+            fibre=outer / 2,
+        )
+
+
+def cowper(ratio: float, poisson: float) -> float:
+    """Return the shear coefficient of a round tube [1] (Cowper, J. Appl. Mech. 33, 1966).
+
+    Args:
+        ratio: inner over outer diameter [1].
+        poisson: Poisson's ratio [1].
+    """
+    even, cross = (1 + ratio**2) ** 2, ratio**2
+    return 6 * (1 + poisson) * even / ((7 + 6 * poisson) * even + (20 + 12 * poisson) * cross)
 
 
 @dataclass(frozen=True)
 class BeamFrame:
-    """Nodes, straight members between them and rigid bodies at nodes."""
+    """Straight members one after the other, and rigid bodies at the nodes between them."""
 
     nodes: Array  # (k, 3) [m]
-    members: tuple[Member, ...]
+    members: tuple[tuple[Section | Tube, Material], ...]  # (k - 1) from each node to the next
     bodies: tuple[tuple[int, Inertial], ...] = ()  # node, mass properties about it
 
-    def __post_init__(self) -> None:
-        count = len(self.nodes)
-        finite(self.nodes, (count, 3), "BeamFrame.nodes")
-        ends = [node for member in self.members for node in member[:2]]
-        for node in ends + [node for node, _ in self.bodies]:
-            if not 0 <= node < count:
-                raise ParameterError(f"BeamFrame has nodes 0 to {count - 1}, got {node}")
-        for i, member in enumerate(self.members):
-            if np.array_equal(self.nodes[member.start], self.nodes[member.end]):
-                raise ParameterError(f"BeamFrame.members[{i}] has no length")
-
-    def divided(self, pieces: int) -> BeamFrame:
-        """Return the frame with each member cut into equal pieces; old nodes come first."""
-        nodes, members = list(self.nodes), []
-        for start, end, section, material in self.members:
-            cuts = np.linspace(self.nodes[start], self.nodes[end], pieces + 1)[1:-1]
-            chain = [start, *range(len(nodes), len(nodes) + len(cuts)), end]
-            nodes += list(cuts)
-            members += [Member(a, b, section, material) for a, b in itertools.pairwise(chain)]
-        return BeamFrame(np.array(nodes), tuple(members), self.bodies)
-
-    def matrices(self) -> tuple[Any, Any]:
-        """Return mass and stiffness over all freedoms, two sparse (6k, 6k), SI units."""
-        where, *blocks = self._blocks()
-        size = 6 * len(self.nodes)
-        rows = np.repeat(where, 12, axis=1).ravel()
-        columns = np.tile(where, (1, 12)).ravel()
-        out = []
-        for block in blocks:
-            total = scipy.sparse.coo_array(
-                (block.ravel(), (rows, columns)), shape=(size, size)
-            ).tocsc()
-            out.append((total + total.T) / 2)
-        return out[0], out[1]
-
-    def dense(self) -> tuple[Array, Array]:
-        """Return mass and stiffness over all freedoms, two (6k, 6k), SI units."""
-        where, *blocks = self._blocks()
-        out = np.zeros((2, 6 * len(self.nodes), 6 * len(self.nodes)))
-        for total, block in zip(out, blocks, strict=True):
-            np.add.at(total, (where[:, :, None], where[:, None, :]), block)
-        M, K = (out + out.swapaxes(-1, -2)) / 2
-        return M, K
-
-    def _blocks(self) -> tuple[Any, Array, Array]:
-        """Freedoms (e, 12), mass and stiffness (e, 12, 12) of members and bodies."""
-        where, mass, stiffness = [], [], []
-        for member in self.members:
-            turn = np.kron(np.eye(4), self.axes(member).T)  # frame's axes -> local
-            m, k = self._element(member)
-            where.append(_freedoms(member.start, member.end))
-            mass.append(turn.T @ m @ turn)
-            stiffness.append(turn.T @ k @ turn)
+    def matrices(self, rotary: bool = True) -> tuple[Array, Array]:
+        """Return mass and stiffness over all freedoms, two (6k, 6k), SI units; without `rotary`
+        sections that tilt have no inertia."""
+        M, K = np.zeros((2, 6 * len(self.nodes), 6 * len(self.nodes)))
+        for i in range(len(self.members)):
+            at, turn, mass, stiffness = self._element(i, rotary)
+            M[at, at] += turn.T @ mass @ turn
+            K[at, at] += turn.T @ stiffness @ turn
         for node, body in self.bodies:
-            where.append(_freedoms(node, node))
-            mass.append(_at_first(body.spatial()))
-            stiffness.append(np.zeros((12, 12)))
-        return np.array(where), np.array(mass), np.array(stiffness)
+            at = slice(6 * node, 6 * node + 6)
+            M[at, at] += body.spatial()
+        return (M + M.T) / 2, (K + K.T) / 2
 
-    def _element(self, member: Member) -> tuple[Array, Array]:
+    def _element(self, i: int, rotary: bool = True) -> tuple[slice, Array, Array, Array]:
+        """Freedoms of a member, (12, 12) frame's axes -> its own, mass and stiffness there."""
+        way, (section, material) = self.nodes[i + 1] - self.nodes[i], self.members[i]
+        length = float(np.linalg.norm(way))
+        turn = np.asarray(np.kron(np.eye(4), _axes(way / length, section).T), np.float64)
         # pieces of one member differ in length by rounding: they share one element
-        length = float(f"{self.length(member):.14g}")
-        return _shared(length, member.section, member.material)
-
-    def length(self, member: Member) -> float:
-        """Length of a member [m]."""
-        return float(np.linalg.norm(self.nodes[member.end] - self.nodes[member.start]))
-
-    def axes(self, member: Member) -> Array:
-        """(3, 3) local axes of a member as columns: along it, local y, local z."""
-        x = (self.nodes[member.end] - self.nodes[member.start]) / self.length(member)
-        up = getattr(member.section, "up", None)
-        # without a direction of its own, that of the axis which is least along the member
-        helper = np.eye(3)[int(np.abs(x).argmin())] if up is None else np.array(up, float)
-        y = np.cross(helper, x)
-        if np.linalg.norm(y) < 1e-9 * np.linalg.norm(helper):
-            raise ParameterError(f"Section.up must not lie along its member, got {up}")
-        y /= np.linalg.norm(y)
-        return np.stack([x, y, np.cross(x, y)], axis=1)
-
-    def end_loads(self, displacement: Array) -> Array:
-        """Return what each member's ends carry: forces and moments in its own axes.
-
-        Args:
-            displacement: (..., 6k) of all freedoms [m, rad].
-
-        Returns:
-            (..., members, 12): at start and end, on the member [N, N m].
-        """
-        out = np.zeros((*displacement.shape[:-1], len(self.members), 12))
-        for i, member in enumerate(self.members):
-            _, k = self._element(member)
-            turn = np.kron(np.eye(4), self.axes(member).T)
-            at = _freedoms(member.start, member.end)
-            out[..., i, :] = displacement[..., at] @ (k @ turn).T
-        return out
+        mass, stiffness = element(float(f"{length:.14g}"), section, material, rotary)
+        return slice(6 * i, 6 * i + 12), turn, mass, stiffness
 
     def stress(self, displacement: Array) -> Array:
         """Return the largest axial stress at each end of each member.
@@ -150,33 +174,45 @@ class BeamFrame:
         Returns:
             (..., members, 2) at start and end [Pa].
         """
-        loads = self.end_loads(displacement).reshape(*displacement.shape[:-1], -1, 2, 6)
-        out = np.zeros(loads.shape[:-1])
-        for i, member in enumerate(self.members):
-            s = member.section.of(member.material)
+        out = np.zeros((*displacement.shape[:-1], len(self.members), 2))
+        for i, (section, material) in enumerate(self.members):
+            s = section.of(material)
             if s.fibre is None:
                 raise ParameterError(f"Section.fibre of members[{i}] is needed for stress")
-            _, _, _, _, my, mz = np.moveaxis(loads[..., i, :, :], -1, 0)
-            bent = s.fibre * np.hypot(my / s.second_y, mz / s.second_z)
-            out[..., i, :] = np.abs(loads[..., i, :, 0]) / s.area + bent
+            at, turn, _, k = self._element(i)
+            loads = displacement[..., at] @ (k @ turn).T  # at both ends, in its own axes
+            for end in (0, 1):
+                pull, _, _, _, my, mz = np.moveaxis(loads[..., 6 * end : 6 * end + 6], -1, 0)
+                bent = s.fibre * np.hypot(my / s.second_y, mz / s.second_z)
+                out[..., i, end] = np.abs(pull) / s.area + bent
         return out
 
 
+def _axes(x: Array, section: Section | Tube) -> Array:
+    """(3, 3) local axes of a member as columns: along it (x), local y, local z."""
+    up = getattr(section, "up", None)
+    # without a direction of its own, that of the axis which is least along the member
+    helper = np.eye(3)[int(np.abs(x).argmin())] if up is None else np.array(up, float)
+    y = np.cross(helper, x)
+    if np.linalg.norm(y) < 1e-9 * np.linalg.norm(helper):
+        raise ParameterError(f"Section.up must not lie along its member, got {up}")
+    y /= np.linalg.norm(y)
+    return np.stack([x, y, np.cross(x, y)], axis=1)
+
+
 @lru_cache(maxsize=256)
-def _shared(length: float, section: Section | Tube, material: Material) -> tuple[Array, Array]:
-    m, k = element(length, section.of(material), material)
-    m.flags.writeable = k.flags.writeable = False
-    return m, k
-
-
-def element(length: float, section: Section, material: Material) -> tuple[Array, Array]:
-    """Return mass and stiffness of an element along local x, two (12, 12).
+def element(
+    length: float, section: Section | Tube, material: Material, rotary: bool = True
+) -> tuple[Array, Array]:
+    """Return mass and stiffness of an element along local x, two (12, 12), read-only.
 
     Args:
         length: of the element [m].
         section: its cross section.
         material: its material.
+        rotary: sections that tilt have inertia.
     """
+    section = section.of(material)
     E, G, rho = material.youngs_modulus, material.shear_modulus, material.density
     area, polar = section.area, section.second_y + section.second_z
     mass, stiffness = np.zeros((12, 12)), np.zeros((12, 12))
@@ -193,10 +229,11 @@ def element(length: float, section: Section, material: Material) -> tuple[Array,
     )
     for freedoms, signs, second, share in across:
         shear = 0.0 if share is None else 12 * E * second / (share * G * area * length**2)
-        m, k = _bending(length, shear, rho * area, rho * second)
+        m, k = _bending(length, shear, rho * area, rho * second * rotary)
         grid = np.ix_(freedoms, freedoms)
         mass[grid] += np.outer(signs, signs) * m
         stiffness[grid] += E * second * np.outer(signs, signs) * k
+    mass.flags.writeable = stiffness.flags.writeable = False
     return mass, stiffness
 
 
@@ -229,30 +266,3 @@ def _bending(length: float, shear: float, linear: float, rotary: float) -> tuple
         share = weight * L / 2 / stiffer**2
         mass += share * (linear * np.outer(way, way) + rotary * np.outer(slope, slope))
     return mass, stiffness
-
-
-def _freedoms(start: int, end: int) -> list[int]:
-    return [*range(6 * start, 6 * start + 6), *range(6 * end, 6 * end + 6)]
-
-
-def _at_first(block: Array) -> Array:
-    out = np.zeros((12, 12))
-    out[:6, :6] = block
-    return out
-
-
-def polyline(
-    segments: Sequence[Sequence[float]],
-    sections: Sequence[Section | Tube],
-    material: Material,
-) -> BeamFrame:
-    """Return a chain of members, its last end at the origin.
-
-    Args:
-        segments: (s, 3) vectors from the first node on [m].
-        sections: one for each segment.
-        material: of them all.
-    """
-    corners = np.vstack([np.zeros(3), np.cumsum(np.array(segments, float), axis=0)])
-    members = tuple(Member(i, i + 1, k, material) for i, k in enumerate(sections))
-    return BeamFrame(corners - corners[-1], members)

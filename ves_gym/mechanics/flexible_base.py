@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -21,19 +21,32 @@ from ves_gym._util.params import (
     Vector,
     finite,
     freeze_arrays,
+    require_choice,
     require_positive,
     symmetric,
     unit,
 )
 from ves_gym._util.threads import on_one_thread
-from ves_gym.mechanics.arm import Inertial
-from ves_gym.mechanics.base_model import BaseModel, InternalModes, Saved
-from ves_gym.mechanics.beam import ALUMINIUM, Beam, Material, Section, Tube
+from ves_gym.mechanics.arm import Inertial, matrix
+from ves_gym.mechanics.base_model import (
+    BaseModel,
+    InternalModes,
+    Saved,
+    elementwise_damping,
+)
 from ves_gym.mechanics.craig_bampton import Reduction, reduce
-from ves_gym.mechanics.finite_elements import BeamFrame, Member
+from ves_gym.mechanics.finite_elements import (
+    ALUMINIUM,
+    BeamFrame,
+    Material,
+    Section,
+    Tube,
+)
+from ves_gym.mechanics.modes import modal_damping
 
 ELEMENTS = 24  # of a member: eight modes to 1e-5 of their frequency (tests/mechanics)
 _ROUNDING = 1e-9
+_CLOSED = 0.01  # of a beam's length: a tip nearer to the clamp has no m L^2 about it
 REACH = 800.0  # rad/s: omega dt = 1 at a physics step of 1.25 ms
 
 
@@ -96,25 +109,108 @@ class Polyline:
         return out
 
     def frame(self, elements: int = ELEMENTS) -> BeamFrame:
-        """Return the finite-element model; corners are its first nodes.
+        """Return the finite-element model, nodes from clamp to flange; `elements` a member."""
+        corners = self.corners
+        cuts = [np.linspace(*k, elements + 1)[1:] for k in itertools.pairwise(corners)]
+        members = tuple((k.section, k.material) for k in self.members for _ in range(elements))
+        bodies = tuple((elements * k.corner, k.inertial) for k in self.bodies)
+        return BeamFrame(np.vstack([corners[:1], *cuts]), members, bodies)
 
-        Args:
-            elements: of each member.
-        """
-        members = tuple(
-            Member(i, i + 1, k.section, k.material) for i, k in enumerate(self.members)
-        )
-        bodies = tuple((k.corner, k.inertial) for k in self.bodies)
-        return BeamFrame(self.corners, members, bodies).divided(elements)
 
-    def path(self, elements: int = ELEMENTS) -> list[int]:
-        """Nodes of `frame` from clamp to flange."""
-        corners, inner = len(self.members) + 1, elements - 1
-        out = [0]
-        for i in range(len(self.members)):
-            first = corners + i * inner
-            out += [*range(first, first + inner), i + 1]
-        return out
+@dataclass(frozen=True, kw_only=True)
+class Beam(Saved):
+    """A clamped polyline of straight tubes; the arm rides on its free end.
+
+    Compliance: exact Euler-Bernoulli statics of the polyline (derived in
+    docs/physics.md; equal to the corrected thesis tables A.2 and A.4). Mass model
+    `thesis`: half the beam's mass at the tip, m_eq L^2 about each axis (App. A), the
+    vanishing entry floored at rho J L / 3. `consistent`: kinetic energy of the beam in
+    its static deflection shapes (Guyan condensation of the consistent mass).
+    """
+
+    kind: ClassVar[str] = "beam"
+    segments: Matrix = unit("m")  # vectors from clamp to tip, one per tube
+    outer_diameter: float = unit("m")
+    wall: float = unit("m")
+    material: Material = ALUMINIUM
+    mass_model: str = "thesis"
+    damping_model: str = "modal"
+    damping_ratio: float = unit("1", default=0.05)
+    source: str = "user"
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        require_positive(self, "outer_diameter", "wall")
+        require_positive(self, "damping_ratio", zero=True)
+        Tube(outer_diameter=self.outer_diameter, wall=self.wall)  # refuses too thick a wall
+        require_choice(self, "mass_model", ("thesis", "consistent"))
+        require_choice(self, "damping_model", ("modal", "elementwise"))
+        if not self.segments:
+            raise ParameterError("Beam.segments must hold at least one vector, got none")
+        for i, segment in enumerate(self.segments):
+            if np.linalg.norm(finite(segment, (3,), f"Beam.segments[{i}]")) == 0:
+                raise ParameterError(f"Beam.segments[{i}] must not have zero length")
+        reach = float(np.linalg.norm(self.nodes[0]))
+        if self.mass_model == "thesis" and reach < _CLOSED * self.length:
+            raise ParameterError(
+                f"Beam.mass_model thesis needs a tip apart from the clamp, got {reach:.3g} m on"
+                f" {self.length:.3g} m of beam: its m L^2 would vanish; consistent takes any"
+            )
+
+    @cached_property
+    def section(self) -> Section:
+        """The tubes' cross section; its torsion is their polar moment."""
+        tube = Tube(outer_diameter=self.outer_diameter, wall=self.wall)
+        return tube.of(self.material)
+
+    @property
+    def length(self) -> float:
+        """Sum of the tubes' lengths [m]."""
+        return sum(float(np.linalg.norm(s)) for s in self.segments)
+
+    @property
+    def mass(self) -> float:
+        """Mass of the whole beam [kg]."""
+        return self.section.area * self.length * self.material.density
+
+    @property
+    def nodes(self) -> Array:
+        """(s + 1, 3) corner points from clamp to tip, tip at the origin [m]."""
+        corners = np.vstack([np.zeros(3), np.cumsum(np.array(self.segments), axis=0)])
+        relative: Array = corners - corners[-1]
+        return relative
+
+    @cached_property
+    def _condensed(self) -> Reduction:
+        """K and Guyan's M of the beam's own freedoms on its tip, without rotary inertia."""
+        return _statics(Polyline.of(self), rotary=False)
+
+    def stiffness(self) -> Array:
+        """(6, 6) K at the tip."""
+        return self._condensed.K.copy()
+
+    def consistent_mass(self) -> Array:
+        """(6, 6) M of the beam moving in its static shapes under tip wrenches."""
+        return self._condensed.M.copy()
+
+    def thesis_mass(self) -> Array:
+        """(6, 6) M of App. A, from the vector clamp -> tip; zero entries floored."""
+        reach = -self.nodes[0]
+        half = self.mass / 2
+        lever = reach @ reach - reach**2
+        floor = np.zeros(3)
+        for segment in self.segments:
+            length = float(np.linalg.norm(segment))
+            axial = (np.array(segment) / length) ** 2
+            floor += self.material.density * self.section.torsion * length / 3 * axial
+        return np.diag([half] * 3 + np.maximum(half * lever, floor).tolist())
+
+    def base_model(self) -> BaseModel:
+        """M, D, K at the tip, where the arm stands."""
+        K = self.stiffness()
+        M = self.thesis_mass() if self.mass_model == "thesis" else self.consistent_mass()
+        damping = modal_damping if self.damping_model == "modal" else elementwise_damping
+        return BaseModel(M, damping(M, K, self.damping_ratio), K)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,7 +242,8 @@ class Reduced:
             raise ParameterError(
                 f"Reduced.omega must be > 0 rad/s and ascend, got {list(self.omega)}"
             )
-        condensed = np.linalg.eigvalsh(self._condensed())
+        P = np.array(self.coupling).reshape(6, m)
+        condensed = np.linalg.eigvalsh(np.array(self.M) - P @ P.T)
         if condensed[0] <= 0:
             raise ParameterError(
                 "Reduced.M - coupling coupling^T must be positive definite, got an eigenvalue"
@@ -160,10 +257,29 @@ class Reduced:
             finite(self.static, (3 * count, 6), "Reduced.static")
             finite(self.shapes, (3 * count, m), "Reduced.shapes")
 
-    def _condensed(self) -> Array:
-        P = np.array(self.coupling).reshape(6, -1)
-        condensed: Array = np.array(self.M) - P @ P.T
-        return condensed
+    @staticmethod
+    def of(
+        reduction: Reduction,
+        line: tuple[Array, Array, Array] | None = None,
+        diameter: float | None = None,
+    ) -> Reduced:
+        """Return the matrices of a reduction.
+
+        Args:
+            reduction: in SI units.
+            line: (k, 3) points to draw it by [m], their ways (3 k, 6) per Y, (3 k, m) per eta.
+            diameter: to draw it with [m].
+        """
+        drawn = zip(("centreline", "static", "shapes"), map(matrix, line or ()), strict=False)
+        return Reduced(
+            K=matrix(reduction.K),
+            M=matrix(reduction.M),
+            coupling=matrix(reduction.coupling),
+            omega=tuple(reduction.omega.tolist()),
+            damping=None if reduction.damping is None else matrix(reduction.damping),
+            diameter=diameter,
+            **dict(drawn),
+        )
 
     def reduction(self) -> Reduction:
         """Return the matrices as a reduction; its freedoms are those of the line."""
@@ -283,19 +399,27 @@ def _reduction(base: FlexibleBase) -> Reduction:
 
 
 def _polyline_reduction(polyline: Polyline, modes: int) -> Reduction:
-    flange = np.arange(6) + 6 * len(polyline.members)
-    M, K = polyline.frame().dense()
-    reduced = reduce(M, K, flange, modes, held=range(6))
-    # one element a member is exact in statics, and better conditioned
-    coarse = polyline.frame(1).dense()
-    stiffness = reduce(*coarse, flange, 0, held=range(6)).K
-    stiffness[np.abs(stiffness) < 1e-14 * np.abs(stiffness).max()] = 0.0  # as `Beam` has it
+    reduced = _on_the_flange(polyline.frame().matrices(), modes)
     # what symmetry makes zero is zero, not what rounding leaves of it
     # (a mode carries at most the mass along an axis)
     least = _ROUNDING * np.sqrt(np.diag(reduced.M))[:, None]
     coupling = np.where(np.abs(reduced.coupling) < least, 0.0, reduced.coupling)
     mass = _with_zeros(reduced.M, _ROUNDING)
-    return replace(reduced, K=stiffness, M=mass, coupling=coupling)
+    return replace(reduced, K=_statics(polyline).K, M=mass, coupling=coupling)
+
+
+def _statics(polyline: Polyline, rotary: bool = True) -> Reduction:
+    """Interface alone: one element a member is exact, and better conditioned than many."""
+    reduced = _on_the_flange(polyline.frame(1).matrices(rotary), 0)
+    # a symmetric structure has exact zeros; the solution leaves rounding there
+    small = np.abs(reduced.K) < 1e-14 * np.abs(reduced.K).max()
+    return replace(reduced, K=np.where(small, 0.0, reduced.K))
+
+
+def _on_the_flange(matrices: tuple[Array, Array], modes: int) -> Reduction:
+    """Clamped at the first node, its interface the last one."""
+    size = len(matrices[0])
+    return reduce(*matrices, np.arange(size - 6, size), modes, held=range(6))
 
 
 def _with_zeros(values: Array, least: float) -> Array:
@@ -331,28 +455,28 @@ def _centreline(base: FlexibleBase) -> Centreline | None:
         at_rest = np.array(base.structure.centreline)
         rows = np.arange(3 * len(at_rest)).reshape(-1, 3)
     else:
-        path = base.structure.path()
-        at_rest = base.structure.frame().nodes[path]
-        rows = 6 * np.array(path)[:, None] + np.arange(3)
+        at_rest = base.structure.frame().nodes
+        rows = np.arange(6 * len(at_rest)).reshape(-1, 6)[:, :3]
     return Centreline(at_rest, reduced.static[rows], reduced.shapes[rows])
 
 
-def bent_line(
-    base: FlexibleBase, y: Array, u: Array | None = None, points: int = 7
+def beam_line(
+    vehicle: object, y: Array, u: Array | None = None, points: int = 7
 ) -> Array | None:
-    """Return the bent centreline of a flexible base.
+    """Return the bent centreline of a beam or a flexible base.
 
     Args:
-        base: what carries the arm.
+        vehicle: what carries the arm.
         y: (N, 6) poses of its flange [m, rad].
         u: (N, m) internal modes [kg^(1/2) m]; None: they rest on the flange.
         points: of each member of a polyline, both ends included.
 
     Returns:
-        (N, k, 3) points [m], None of a model without a line to draw.
+        (N, k, 3) points [m], None of a vehicle without a line to draw.
     """
-    centreline = base.centreline()
-    if centreline is None:
+    base = FlexibleBase.of(vehicle, 0) if isinstance(vehicle, Beam) else vehicle
+    centreline = base.centreline() if isinstance(base, FlexibleBase) else None
+    if not isinstance(base, FlexibleBase) or centreline is None:
         return None
     at_rest, static, shapes = centreline
     if isinstance(base.structure, Polyline):

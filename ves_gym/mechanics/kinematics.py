@@ -89,13 +89,10 @@ def frames(arm: Mechanism, q: npt.ArrayLike) -> Frames:
 
 
 def _swings(joints: tuple[JointFrame, ...], q: Array) -> tuple[Array, Array]:
-    """What x and y of a frame are multiplied with, and y and x, to be the next one's.
+    """What x and y of a frame are multiplied with, and y and x, to be the next one's (n, 2).
 
     x' = c x + s y and y' = c y - s x, of the angles of the DH table; where alpha is a right
     angle the second is -sin(alpha) y', which is where z comes to lie.
-
-    Returns:
-        (..., n, 2) each.
     """
     offsets = [joint.offset for joint in joints]
     angles = q + np.array(offsets) if any(offsets) else q

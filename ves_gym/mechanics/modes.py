@@ -111,11 +111,8 @@ _TINY = 1e-300  # keeps 0 / 0 away where two axes are alike and uncoupled
 
 
 def inverted_root(M: Array) -> Array:
-    """Return L of M = L L^T, the inverse of each number on its diagonal.
-
-    Args:
-        M: (..., k, k) symmetric positive definite; its lower triangle is read.
-    """
+    """Return L of M = L L^T (..., k, k), the inverse of each number on its diagonal; M's lower
+    triangle is read."""
     L, k = 0 * M, M.shape[-1]
     for j in range(k):
         row = L[..., j, :j]

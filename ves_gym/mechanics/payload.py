@@ -25,6 +25,7 @@ from ves_gym._util.params import (
     unit,
 )
 from ves_gym.mechanics.arm import Arm, Inertial, Mount, matrix
+from ves_gym.mechanics.dynamics import merged
 
 FORMS = {"sphere": 1, "box": 3, "cylinder": 2, "capsule": 2}  # numbers of its size
 CARRIERS = ("payload", "base", "space")
@@ -133,14 +134,9 @@ def with_body(
         Mass, centre of mass and inertia in the first one's axes.
     """
     theirs = place + np.einsum("...ij,...j->...i", turn, other_com)
-    total = mass + other_mass
-    d = theirs - com
-    reduced = mass * other_mass / total
-    square = np.sum(d * d, axis=-1)[..., None, None] * np.eye(3)
-    spread = reduced[..., None, None] * (square - d[..., :, None] * d[..., None, :])
     turned = turn @ other_inertia @ np.swapaxes(turn, -1, -2)
     turned = (turned + np.swapaxes(turned, -1, -2)) / 2
-    return total, com + (other_mass / total)[..., None] * d, inertia + turned + spread
+    return merged([(mass, com, inertia), (other_mass, theirs, turned)])
 
 
 def angle_between(a: npt.ArrayLike, b: npt.ArrayLike) -> Array:

@@ -106,12 +106,7 @@ def shortest_way(arm: Arm, q: Array, place: Array, turn: Array) -> Array:
 
 
 def _within(arm: Arm, q: Array, way: Array) -> tuple[Array, Array]:
-    """Ways of the joints (..., 6), each this way round or the other, and their cost [s^2].
-
-    Args:
-        q: (..., 6) their angles now [rad].
-        way: (..., 6) to go, up to half a turn [rad].
-    """
+    """Ways (..., 6) from q, each this way round or the other, and their cost [s^2]."""
     low, high = arm.column("q_min") + _MARGIN, arm.column("q_max") - _MARGIN
     over = arm.column("v_max") ** -2
 
@@ -127,14 +122,8 @@ def _within(arm: Arm, q: Array, way: Array) -> tuple[Array, Array]:
 
 
 def _every(arm: Arm, shape: _Shape, place: Array, turn: Array) -> Iterator[_Turn]:
-    """Yield the eight configurations, angles (..., 6) of the DH table.
-
-    Args:
-        arm: of this shape.
-        shape: its.
-        place: (..., 3) of the tool in the platform-top frame [m].
-        turn: (..., 3, 3) of the tool there.
-    """
+    """Yield the eight configurations, angles (..., 6) of the DH table, with the tool at `place`
+    (..., 3) [m] and `turn` (..., 3, 3) in the platform-top frame."""
     links = arm.links
     ground, foot = arm.start
     # axes of the last link, and the point where the last three meet, in the first joint's

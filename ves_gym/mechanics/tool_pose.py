@@ -173,12 +173,7 @@ def _starts(arm: Arm, count: int) -> Array:
 
 
 def _distinct(q: Array, miss: Array) -> Array:
-    """Return those of q (k, n) that are at the pose and differ from each other.
-
-    Args:
-        q: (k, n) [rad].
-        miss: (k,) how far each is from the pose.
-    """
+    """Return those of q (k, n) whose miss (k,) is none and that differ from each other."""
     out: list[Array] = []
     for k in np.flatnonzero(miss <= CLOSE):
         if all(np.linalg.norm(q[k] - other) >= _DIFFERENT for other in out):

@@ -32,14 +32,14 @@ from ves_gym.mechanics.base_model import BaseModel as BaseModel
 from ves_gym.mechanics.base_model import InternalModes as InternalModes
 from ves_gym.mechanics.base_model import Oscillator as Oscillator
 from ves_gym.mechanics.base_model import Saved
-from ves_gym.mechanics.beam import ALUMINIUM as ALUMINIUM
-from ves_gym.mechanics.beam import Beam as Beam
-from ves_gym.mechanics.beam import Material as Material
 from ves_gym.mechanics.carried import Appendage as Appendage
 from ves_gym.mechanics.carried import Carried as Carried
 from ves_gym.mechanics.carried import ReactionWheel as ReactionWheel
+from ves_gym.mechanics.finite_elements import ALUMINIUM as ALUMINIUM
+from ves_gym.mechanics.finite_elements import Material as Material
+from ves_gym.mechanics.flexible_base import Beam as Beam
 from ves_gym.mechanics.flexible_base import FlexibleBase as FlexibleBase
-from ves_gym.mechanics.flexible_base import bent_line
+from ves_gym.mechanics.flexible_base import beam_line as beam_line
 from ves_gym.mechanics.pointing import AttitudeControl as AttitudeControl
 from ves_gym.mechanics.pointing import Jet as Jet
 
@@ -379,30 +379,3 @@ def get_vehicle(name: str | os.PathLike[str]) -> Vehicle:
         f"vehicle must be one of {', '.join(VEHICLES)}, or a .toml or .json file, got {text!r}"
         f"{did_you_mean(text, VEHICLES)}"
     )
-
-
-def beam_line(
-    vehicle: object, y: Array, u: Array | None = None, points: int = 7
-) -> Array | None:
-    """Return the bent centreline of a beam, None of a vehicle that is none.
-
-    Args:
-        y: (N, 6) base poses [m, rad].
-        u: (N, m) its internal modes [kg^(1/2) m]; None: they rest on its flange.
-        points: of each segment, both ends included.
-
-    Returns:
-        (N, k, 3) points [m].
-    """
-    if isinstance(vehicle, FlexibleBase):
-        return bent_line(vehicle, y, u, points)
-    if not isinstance(vehicle, Beam):
-        return None
-    nodes, K = vehicle.nodes, vehicle.stiffness()
-    points_along = [np.broadcast_to(nodes[0], (len(y), 3))]
-    for s, segment in enumerate(vehicle.segments):
-        length = float(np.linalg.norm(segment))
-        for x in np.linspace(0, length, points)[1:]:
-            shape = (vehicle.flexibility(s, float(x)) @ K)[:3]
-            points_along.append(nodes[s] + x / length * np.array(segment) + y @ shape.T)
-    return np.stack(points_along, axis=1)

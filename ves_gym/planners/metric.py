@@ -17,8 +17,7 @@ from scipy.stats import qmc
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.engine.kernel.blocks import aligned
-from ves_gym.engine.kernel.compiled_function import CompiledFunction, everywhere
+from ves_gym.engine.kernel.compiled_function import CompiledFunction, aligned, everywhere
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.numbers import parameters, structure
 from ves_gym.engine.kernel.symbolic import column, symbols, traced

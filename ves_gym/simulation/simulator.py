@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError
-from ves_gym.engine.backends.base import Backend
-from ves_gym.engine.backends.registry import make_backend
+from ves_gym.engine.backends.base import Backend, make_backend
 from ves_gym.hardware.admittance import Nonlinear
 from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo
 from ves_gym.mechanics.vehicle import has_jets

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ves_gym._util.params import Array, Index
-from ves_gym.engine.backends.base import ContactEngine
 from ves_gym.mechanics.attitude import conjugate, product, rotate
 from ves_gym.simulation.machines import ControlPeriod, Machines, Part
 from ves_gym.simulation.state import State
+
+if TYPE_CHECKING:
+    from ves_gym.engine.backends.mujoco_contact import ContactBatch
 
 
 class PayloadState(NamedTuple):
@@ -38,7 +40,7 @@ class ToolContact(Part):
         self.machines = machines
 
     @property
-    def engine(self) -> ContactEngine:
+    def engine(self) -> ContactBatch:
         """The engine's contact of now: another one once systems have been assigned."""
         contact = self.machines.backend.contact
         assert contact is not None

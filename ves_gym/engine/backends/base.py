@@ -1,13 +1,17 @@
-"""Engines that advance a batch of simulations of one System."""
+"""Engines that advance a batch of simulations of one System, and the engines by name."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Protocol
 
-from ves_gym._util.params import Array, Index, Mask
+from ves_gym._util.optional import require
+from ves_gym._util.params import Array, Index, Mask, ParameterError
+from ves_gym._util.suggest import did_you_mean
 
 if TYPE_CHECKING:
+    from ves_gym.engine.backends.mujoco_contact import ContactBatch
     from ves_gym.system.effect_rows import EffectRows
     from ves_gym.system.system import System
 
@@ -22,9 +26,9 @@ class Backend(Protocol):
     Arrays handed out are copies or read-only views; `z` stacks (Y, q), `zd` its rate.
     """
 
-    name: str  # as in `registry.BACKENDS`
+    name: str  # as in `BACKENDS`
     n: int
-    contact: ContactEngine | None  # of the tool, where the system and the engine have it
+    contact: ContactBatch | None  # of the tool, where the system and the engine have it
 
     def read(self) -> tuple[Array, Array, Array]:
         """Time (n,) [s], z (n, 6 + joints), zd (n, 6 + joints)."""
@@ -172,57 +176,49 @@ class Backend(Protocol):
         """Return to a state handed out by `get_state`."""
 
 
-class ContactEngine(Protocol):
-    """The body that the tool touches in n simulations. Poses in the engine's frame of space."""
-
-    def target(self, com: Array) -> tuple[Array, Array, Array, Array]:
-        """Place, attitude, velocity of the centre of mass and spin (own axes) of free bodies.
-
-        Args:
-            com: (n, 3) centres of mass in their own axes.
-        """
-
-    def set_target(
-        self, ids: Index, place: Array, turn: Array, velocity: Array, spin: Array, com: Array
-    ) -> None:
-        """Put free bodies there.
-
-        Args:
-            ids: (k,) which.
-            place, turn: (k, 3) [m], (k, 4) unit quaternions.
-            velocity, spin: (k, 3) of the centre of mass [m/s], in own axes [rad/s].
-            com: (k, 3) centres of mass in their own axes.
-        """
-
-    def set_frame(self, ids: Index, place: Array, turn: Array) -> None:
-        """Put shapes that are fixed in space where the engine's frame has them.
-
-        Args:
-            ids: (k,) which.
-            place, turn: (k, 3) [m], (k, 4) of the engine's frame in space.
-        """
-
-    def set_body(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
-        """Change mass properties of free bodies.
-
-        Args:
-            ids: (k,) which.
-            mass, com, inertia: (k,), (k, 3), (k, 3, 3) in their own axes.
-        """
-
-    def set_touching(self, ids: Index, touching: Mask) -> None:
-        """Let the shapes of simulations touch, or pass through each other.
-
-        Args:
-            ids: (k,) which.
-            touching: (k,) bool.
-        """
-
-    def measured(self) -> tuple[Array, Array]:
-        """Wrench on the tool (n, 6) about it, engine's axes, and energy stored (n,) [J].
-
-        At this instant, under the command of now.
-        """
-
-
 MEANINGLESS = 1e10  # m, rad and their rates; where MuJoCo, too, gives a state up
+
+
+BACKENDS = ("auto", "kernel", "mujoco", "gpu-kernel", "gpu-kernel-float32")
+
+
+def make_backend(name: str, system: System, n: int, threads: int) -> Backend:
+    """Build a backend by name; unknown names are an error that lists the known ones.
+
+    `auto` is the compiled kernel, MuJoCo where the system has contact, and MuJoCo with a
+    `BackendWarning` where a kernel cannot be compiled on this machine.
+
+    Raises:
+        ParameterError: unknown name, `kernel` where it cannot be compiled, or an engine that
+            has no contact for a system that has one.
+    """
+    if name not in BACKENDS:
+        raise ParameterError(
+            f"backend must be one of {', '.join(BACKENDS)}, got {name!r}"
+            f"{did_you_mean(name, BACKENDS)}"
+        )
+    if system.contact is not None:
+        if name not in ("auto", "mujoco"):
+            raise ParameterError(
+                f"backend {name} has no contact at the tool: use mujoco (or auto), or a system"
+                " without contact"
+            )
+        name = "mujoco"
+    if name not in ("auto", "kernel", "mujoco"):
+        require(f"backend {name}", "warp")
+        from ves_gym.engine.backends.gpu_kernel import KINDS
+
+        return next(kind for kind in KINDS.values() if kind.name == name)(system, n, threads)
+    if name != "mujoco":
+        try:
+            from ves_gym.engine.backends.kernel import KernelBackend
+
+            return KernelBackend(system, n, threads)
+        except (ImportError, RuntimeError, OSError) as error:
+            reason = f"the kernel cannot be compiled here ({type(error).__name__}: {error})"
+            if name == "kernel":
+                raise ParameterError(f"backend kernel: {reason}") from error
+            warnings.warn(f"{reason}; MuJoCo runs instead", BackendWarning, stacklevel=3)
+    from ves_gym.engine.backends.mujoco import MujocoBackend
+
+    return MujocoBackend(system, n, threads)

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from ves_gym._util.params import Array, Index, Mask
-from ves_gym.engine.backends.base import ContactEngine
 from ves_gym.engine.batch_parameters import ParameterRows, bodies_of
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.system.effect_rows import EffectRows
-from ves_gym.system.system import System
+from ves_gym.system.system import PRESCRIBED_INERTIA, System
+
+if TYPE_CHECKING:
+    from ves_gym.engine.backends.mujoco_contact import ContactBatch
 
 
 class CompiledBackend(ABC):
@@ -23,8 +25,10 @@ class CompiledBackend(ABC):
     vehicle) and the rates of both; see `trace.Equations`.
     """
 
-    contact: ContactEngine | None = None
+    contact: ContactBatch | None = None
     state_names: ClassVar[tuple[str, ...]]  # the arrays that a simulation's state lies in
+    _start: Array  # (n,) s
+    _ticks: Index  # (n,) physics steps since
     _fault: Mask
 
     def __init__(self, system: System, n: int) -> None:
@@ -53,13 +57,56 @@ class CompiledBackend(ABC):
 
     @abstractmethod
     def _set_parameter(self, at: int, ids: Index, values: Array) -> None:
-        """Set one parameter of some simulations.
+        """Set one parameter, by its place in `names`, of simulations (k,)."""
 
-        Args:
-            at: which, as in `names`.
-            ids: (k,) of the simulations.
-            values: (k,).
-        """
+    @abstractmethod
+    def _states(self) -> Array:
+        """(n, nx) a copy."""
+
+    @abstractmethod
+    def _put(self, ids: Index, columns: slice, values: Array) -> None:
+        """Write some columns of the states of simulations (k,)."""
+
+    def _put_both(self, ids: Index, first: int, at: Array, rate: Array) -> None:
+        """Write coordinates (k, c) from the first on, and their rates."""
+        for start, values in ((first, at), (self._order + first, rate)):
+            self._put(ids, slice(start, start + values.shape[1]), values)
+
+    def read(self) -> tuple[Array, Array, Array]:
+        """See `Backend`."""
+        x, size, order = self._states(), 6 + self.joints, self._order
+        time = self._start + self._ticks * self.dt
+        return time, x[:, :size], x[:, order : order + size]
+
+    def internal_state(self) -> tuple[Array, Array]:
+        """See `Backend`."""
+        x, first, order = self._states(), 6 + self.joints, self._order
+        return x[:, first:order], x[:, order + first :]
+
+    def set_gear_state(self, d: Array, rate: Array) -> None:
+        """See `Backend`."""
+        self._put_both(np.arange(self.n), 6 + self.joints, d, rate)
+
+    def set_carried(self, ids: Index, at: Array, rate: Array) -> None:
+        """See `Backend`."""
+        self._put_both(ids, 6 + self.joints + self._gears, at, rate)
+
+    def set_base(self, ids: Index, y: Array, yd: Array) -> None:
+        """See `Backend`."""
+        self._put_both(ids, 0, y, yd)
+
+    def set_rates(self, ids: Index, zd: Array, gears: Array) -> None:
+        """See `Backend`."""
+        rates = np.hstack([zd, gears])
+        self._put(ids, slice(self._order, self._order + rates.shape[1]), rates)
+
+    def _accelerations(self, observed: Array) -> tuple[Array, Array]:
+        """Drive torque and zdd (`Backend.evaluate`) from what is observed (n, ny)."""
+        size = 6 + self.joints
+        zdd, torque = observed[:, :size], observed[:, size : size + self.joints]
+        if self.prescribed:
+            torque = torque - PRESCRIBED_INERTIA * zdd[:, 6:]
+        return torque, zdd
 
     def states_of(self, ids: Index, z: Array, zd: Array) -> Array:
         """(k, nx) states: gears relaxed, oscillators at rest on the vehicle.

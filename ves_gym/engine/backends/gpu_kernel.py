@@ -18,7 +18,7 @@ from ves_gym.engine.backends.base import BackendWarning
 from ves_gym.engine.backends.compiled import CompiledBackend
 from ves_gym.engine.backends.kernel import stepper
 from ves_gym.engine.kernel.warp_code import launch, load_warp
-from ves_gym.system.system import PRESCRIBED_INERTIA, System
+from ves_gym.system.system import System
 
 
 class DeviceSimulations:
@@ -122,13 +122,13 @@ class GpuKernelBackend(CompiledBackend):
         """(np, n) of the simulations, as `names` says."""
         return self._p
 
-    @property
-    def _states_now(self) -> Array:
-        """(n, nx) a copy."""
+    def _states(self) -> Array:
         return np.array(self.simulations.x.numpy().T, np.float64)
 
-    def _put(self, states: Array) -> None:
-        self.simulations.x.assign(np.ascontiguousarray(states.T).astype(self.real))
+    def _put(self, ids: Index, columns: slice, values: Array) -> None:
+        x = self._states()
+        x[ids, columns] = values
+        self.simulations.x.assign(np.ascontiguousarray(x.T).astype(self.real))
 
     def _run(
         self, nodes: Array, steps: int, stride: int, ids: Index | None, record: bool = False
@@ -145,45 +145,13 @@ class GpuKernelBackend(CompiledBackend):
 
     # --------------------------------------------------------------- backend
 
-    def read(self) -> tuple[Array, Array, Array]:
-        x, size, order = self._states_now, 6 + self.joints, self._order
-        time = self._start + self._ticks * self.dt
-        return time, x[:, :size], x[:, order : order + size]
-
     def write(self, ids: Index, time: Array, z: Array, zd: Array) -> None:
-        x, fault = self._states_now, self.simulations.fault.numpy().copy()
-        x[ids], fault[ids] = self.states_of(ids, z, zd), 0
-        self._put(x)
+        self._put(ids, slice(None), self.states_of(ids, z, zd))
+        fault = self.simulations.fault.numpy().copy()
+        fault[ids] = 0
         self.simulations.fault.assign(fault)
         self._u[ids] = 0.0  # no acceleration of a platform either
         self._start[ids], self._ticks[ids] = time, 0
-
-    def set_gear_state(self, d: Array, rate: Array) -> None:
-        x, first, order = self._states_now, 6 + self.joints, self._order
-        x[:, first : first + self._gears] = d
-        x[:, order + first : order + first + self._gears] = rate
-        self._put(x)
-
-    def set_base(self, ids: Index, y: Array, yd: Array) -> None:
-        x, order = self._states_now, self._order
-        x[ids, :6], x[ids, order : order + 6] = y, yd
-        self._put(x)
-
-    def set_carried(self, ids: Index, at: Array, rate: Array) -> None:
-        x, first, order = self._states_now, 6 + self.joints + self._gears, self._order
-        last = first + self._carried
-        x[ids, first:last], x[ids, order + first : order + last] = at, rate
-        self._put(x)
-
-    def set_rates(self, ids: Index, zd: Array, gears: Array) -> None:
-        x, first, order = self._states_now, 6 + self.joints, self._order
-        x[ids, order : order + first] = zd
-        x[ids, order + first : order + first + gears.shape[1]] = gears
-        self._put(x)
-
-    def internal_state(self) -> tuple[Array, Array]:
-        x, first, order = self._states_now, 6 + self.joints, self._order
-        return x[:, first:order], x[:, order + first :]
 
     def _set_parameter(self, at: int, ids: Index, values: Array) -> None:
         self._p[at, ids] = values
@@ -229,12 +197,8 @@ class GpuKernelBackend(CompiledBackend):
 
     def evaluate(self, command: Array) -> tuple[Array, Array]:
         self._u[:, 6:] = command
-        outputs = self._run(self._u[:, None], 0, 1, None, record=True)[:, 0]
-        size = 6 + self.joints
-        zdd, torque = outputs[:, :size], outputs[:, size : size + self.joints]
-        if self.prescribed:
-            torque = torque - PRESCRIBED_INERTIA * zdd[:, 6:]
-        return torque, zdd
+        outputs = self._run(self._u[:, None], 0, 1, None, record=True)
+        return self._accelerations(outputs[:, 0])
 
     def faults(self) -> Mask:
         bad: Mask = self.simulations.fault.numpy() != 0
@@ -242,11 +206,11 @@ class GpuKernelBackend(CompiledBackend):
 
     def get_state(self) -> dict[str, Array]:
         fault = self.simulations.fault.numpy().copy()
-        return super().get_state() | {"x": self._states_now, "fault": fault}
+        return super().get_state() | {"x": self._states(), "fault": fault}
 
     def set_state(self, state: Mapping[str, Array]) -> None:
         super().set_state(state)
-        self._put(state["x"])
+        self._put(np.arange(self.n), slice(None), state["x"])
         self.simulations.fault.assign(state["fault"])
 
 

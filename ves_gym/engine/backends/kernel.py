@@ -17,12 +17,19 @@ import numpy as np
 from ves_gym._util.params import Array, Index
 from ves_gym.engine.backends.base import MEANINGLESS
 from ves_gym.engine.backends.compiled import CompiledBackend
-from ves_gym.engine.kernel.blocks import aligned, fill, lanes, unlane
-from ves_gym.engine.kernel.compiled_function import Piece, Program, Stepper
+from ves_gym.engine.kernel.compiled_function import (
+    Piece,
+    Program,
+    Stepper,
+    aligned,
+    fill,
+    lanes,
+    unlane,
+)
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.numbers import structure
 from ves_gym.engine.kernel.trace import equations
-from ves_gym.system.system import PRESCRIBED_INERTIA, System
+from ves_gym.system.system import System
 
 _SHORT = 64  # steps of a sequence whose memory is kept for the next
 _ALONE = 8  # blocks below which a second thread costs more than it brings
@@ -202,54 +209,25 @@ class KernelBackend(CompiledBackend):
 
     # --------------------------------------------------------------- backend
 
-    def read(self) -> tuple[Array, Array, Array]:
-        x = unlane(self._x, self.n)
-        size, order = 6 + self.joints, self._order
-        time = self._start + self._ticks * self.dt
-        return time, x[:, :size], x[:, order : order + size]
+    def _states(self) -> Array:
+        return unlane(self._x, self.n)
 
-    def set_gear_state(self, d: Array, rate: Array) -> None:
-        first, order = 6 + self.joints, self._order
-        fill(self._x[:, first : first + self._gears], d)
-        fill(self._x[:, order + first : order + first + self._gears], rate)
-
-    def set_base(self, ids: Index, y: Array, yd: Array) -> None:
-        at, lane, order = ids // LANES, ids % LANES, self._order
-        self._x[at, :6, lane], self._x[at, order : order + 6, lane] = y, yd
-
-    def set_carried(self, ids: Index, at: Array, rate: Array) -> None:
-        block, lane = ids // LANES, ids % LANES
-        first, order = 6 + self.joints + self._gears, self._order
-        last = first + self._carried
-        self._x[block, first:last, lane] = at
-        self._x[block, order + first : order + last, lane] = rate
-
-    def internal_state(self) -> tuple[Array, Array]:
-        x, first, order = unlane(self._x, self.n), 6 + self.joints, self._order
-        return x[:, first:order], x[:, order + first :]
+    def _put(self, ids: Index, columns: slice, values: Array) -> None:
+        self._x[ids // LANES, columns, ids % LANES] = values
 
     def write(self, ids: Index, time: Array, z: Array, zd: Array) -> None:
         self.begin(ids, self.states_of(ids, z, zd), time)
 
     def begin(self, ids: Index, x: Array, time: Array | float = 0.0) -> None:
         """Put simulations (k,) into states (k, nx) as `states_of` gives them."""
-        self._x[ids // LANES, :, ids % LANES] = x
+        self._put(ids, slice(None), x)
         self._u[ids // LANES, :, ids % LANES] = 0.0  # no acceleration of a platform either
         self._start[ids], self._ticks[ids], self._fault[ids] = time, 0, False
-
-    def set_rates(self, ids: Index, zd: Array, gears: Array) -> None:
-        first, order = 6 + self.joints, self._order
-        at = (ids // LANES, slice(None), ids % LANES)
-        x = self._x[at]
-        x[:, order : order + first] = zd
-        x[:, order + first : order + first + gears.shape[1]] = gears
-        self._x[at] = x
 
     def _set_parameter(self, at: int, ids: Index, values: Array) -> None:
         self._p[ids // LANES, at, ids % LANES] = values
 
     def _row(self, i: int) -> Array:
-        """Parameters of a simulation, in place."""
         return self._p[i // LANES, :, i % LANES]
 
     def step(
@@ -312,15 +290,10 @@ class KernelBackend(CompiledBackend):
         fill(self._u, inputs)
         out = aligned(self._blocks, self._ny, LANES)
         self._run(self.pieces(self._u, 1, 0, out), 0)
-        values, size = unlane(out, self.n), 6 + self.joints
-        zdd, torque = values[:, :size], values[:, size : size + self.joints]
-        if self.prescribed:
-            torque = torque - PRESCRIBED_INERTIA * zdd[:, 6:]
-        return torque, zdd
+        return self._accelerations(unlane(out, self.n))
 
     def get_state(self) -> dict[str, Array]:
-        lanes_of = {"x": unlane(self._x, self.n), "u": unlane(self._u, self.n)}
-        return super().get_state() | lanes_of
+        return super().get_state() | {"x": self._states(), "u": unlane(self._u, self.n)}
 
     def set_state(self, state: Mapping[str, Array]) -> None:
         super().set_state(state)

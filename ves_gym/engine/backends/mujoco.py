@@ -13,23 +13,20 @@ from ves_gym._util.mujoco_loader import mujoco  # before its submodules
 from mujoco.batch import MODEL_FIELDS, Batch
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError
-from ves_gym.engine.backends.base import ContactEngine
-from ves_gym.engine.backends.mujoco_contact import ContactBatch
+from ves_gym.engine.backends.mujoco_contact import ContactBatch, set_body
 from ves_gym.engine.batch_parameters import Laws, bodies_of
 from ves_gym.engine.mjcf import (
-    BASE_JOINTS,
-    LEAST,
     TO_Y,
+    add_carried,
     add_hidden,
+    add_jets,
     build_laboratory_spec,
     build_spec,
     places,
 )
-from ves_gym.engine.mjcf_carried import add_carried, add_jets
 from ves_gym.engine.mjcf_contact import add_contact
-from ves_gym.mechanics.attitude import from_matrix
 from ves_gym.mechanics.gravity import GRAVITY
-from ves_gym.mechanics.vehicle import BaseModel, ReactionWheel, has_jets
+from ves_gym.mechanics.vehicle import ReactionWheel, has_jets
 from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
@@ -59,8 +56,7 @@ def model_spec(system: System, full: bool = False, acting: bool = False) -> mujo
 
     Args:
         system: what to simulate.
-        full: M, D and K as six tendons each, all on all six axes, whatever their numbers are,
-            so that every model of one structure has one layout.
+        full: one layout for every model of one structure, see `build_spec`.
         acting: with actuators for the jets of a satellite, and with what the tool touches.
     """
     if system.mode == "emulated":
@@ -72,17 +68,15 @@ def model_spec(system: System, full: bool = False, acting: bool = False) -> mujo
             physics_dt=system.physics_dt,
         )
     else:
-        base, zero = system.base, np.zeros((6, 6))
         spec = build_spec(
             system.arm,
-            BaseModel(zero, zero, zero, base.body) if full else base,
+            system.base,
             gravity=(0.0, 0.0, 0.0),
             integrator=system.integrator,
             physics_dt=system.physics_dt,
+            whole=full,
         )
-        if full:
-            _add_whole_tendons(spec, base)
-        add_carried(spec, base)
+        add_carried(spec, system.base)
         if acting and has_jets(system.vehicle):
             add_jets(spec)
     add_hidden(spec, system.arm, system.base if system.mode == "ideal" else None)
@@ -95,20 +89,6 @@ def model_spec(system: System, full: bool = False, acting: bool = False) -> mujo
     if acting and system.contact is not None:
         add_contact(spec, system.arm, system.contact, system.payload)
     return spec
-
-
-def _add_whole_tendons(spec: mujoco.MjSpec, base: BaseModel) -> None:
-    """M, D, K as in `model.build_spec`, with the vanishing eigenvalues and weights."""
-    for what, values in (("armature", base.M), ("damping", base.D), ("stiffness", base.K)):
-        eigenvalues, vectors = np.linalg.eigh(values)
-        least = 1e-15 * np.abs(values).max()
-        for k in range(6):
-            tendon = spec.add_tendon(name=f"{what}_{k + 1}")
-            for i, name in enumerate(BASE_JOINTS):
-                tendon.wrap_joint(name, float(vectors[TO_Y[i], k]))
-            tendon.springlength = [0.0, 0.0]
-            value = float(eigenvalues[k]) if eigenvalues[k] > least else 0.0
-            setattr(tendon, what, value if what == "armature" else [value, 0.0, 0.0])
 
 
 def _changes(reference: mujoco.MjModel, model: mujoco.MjModel, which: str) -> dict[str, Any]:
@@ -176,9 +156,7 @@ class MujocoBackend:
         self._bias: Array | None = None
         self._sensed = self.batch.bind("sensordata") if emulated else None
         contact = self.system.contact
-        self.contact: ContactEngine | None = None
-        if contact is not None:
-            self.contact = ContactBatch(contact, model, self.batch)
+        self.contact = None if contact is None else ContactBatch(contact, model, self.batch)
 
     def read(self) -> tuple[Array, Array, Array]:
         return self._time.copy(), self._qpos[:, self._order], self._qvel[:, self._order]
@@ -202,18 +180,9 @@ class MujocoBackend:
     def set_last_link(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
         last = self.model.body(f"link_{self.joints}").id
         turn, place = self.system.arm.links[-1].far_end  # the engine's frame is at the joint
-        moments, axes = np.linalg.eigh(turn @ inertia @ turn.T)
-        axes = axes * np.where(np.linalg.det(axes) < 0, -1.0, 1.0)[:, None, None]
         gained = mass - self.batch.expand("body_mass")[ids, last]
-        values = {
-            "body_mass": mass,
-            "body_ipos": place + com @ turn.T,
-            "body_iquat": from_matrix(axes),
-            "body_inertia": np.maximum(moments, LEAST),
-            "body_sameframe": np.zeros(len(ids)),  # its axes are no longer the body's
-        }
-        for name, numbers in values.items():
-            self.batch.expand(name)[ids, last] = numbers
+        moments = turn @ inertia @ turn.T
+        set_body(self.batch, ids, last, mass, place + com @ turn.T, moments)
         above = last
         while above:  # and what stands on the bodies below it
             self.batch.expand("body_subtreemass")[ids, above] += gained

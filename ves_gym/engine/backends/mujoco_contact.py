@@ -21,7 +21,7 @@ _APART = -1e6  # m, margin of pairs that shall not touch
 
 
 class ContactBatch:
-    """See `ContactEngine`. Poses are in the engine's frame of space.
+    """The body that the tool touches in n simulations. Poses in the engine's frame of space.
 
     Args:
         contact: law and shapes.
@@ -39,11 +39,7 @@ class ContactBatch:
         self._data = slice(first, first + int(model.sensor("contact").dim[0]))
 
     def target(self, com: Array) -> tuple[Array, Array, Array, Array]:
-        """Place, attitude, velocity of the centre of mass and spin (own axes) of free bodies.
-
-        Args:
-            com: (n, 3) centres of mass in their own axes.
-        """
+        """Place, attitude, velocity of the centre of mass, spin; it and `com` in own axes."""
         place, turn = self._qpos[:, -7:-4].copy(), self._qpos[:, -4:].copy()
         velocity, spin = self._qvel[:, -6:-3], self._qvel[:, -3:].copy()
         return place, turn, velocity + rotate(turn, np.cross(spin, com)), spin
@@ -82,18 +78,7 @@ class ContactBatch:
             ids: (k,) which.
             mass, com, inertia: (k,), (k, 3), (k, 3, 3) in their own axes.
         """
-        body = self.model.body(TARGET).id
-        moments, axes = np.linalg.eigh(inertia)
-        axes = axes * np.where(np.linalg.det(axes) < 0, -1.0, 1.0)[:, None, None]
-        values = {
-            "body_mass": mass,
-            "body_ipos": com,
-            "body_iquat": from_matrix(axes),
-            "body_inertia": np.maximum(moments, LEAST),
-            "body_sameframe": np.zeros(len(ids)),
-        }
-        for name, numbers in values.items():
-            self.batch.expand(name)[ids, body] = numbers
+        set_body(self.batch, ids, self.model.body(TARGET).id, mass, com, inertia)
 
     def set_touching(self, ids: Index, touching: Mask) -> None:
         """Let the shapes of simulations touch, or pass through each other.
@@ -114,3 +99,27 @@ class ContactBatch:
         points: Any = self._sensed[:, self._data].reshape(self.batch.nsim, -1, FIELDS)
         wrench = net_wrench(points, self._tool[:, self._site])
         return wrench, spring_energy(points, self.contact.stiffness)
+
+
+def set_body(
+    batch: Batch, ids: Index, body: int, mass: Array, com: Array, inertia: Array
+) -> None:
+    """Change mass properties of a body in simulations (k,).
+
+    Args:
+        batch: the simulations.
+        ids: (k,) which.
+        body: its number in the model.
+        mass, com, inertia: (k,), (k, 3), (k, 3, 3) in the body's frame.
+    """
+    moments, axes = np.linalg.eigh(inertia)
+    axes = axes * np.where(np.linalg.det(axes) < 0, -1.0, 1.0)[:, None, None]
+    values = {
+        "body_mass": mass,
+        "body_ipos": com,
+        "body_iquat": from_matrix(axes),
+        "body_inertia": np.maximum(moments, LEAST),
+        "body_sameframe": np.zeros(len(ids)),  # its axes are no longer the body's
+    }
+    for name, numbers in values.items():
+        batch.expand(name)[ids, body] = numbers

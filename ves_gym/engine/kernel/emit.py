@@ -11,6 +11,7 @@ import math
 import struct
 import sys
 from collections.abc import Callable
+from functools import partialmethod
 from typing import TYPE_CHECKING
 
 from ves_gym._util.params import ParameterError
@@ -87,17 +88,10 @@ class FunctionBody:
     def op(self, kind: str, a: str, b: str) -> str:
         return self.put(f"{kind} contract {_V} {a}, {b}")
 
-    def add(self, a: str, b: str) -> str:
-        return self.op("fadd", a, b)
-
-    def sub(self, a: str, b: str) -> str:
-        return self.op("fsub", a, b)
-
-    def mul(self, a: str, b: str) -> str:
-        return self.op("fmul", a, b)
-
-    def div(self, a: str, b: str) -> str:
-        return self.op("fdiv", a, b)
+    add = partialmethod(op, "fadd")
+    sub = partialmethod(op, "fsub")
+    mul = partialmethod(op, "fmul")
+    div = partialmethod(op, "fdiv")
 
     def fma(self, a: str, b: str, c: str) -> str:
         return self.put(f"call {_V} @llvm.fma.v{LANES}f64({_V} {a}, {_V} {b}, {_V} {c})")
@@ -373,12 +367,7 @@ def _word(i: int, name: str) -> list[str]:
 
 
 def _rows_of(pointer: str, rows: str) -> list[str]:
-    """Lines that find a block's rows of lanes, `%xb` of a pointer `%x`.
-
-    Args:
-        pointer: its name.
-        rows: of a block.
-    """
+    """Lines that find a block's rows of lanes, `%xb` of a pointer `%x`."""
     return [
         f"  %{pointer}row = mul i64 %b, {rows}",
         f"  %{pointer}b = getelementptr {_V}, ptr %{pointer}, i64 %{pointer}row",

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
 from ves_gym.engine.kernel.numbers import geometry, parameters, structure
-from ves_gym.engine.kernel.trace import coupling, inertia_matrix
+from ves_gym.engine.kernel.trace import coupling, inertia_matrix, regressor
 from ves_gym.mechanics.arm import Arm, Chain, LinkBodies
 from ves_gym.mechanics.dynamics import newton_euler
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench, minimal_model
@@ -124,3 +124,65 @@ def points(*parts: tuple[npt.ArrayLike, int, str]) -> Array:
         raise ParameterError(f"leading axes must broadcast, got {got}") from None
     wide = [np.broadcast_to(k, (*batch, k.shape[-1])) for k in arrays]
     return np.concatenate(wide, axis=-1)
+
+
+# -------------------------------- inverse dynamics as a matrix times the inertial numbers
+#
+# It is linear in mass, first moment and inertia about the frame of each body, so the derivative
+# of the traced Newton-Euler equations is the regressor. `mechanics/gravity.py` keeps the fewest
+# combinations of these numbers that the weight shows.
+
+
+def inertial_parameters(arm: Arm) -> Array:
+    """(10 (n + 1) + n,) numbers that `inertia_regressor` multiplies.
+
+    Base first, of each body m [kg], m c (3) [kg m] and its inertia about the origin of its
+    frame xx, xy, yy, xz, yz, zz [kg m^2] (Pinocchio's order); then the rotor inertias.
+    """
+    from ves_gym.mechanics.body_numbers import numbers_of_body  # which a diagnosis needs
+
+    bodies = (arm.base, *(link.inertial for link in arm.links))
+    return np.concatenate([*map(numbers_of_body, bodies), arm.column("rotor_inertia")])
+
+
+def inertia_regressor(
+    arm: Arm,
+    q: npt.ArrayLike,
+    v: npt.ArrayLike,
+    a: npt.ArrayLike,
+    *,
+    spin: npt.ArrayLike = 0.0,
+    turn: npt.ArrayLike = 0.0,
+    accel: npt.ArrayLike = 0.0,
+) -> Array:
+    """Inverse dynamics on a moving base, per inertial number of the arm.
+
+    Args:
+        q, v, a: (..., n) joint angles [rad], rates [rad/s], accelerations [rad/s^2].
+        spin, turn: (..., 3) angular velocity and acceleration of the base, platform axes.
+        accel: (..., 3) acceleration of its origin less that of free fall, platform axes.
+
+    Returns:
+        (..., 6 + n, 10 (n + 1) + n): times `inertial_parameters` it is the wrench that the
+        arm exerts on its base at the platform-top origin [N, N m] and the joint torques
+        [N m], as in `dynamics.inverse_dynamics`. Leading axes broadcast.
+
+    Raises:
+        ParameterError: wrong shapes, or numbers that are not finite.
+    """
+    n = arm.n
+    at = points(
+        (q, n, "q"),
+        (v, n, "v"),
+        (a, n, "a"),
+        (spin, 3, "spin"),
+        (turn, 3, "turn"),
+        (accel, 3, "accel"),
+    )
+    jacobian = _regressor(arm)(at).reshape(*at.shape[:-1], 10 * (n + 1) + n, 6 + n)
+    return np.swapaxes(jacobian, -1, -2)
+
+
+@lru_cache(maxsize=16)
+def _regressor(arm: Arm) -> CompiledFunction:
+    return CompiledFunction(f"regressor {geometry(arm)}", partial(regressor, arm))

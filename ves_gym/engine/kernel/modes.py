@@ -8,8 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.engine.kernel.blocks import aligned, fill, unlane
-from ves_gym.engine.kernel.compiled_function import CompiledFunction, Program, everywhere
+from ves_gym.engine.kernel.compiled_function import (
+    CompiledFunction,
+    Program,
+    aligned,
+    everywhere,
+    fill,
+    unlane,
+)
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.symbolic import column, symbols
 from ves_gym.mechanics.modes import jacobi_sweep, natural_modes, reduced

@@ -20,8 +20,8 @@ from ves_gym._util.params import Array
 from ves_gym.engine.kernel.symbolic import Traced, column, expressions, symbols, traced
 from ves_gym.mechanics.arm import STILL, Chain, JointFrame, LinkBodies
 from ves_gym.mechanics.carried import ReactionWheel
-from ves_gym.mechanics.equations import InnerModes, Model, Springs, merged
-from ves_gym.mechanics.flexure import expand
+from ves_gym.mechanics.dynamics import expand, merged
+from ves_gym.mechanics.equations import InnerModes, Model, Springs
 from ves_gym.mechanics.vehicle import has_jets
 from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.system import PRESCRIBED_INERTIA
@@ -235,18 +235,10 @@ class _Joints:
         return Chain(tuple(self.joints), self.start, numbers)
 
     def unfolded(self, geared: set[int]) -> tuple[Chain, list[int], list[int]]:
-        """The chain with a joint for each gear, after its rotor.
-
-        Args:
-            geared: those of the n joints that have one.
-
-        Returns:
-            The chain, places of the n joints in it, and of the springs: gears, then flexures.
-        """
-        nothing = (np.zeros(()), np.zeros(3), np.zeros((3, 3)))
-        joints: list[JointFrame] = []
-        links: list[Body] = []
-        rotors: list[Array] = []
+        """The chain with a joint for each gear, after its rotor; places of the n joints, and
+        of the springs: gears, then flexures."""
+        nothing, still = (np.zeros(()), np.zeros(3), np.zeros((3, 3))), np.zeros(())
+        rows: list[tuple[JointFrame, Body, Array]] = []
         driven: list[int] = []
         gears: list[int] = []
         flexures: list[int] = []
@@ -254,19 +246,16 @@ class _Joints:
             zip(self.joints, self.links, self.rotors, strict=True)
         ):
             if place not in self.driven:
-                flexures.append(len(joints))
+                flexures.append(len(rows))
+            elif len(driven) in geared:
+                driven.append(len(rows))
+                gears.append(len(rows) + 1)
+                rows.append((STILL, nothing, rotor))
+                rotor = still
             else:
-                i = len(driven)
-                driven.append(len(joints))
-                if i in geared:
-                    joints.append(STILL)
-                    links.append(nothing)
-                    rotors.append(rotor)
-                    gears.append(len(joints))
-                    rotor = np.zeros(())
-            joints.append(joint)
-            links.append(link)
-            rotors.append(rotor)
+                driven.append(len(rows))
+            rows.append((joint, link, rotor))
+        joints, links, rotors = zip(*rows, strict=True)
         expanded = replace(self, joints=joints, links=links, rotors=rotors)
         return expanded.chain(), driven, [*gears, *flexures]
 

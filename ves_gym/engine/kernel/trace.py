@@ -227,20 +227,15 @@ def linearisation(system: System) -> casadi.Function:
     return ca.Function("linearisation", [point, b.p], [ca.cse(ca.densify(out))])
 
 
-def regressor(arm: Arm, moving: bool) -> casadi.Function:
+def regressor(arm: Arm) -> casadi.Function:
     """Trace wrench on the base and joint torques per inertial parameter, column after column.
 
-    Moving: at (q, v, a, spin, turn, accel) as in `newton_euler`, by ten numbers a body (m, m c,
-    inertia about its frame xx xy yy xz yz zz) and the rotor inertias. Otherwise at (q, free
-    fall), by the four of a body that weigh.
+    At (q, v, a, spin, turn, accel) as in `newton_euler`, by ten numbers a body (m, m c, inertia
+    about its frame xx xy yy xz yz zz) and the rotor inertias.
 
     The balance is linear in these numbers. It is differentiated by (m, c, I_c) at unit masses
     in the origins of their frames, which is the same: m c = c there, and what moves I_c to the
     frame is of second order in c.
-
-    Args:
-        arm: lengths and angles.
-        moving: see above.
     """
     import casadi as ca
 
@@ -249,19 +244,12 @@ def regressor(arm: Arm, moving: bool) -> casadi.Function:
     square = bodies[:, [[4, 5, 7], [5, 6, 8], [7, 8, 9]]]
     masses = LinkBodies(bodies[:, 0], bodies[:, 1:4], square, rotors)
     chain = Chain(arm.joints, arm.start, masses)
-    x = symbols("x", (3 * n + 9 if moving else n + 3,))
-    if moving:
-        q, v, a = x[: 3 * n].reshape(3, n)
-        spin, turn, accel = x[3 * n :].reshape(3, 3)
-        torque, wrench = newton_euler(chain, q, v, a, spin=spin, turn=turn, accel=accel)
-    else:
-        still = np.zeros(n)
-        torque, wrench = newton_euler(chain, x[:n], still, still, accel=-x[n:])
-    every = column(bodies, rotors)
-    unknowns = every if moving else column(bodies[:, :4])
-    load = column(-wrench, torque)
+    x = symbols("x", (3 * n + 9,))
+    (q, v, a), (spin, turn, accel) = x[: 3 * n].reshape(3, n), x[3 * n :].reshape(3, 3)
+    torque, wrench = newton_euler(chain, q, v, a, spin=spin, turn=turn, accel=accel)
+    every, load = column(bodies, rotors), column(-wrench, torque)
     unit = ca.vertcat(*[1.0, *[0.0] * 9] * (n + 1), ca.SX.zeros(n))
-    slope = ca.substitute(ca.jacobian(load, unknowns), every, unit)
+    slope = ca.substitute(ca.jacobian(load, every), every, unit)
     return ca.Function("regressor", [column(x)], [ca.cse(ca.densify(ca.vec(slope)))])
 
 

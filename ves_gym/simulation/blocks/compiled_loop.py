@@ -13,8 +13,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ves_gym._util.params import Array, Index, Rows
-from ves_gym.engine.kernel.blocks import aligned, fill, put_rows, unlane
-from ves_gym.engine.kernel.compiled_function import CompiledFunction, Piece, Program
+from ves_gym.engine.kernel.compiled_function import (
+    CompiledFunction,
+    Piece,
+    Program,
+    aligned,
+    fill,
+    put_rows,
+    unlane,
+)
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.symbolic import column, symbols, traced
 from ves_gym.simulation.blocks.block import Block
