@@ -15,7 +15,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym.engine.backends.base import BackendWarning
 from ves_gym.engine.backends.kernel import stepper
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
-from ves_gym.engine.kernel.scalar import literal, statements
+from ves_gym.engine.kernel.scalar import statements
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
@@ -59,16 +59,6 @@ def test_operations_are_those_of_numpy():
         np.testing.assert_array_equal(found[kind], np.asarray(reference(x), float), kind)
     for kind, (_, reference) in CURVES.items():
         np.testing.assert_allclose(found[kind], reference(x), rtol=4e-16, err_msg=kind)
-
-
-def test_constants_are_exact():
-    for value in (0.1, 1 / 3, 1e-308, 5e-324, -1.7976931348623157e308):
-        assert float(literal(value)[5:-1]) == value
-    assert [literal(k) for k in (np.inf, -np.inf, np.nan)] == [
-        "real(INFINITY)",
-        "real(-INFINITY)",
-        "real(NAN)",
-    ]
 
 
 def test_an_operation_without_code_is_refused():

@@ -8,7 +8,6 @@ import pytest
 from tests.arms import six_joint_arm
 from ves_gym.engine.kernel.maps import (
     coupling_matrices,
-    inertia_function,
     motion_loads,
     weight_function,
 )
@@ -37,31 +36,11 @@ def test_coupling_matrices_are_those_of_numpy(vehicle):
     np.testing.assert_allclose(coupling_matrices(system, q), expected, atol=1e-13 * size)
 
 
-def test_an_emulated_system_couples_as_the_vehicle_it_emulates():
-    system, q = (
-        System(vehicle=BENT_THESIS, mode="emulated"),
-        np.random.default_rng(3).uniform(-3, 3, (2000, 3)),
-    )
-    few = coupling_matrix(system, q[:5])
-    np.testing.assert_allclose(coupling_matrix(system, q)[:5], few, rtol=1e-9, atol=1e-9)
-    assert np.abs(few).max() > 1  # J/rad^2
-
-
 def test_a_result_does_not_depend_on_its_neighbours():
     system, q = System(vehicle=BENT_THESIS), np.random.default_rng(1).uniform(-3, 3, (9001, 3))
     whole = coupling_matrices(system, q)
     for i in (0, 7, 4096, 9000):
         np.testing.assert_array_equal(coupling_matrices(system, q[i : i + 1])[0], whole[i])
-
-
-def test_many_configurations_are_compiled_in_any_shape():
-    system, q = (
-        System(vehicle=BENT_THESIS),
-        np.random.default_rng(2).uniform(-3, 3, (40, 50, 3)),
-    )
-    found = coupling_matrix(system, q)
-    assert found.shape == (40, 50, 3, 3)
-    np.testing.assert_allclose(found[3, 4], coupling_matrix(system, q[3, 4]), rtol=1e-12)
 
 
 @pytest.mark.usefixtures("no_compiler")
@@ -132,24 +111,6 @@ def test_modes_are_those_of_lapack(kind):
     )
 
 
-def test_modes_do_not_depend_on_neighbours():
-    K, M, b = matrices("plain")
-    everyone = ModeMap(K, 3, N)
-    omega, pushed = everyone(M, b)
-    for i in (0, 7, 4000):
-        ours = everyone(M[i : i + 1], b[i : i + 1])
-        np.testing.assert_array_equal(ours[0][0], omega[i])
-        np.testing.assert_array_equal(ours[1][0], pushed[i])
-
-
-@pytest.mark.usefixtures("no_compiler")
-def test_modes_without_a_compiler_are_those_of_lapack():
-    K, M, b = matrices("plain")
-    omega, _ = ModeMap(K, 3, 40)(M[:40], b[:40])
-    wanted, _ = natural_modes(K, M[:40])
-    np.testing.assert_allclose(np.sort(omega, axis=1), wanted, rtol=1e-10)
-
-
 @pytest.mark.parametrize("arm", [PUMA_560, six_joint_arm()], ids=["three", "six"])
 def test_loads_of_a_motion_are_those_of_newton_and_euler(arm):
     """Arms that differ in masses share the code; leading axes are kept."""
@@ -185,9 +146,3 @@ def test_a_scene_of_an_arm_that_bends_takes_its_flexures():
         np.testing.assert_allclose(
             place, pose[:, :3] + matvec(rotation(pose), reach), atol=1e-12
         )
-
-
-def test_a_piece_wants_rows_for_every_argument():
-    function = inertia_function(System(vehicle=BENT_THESIS))
-    with pytest.raises(AssertionError, match="rows for each argument"):
-        function.piece(np.zeros((1, 3, 8)))

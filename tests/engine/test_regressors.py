@@ -1,4 +1,4 @@
-"""Regressors of the inertial numbers, against Newton-Euler, the weight, and Pinocchio's own."""
+"""The regressor of the inertial numbers, against Pinocchio's own."""
 
 import numpy as np
 import pytest
@@ -6,17 +6,10 @@ import pytest
 from tests.arms import planar_arm, six_joint_arm
 from tests.mechanics.test_gravity import random_arm
 from ves_gym._util.params import ParameterError
-from ves_gym.engine.kernel.maps import (
-    gravity_regressor,
-    inertia_regressor,
-    inertial_parameters,
-    weight_parameters,
-)
+from ves_gym.engine.kernel.maps import inertia_regressor, inertial_parameters
 from ves_gym.engine.mjcf import TO_Y
 from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.arm_library import PUMA_560
-from ves_gym.mechanics.dynamics import inverse_dynamics
-from ves_gym.mechanics.gravity import GravityModel, gravity_vector, minimal_model
 from ves_gym.mechanics.vehicle import BENT_THESIS
 
 ARMS = {
@@ -33,30 +26,6 @@ def motion(arm, count):
     rng = np.random.default_rng(0)
     joints = rng.uniform(-3, 3, (3, count, arm.n))
     return *joints, *rng.uniform(-1, 1, (2, count, 6))
-
-
-@each_arm
-def test_times_the_numbers_it_is_newton_euler(arm):
-    """Tolerance: rounding of some kN."""
-    q, v, a, _, _ = motion(arm, 50)
-    g = gravity_vector(np.array([0, 0, 0, 0.3, -0.2, 0.1]))
-    tau, wrench = inverse_dynamics(arm, q, v, a, gravity=g)
-    found = inertia_regressor(arm, q, v, a, accel=-g) @ inertial_parameters(arm)
-    np.testing.assert_allclose(found, np.hstack([wrench, tau]), rtol=1e-12, atol=1e-10)
-
-
-@each_arm
-def test_weight_is_that_of_the_gravity_model(arm):
-    q, _, _, y, _ = motion(arm, 50)
-    g = gravity_vector(y)
-    regressor = gravity_regressor(arm, q, g)
-    found = regressor @ weight_parameters(arm)
-    np.testing.assert_allclose(found[:, :6], GravityModel.of(arm).wrench(arm, q, y), atol=1e-10)
-    rest = np.zeros_like(q)
-    hold = inverse_dynamics(arm, q, rest, rest, gravity=g)[0]
-    np.testing.assert_allclose(found[:, 6:], hold, atol=1e-10)
-    moments = regressor[:, 3:6].reshape(150, -1)
-    assert np.linalg.matrix_rank(moments, rtol=1e-9) == minimal_model(arm).size
 
 
 @each_arm
@@ -104,7 +73,6 @@ def test_rotors_come_last():
 def test_batch_shapes(shape):
     q = np.random.default_rng(1).uniform(-2, 2, (*shape, 3))
     assert inertia_regressor(PUMA_560, q, 0.0, 0.0).shape == (*shape, 9, 43)
-    assert gravity_regressor(PUMA_560, q, [0, 0, -9.81]).shape == (*shape, 9, 16)
     if shape == (2, 3):
         one = inertia_regressor(PUMA_560, q[1, 2], 0.1, 0.2)
         np.testing.assert_array_equal(one, inertia_regressor(PUMA_560, q, 0.1, 0.2)[1, 2])
@@ -115,7 +83,7 @@ def test_wrong_arguments_are_refused():
         inertia_regressor(PUMA_560, np.zeros(3), np.zeros(2), np.zeros(3))
     with pytest.raises(ParameterError, match=r"accel must have shape \(\.\.\., 3\)"):
         inertia_regressor(PUMA_560, 0.0, 0.0, 0.0, accel=np.zeros(6))
-    with pytest.raises(ParameterError, match=r"must broadcast, got q \(2, 3\), g \(4, 3\)"):
-        gravity_regressor(PUMA_560, np.zeros((2, 3)), np.zeros((4, 3)))
-    with pytest.raises(ParameterError, match="g must be finite"):
-        gravity_regressor(PUMA_560, np.zeros(3), [0, 0, np.inf])
+    with pytest.raises(ParameterError, match=r"must broadcast, got q \(2, 3\), v \(4, 3\)"):
+        inertia_regressor(PUMA_560, np.zeros((2, 3)), np.zeros((4, 3)), 0.0)
+    with pytest.raises(ParameterError, match="accel must be finite"):
+        inertia_regressor(PUMA_560, 0.0, 0.0, 0.0, accel=[0, 0, np.inf])

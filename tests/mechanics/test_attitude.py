@@ -101,20 +101,6 @@ def test_a_free_body_follows_jacobis_elliptic_functions():
     np.testing.assert_allclose(attitude.rotate(q, J @ w), momentum, rtol=1e-12)
 
 
-def test_a_torque_free_step_is_of_fourth_order():
-    J, w0 = np.diag([90.0, 60.0, 40.0]), np.array([1.0, 0.1, -0.6])
-
-    def end(steps):
-        q, w = attitude.IDENTITY, w0
-        for _ in range(steps):
-            q, w = attitude.torque_free_step(q, w, J, 4.0 / steps)
-        return q
-
-    exact = end(1600)
-    coarse, fine = (np.abs(end(k) - exact).max() for k in (40, 80))
-    assert np.log2(coarse / fine) == pytest.approx(4, abs=0.25)
-
-
 def test_a_batch_is_its_members():
     turns = np.random.default_rng(0).normal(size=(3, 2, 3))
     q = attitude.exp(turns)

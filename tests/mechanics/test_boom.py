@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy
-from ves_gym.mechanics.beam import Tube
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Inertial, diagonal
@@ -21,7 +20,8 @@ from ves_gym.mechanics.boom import (
     BoomMember,
 )
 from ves_gym.mechanics.dynamics import expand, inertia
-from ves_gym.mechanics.flexible_base import FlexibleBase, Polyline, Strut, bent_line
+from ves_gym.mechanics.finite_elements import Tube
+from ves_gym.mechanics.flexible_base import FlexibleBase, Polyline, Strut, beam_line
 from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.spatial import rotation
@@ -152,13 +152,13 @@ def test_a_reduction_is_the_linear_motion_of_the_chain():
 
 def test_a_reduced_boom_is_drawn_as_it_lies():
     base = SHUTTLE_LIKE.at(REACHING_OUT)
-    line = bent_line(base, np.zeros((1, 6)))[0]
+    line = beam_line(base, np.zeros((1, 6)))[0]
     assert line[-1] == pytest.approx(np.zeros(3), abs=1e-12)  # the flange
     lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
     assert lengths.sum() == pytest.approx(13.4)
     y = np.array([[0.01, 0.02, -0.01, 0.001, 0.002, 0.003]])
-    assert bent_line(base, y)[0, -1] == pytest.approx(y[0, :3], abs=1e-9)
-    assert bent_line(base, y)[0, 0] == pytest.approx(line[0], abs=1e-12)  # the root holds
+    assert beam_line(base, y)[0, -1] == pytest.approx(y[0, :3], abs=1e-9)
+    assert beam_line(base, y)[0, 0] == pytest.approx(line[0], abs=1e-12)  # the root holds
 
 
 def test_what_takes_links_for_rigid_says_so():

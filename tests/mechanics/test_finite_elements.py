@@ -5,17 +5,21 @@ and 8-19. Timoshenko: Lee and Schultz, J. Sound Vib. 269 (2004), tables 1 and 2 
 kappa = 5/6, sqrt(omega L^2 sqrt(rho A / E I)) as printed).
 """
 
-import dataclasses
-
 import numpy as np
 import pytest
 import scipy.linalg
 import scipy.optimize
-from ves_gym.mechanics.beam import ALUMINIUM, Material, Section, Tube, cowper
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Inertial, diagonal
-from ves_gym.mechanics.finite_elements import BeamFrame, Member, element, polyline
+from ves_gym.mechanics.finite_elements import (
+    ALUMINIUM,
+    Material,
+    Section,
+    Tube,
+    cowper,
+)
+from ves_gym.mechanics.flexible_base import CornerBody, Polyline, Strut
 
 # so slender that rotary inertia and shear change nothing in six digits
 HAIR = Tube(outer_diameter=4e-3, wall=5e-4)
@@ -24,14 +28,20 @@ ALONG = np.array([2.0, -1.0, 2.0]) / 3  # oblique, so that axes are seen to be t
 
 
 def line(section, pieces=32, length=LENGTH, along=ALONG, **options):
-    """A straight frame, its first node at the far end of the list of corners."""
-    frame = polyline([length * along], [section], options.get("material", ALUMINIUM))
-    return dataclasses.replace(frame, bodies=options.get("bodies", ())).divided(pieces)
+    """A straight frame."""
+    return polyline([length * along], section, **options).frame(pieces)
+
+
+def polyline(vectors, section, material=ALUMINIUM, body=None):
+    """Members one after the other, perhaps a body at the end of the first."""
+    struts = (Strut(vector=tuple(k), section=section, material=material) for k in vectors)
+    bodies = () if body is None else (CornerBody(corner=1, inertial=body),)
+    return Polyline(members=tuple(struts), bodies=bodies)
 
 
 def frequencies(frame, held=(), count=8):
     """(count,) omega [rad/s], slowest first; rigid motions come as zeros."""
-    M, K = (k.toarray() for k in frame.matrices())
+    M, K = frame.matrices()
     free = np.setdiff1d(np.arange(len(K)), held)
     M, K = M[np.ix_(free, free)], K[np.ix_(free, free)]
     if len(held):  # the slow ones of a slender beam come out better as the largest 1/omega^2
@@ -53,13 +63,6 @@ def test_cantilever():
     assert found == pytest.approx(np.repeat([3.51602, 22.0345, 61.6972, 120.902], 2), rel=2e-5)
 
 
-def test_free_beam():
-    """Six rigid motions, then 22.373, 61.673, 120.90."""
-    found = frequencies(line(HAIR), count=12) / bending(HAIR)
-    assert found[:6] == pytest.approx(np.zeros(6), abs=1e-2)
-    assert found[6:] == pytest.approx(np.repeat([22.3733, 61.6728, 120.903], 2), rel=2e-5)
-
-
 @pytest.mark.parametrize("share", [0.1, 10.0])
 def test_tip_mass(share):
     """1 + cos b cosh b + mu b (cos b sinh b - sin b cosh b) = 0, mu of the beam's mass."""
@@ -72,7 +75,7 @@ def test_tip_mass(share):
         return 1 + c * ch + share * b * (c * sh - s_ * ch)
 
     roots = [scipy.optimize.brentq(equation, *span) for span in ((0.3, 2.5), (3.9, 4.9))]
-    found = frequencies(line(HAIR, bodies=((1, tip),)), held=range(6), count=4) / bending(HAIR)
+    found = frequencies(line(HAIR, body=tip), held=range(6), count=4) / bending(HAIR)
     assert found == pytest.approx(np.repeat(np.square(roots), 2), rel=2e-5)
 
 
@@ -95,10 +98,10 @@ def test_timoshenko_beam_against_published_frequencies(ends, ratio):
         shear_z=5 / 6,
     )
     frame = line(section, 160, 1.0, np.array([1.0, 0, 0]), material=STOCKY)
-    M, K = (k.toarray() for k in frame.matrices())
-    plane = np.setdiff1d(np.r_[1 : len(K) : 6, 5 : len(K) : 6], [1, 7])
+    M, K = frame.matrices()
+    plane = np.setdiff1d(np.r_[1 : len(K) : 6, 5 : len(K) : 6], [1, len(K) - 5])
     if ends == "clamped":
-        plane = np.setdiff1d(plane, [5, 11])
+        plane = np.setdiff1d(plane, [5, len(K) - 1])
     grid = np.ix_(plane, plane)
     squares = scipy.linalg.eigh(K[grid], M[grid], eigvals_only=True)[:5]
     found = np.sqrt(np.sqrt(squares) / bending(section, STOCKY, 1.0))
@@ -111,7 +114,7 @@ def test_shear_is_left_out_where_it_is_not_asked_for():
     for shear in (False, True):
         tube = Tube(outer_diameter=0.18, wall=0.007, shear=shear)
         _, K = line(tube, 1, 2.0, np.array([1.0, 0, 0])).matrices()
-        tip.append(np.linalg.inv(K.toarray()[6:, 6:])[1, 1])
+        tip.append(np.linalg.inv(K[6:, 6:])[1, 1])
     s = tube.of(ALUMINIUM)
     assert s.shear_y == pytest.approx(0.5347, abs=1e-4)
     expected = 2.0 / (s.shear_y * ALUMINIUM.shear_modulus * s.area)
@@ -123,8 +126,7 @@ def test_mass_and_rigid_motion():
     """A rigid motion strains nothing, and its kinetic energy is that of the whole body."""
     tube = Tube(outer_diameter=0.1, wall=0.01)
     body = Inertial(mass=3.0, com=(0.1, 0.0, 0.2), inertia=diagonal(0.1, 0.2, 0.25))
-    frame = polyline([(1.0, 2.0, 0.5), (0.0, -1.0, 2.0)], [tube] * 2, ALUMINIUM)
-    frame = dataclasses.replace(frame, bodies=((1, body),)).divided(3)
+    frame = polyline([(1.0, 2.0, 0.5), (0.0, -1.0, 2.0)], tube, body=body).frame(3)
     M, K = frame.matrices()
     rigid = np.zeros((6 * len(frame.nodes), 6))
     for node, (x, y, z) in enumerate(frame.nodes):
@@ -137,7 +139,7 @@ def test_mass_and_rigid_motion():
     mass = 2.8e3 * s.area * lengths.sum() + 3.0
     assert total[:3, :3] == pytest.approx(mass * np.eye(3), abs=1e-9)
     centres = np.array([[-0.5, 0.0, -2.25], [0.0, 0.5, -1.0]])
-    moment = 2.8e3 * s.area * lengths @ centres + 3.0 * (frame.nodes[1] + [0.1, 0.0, 0.2])
+    moment = 2.8e3 * s.area * lengths @ centres + 3.0 * (frame.nodes[3] + [0.1, 0.0, 0.2])
     assert total[3:, 0] == pytest.approx(np.cross(moment, [1.0, 0, 0]), abs=1e-9)
 
 
@@ -150,57 +152,33 @@ def test_stress_of_a_loaded_cantilever():
     across /= np.linalg.norm(across)
     moved = np.zeros(K.shape[0])
     load = np.zeros(K.shape[0])
-    load[6:9] = 700.0 * across + 5000.0 * ALONG
-    moved[6:] = np.linalg.solve(K.toarray()[6:, 6:], load[6:])
+    load[-6:-3] = 700.0 * across + 5000.0 * ALONG
+    moved[6:] = np.linalg.solve(K[6:, 6:], load[6:])
     s = tube.of(ALUMINIUM)
     tension = 5000.0 / s.area
     found = frame.stress(moved)
-    order = [0, *range(1, 4)]
-    assert found[order[0], 0] == pytest.approx(tension + 700 * 3.0 * 0.09 / s.second_z)
+    assert found[0, 0] == pytest.approx(tension + 700 * 3.0 * 0.09 / s.second_z)
     assert found.min() == pytest.approx(tension)
 
 
 def test_an_unsymmetrical_section_bends_about_its_own_axes():
     flat = Section(area=0.01, second_y=1e-6, second_z=4e-6, torsion=1e-6, up=(0.0, 1.0, 0.0))
     _, K = line(flat, 1, 1.0, np.array([1.0, 0, 0])).matrices()
-    tip = np.linalg.inv(K.toarray()[6:, 6:])
+    tip = np.linalg.inv(K[6:, 6:])
     # local z lies along y: the force along y meets second_y
     assert tip[1, 1] == pytest.approx(1 / (3 * 72e9 * 1e-6))
     assert tip[2, 2] == pytest.approx(1 / (3 * 72e9 * 4e-6))
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (
-            lambda: Tube(outer_diameter=0.1, wall=0.05),
-            "half the outer diameter 0.1 m, got 0.05",
-        ),
-        (
-            lambda: BeamFrame(np.zeros((1, 3)), (Member(0, 1, HAIR, ALUMINIUM),)),
-            "0 to 0, got 1",
-        ),
-        (
-            lambda: BeamFrame(np.zeros((2, 3)), (Member(0, 1, HAIR, ALUMINIUM),)),
-            "has no length",
-        ),
-        (
-            lambda: Section(area=1.0, second_y=1.0, second_z=1.0, torsion=1.0, shear_y=0.5),
-            "both shear_y and shear_z or neither",
-        ),
-        (
-            lambda: BeamFrame(np.zeros((2, 2)), ()),
-            r"nodes must have shape \(2, 3\)",
-        ),
-    ],
-)
-def test_what_cannot_be_is_refused(make, message):
+REFUSED = {
+    "half the outer diameter 0.1 m, got 0.05": lambda: Tube(outer_diameter=0.1, wall=0.05),
+    "both shear_y and shear_z or neither": lambda: Section(
+        area=1.0, second_y=1.0, second_z=1.0, torsion=1.0, shear_y=0.5
+    ),
+}
+
+
+@pytest.mark.parametrize("message", REFUSED)
+def test_what_cannot_be_is_refused(message):
     with pytest.raises(ParameterError, match=message):
-        make()
-
-
-def test_an_element_of_no_shear_is_the_limit_of_one_with_little():
-    thin = Section(area=1e-3, second_y=1e-7, second_z=1e-7, torsion=2e-7)
-    stiff = dataclasses.replace(thin, shear_y=1e9, shear_z=1e9)
-    for a, b in zip(element(1.0, thin, ALUMINIUM), element(1.0, stiff, ALUMINIUM), strict=True):
-        assert np.abs(a - b).max() < 1e-9 * np.abs(a).max()
+        REFUSED[message]()

@@ -15,15 +15,12 @@ from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.gravity import (
-    GRAVITY,
     GravityModel,
     gravity_vector,
-    gravity_wrench,
     mass_parameters,
     minimal_model,
     moment_regressor,
 )
-from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import VEHICLES
 from ves_gym.system.system import System
 
@@ -68,13 +65,6 @@ seeds = st.integers(0, 2**32 - 1)
 def draw(arm, shape=(), seed=0):
     rng = np.random.default_rng(seed)
     return rng.uniform(-3, 3, (*shape, arm.n)), rng.uniform(-1.2, 1.2, (*shape, 6))
-
-
-@given(seeds)
-def test_gravity_vector_is_down_in_platform_axes(seed):
-    _, y = draw(PUMA_560, (4,), seed)
-    down = np.array([0, 0, -GRAVITY])
-    np.testing.assert_allclose(gravity_vector(y), down @ rotation(y), atol=1e-14)
 
 
 def test_puma_has_the_nine_parameters_of_the_thesis_in_order():
@@ -165,17 +155,6 @@ def test_minimal_parameters_lose_nothing(seed):
     np.testing.assert_allclose(model.G(q, g) @ P, np.cross(moment, g), rtol=0, atol=1e-10)
     wrench = GravityModel.of(arm).wrench(arm, q, y)
     np.testing.assert_allclose(wrench[:, 3:], model.G(q, g) @ P, rtol=0, atol=1e-10)
-
-
-def test_every_simulation_may_have_its_own_model():
-    q, y = draw(PUMA_560, (4,))
-    g, rng = gravity_vector(y), np.random.default_rng(2)
-    mass, P = rng.uniform(80, 100, 4), rng.standard_normal((4, 9))
-    found = gravity_wrench(PUMA_560, q, g, mass, P)
-    for k in range(4):
-        one = GravityModel(mass=mass[k], P=tuple(P[k])).wrench(PUMA_560, q[k], y[k])
-        np.testing.assert_allclose(found[k], one, rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(gravity_wrench(PUMA_560, q[0], g[0], mass, P)[0], found[0])
 
 
 def test_bad_input_is_named():

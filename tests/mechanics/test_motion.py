@@ -1,7 +1,6 @@
 """Motions: at rest at both ends, exact there, and inside limits that are named."""
 
 import dataclasses
-import pickle
 
 import numpy as np
 import pytest
@@ -15,8 +14,6 @@ from ves_gym.mechanics.limits import LimitError, limit_ratios, require_limits
 from ves_gym.mechanics.motion import (
     QUINTIC_PEAK_SPEED,
     Motion,
-    basis,
-    knots,
     quintic,
 )
 
@@ -102,14 +99,6 @@ def test_through_passes_a_few_points_to_a_milliradian(k):
     assert max(misses) < 2e-3
 
 
-def test_corners_are_rounded_as_the_docstring_says():
-    way = np.vstack([[0.0] * 3, np.cumsum(0.2 * np.tile(np.eye(3), (6, 1)), axis=0)])
-    coarse = distance_to(Motion.through(way, 2.0), way)
-    fine = distance_to(Motion.through(way, 2.0, controls=96), way)
-    assert 5e-3 < coarse < 3e-2
-    assert fine < 2e-3
-
-
 def test_fit_recovers_what_lies_in_its_space_and_keeps_the_ends():
     motion = wavy(2.0, m=16)
     again = Motion.fit(motion.at(np.linspace(0, 2, 101)).q, 2.0, controls=16)
@@ -132,50 +121,33 @@ def test_degenerate_way_points_and_another_pace():
     np.testing.assert_allclose(slow.at(3 * u).a, straight.at(u).a / 9, atol=1e-11)
 
 
-def test_motions_compare_hash_and_pickle():
-    assert wavy() == wavy()
-    assert len({wavy(), wavy(), wavy(3.0)}) == 2
-    motion = wavy()
-    motion.at(0.5)  # fills its cache
-    assert pickle.loads(pickle.dumps(motion)) == motion
-
-
-def test_the_basis_sums_to_one_and_its_derivatives_to_nothing():
-    u = np.linspace(0, 1, 50)
-    for m in (6, 7, 16):
-        assert len(knots(m)) == m + 6
-        np.testing.assert_allclose(basis(m, u).sum(axis=1), 1, atol=1e-13)
-        assert basis(m, u).min() >= 0
-        for order in (1, 2):
-            np.testing.assert_allclose(basis(m, u, order).sum(axis=1), 0, atol=1e-9)
-
-
 E3 = ((0.0, 0.0, 0.0),) * 3
 F3 = ((1.0, 1.0, 1.0),) * 3
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Motion(duration=0.0, control=E3 + F3), "duration must be > 0 s"),
-        (lambda: Motion(duration=1.0, control=E3 + F3[:2]), r"shape \(>= 6, n\), got \(5, 3\)"),
-        (lambda: Motion(duration=1.0, control=(0.0,) * 6), r"got \(6,\)"),
-        (lambda: Motion(duration=1.0, control=E3 + (("1",) * 3,) * 3), "rows of n numbers"),
-        (lambda: Motion(duration=1.0, control=E3 + ((np.nan,) * 3,) * 3), "finite, got nan"),
-        (lambda: Motion(duration=1.0, control=E3[:2] + F3[:1] + F3), "three times"),
-        (lambda: Motion(duration=1.0, control=E3 + E3[:1] + F3[:2]), "three times"),
-        (lambda: Motion.straight([0, 0, 0], [0, 0], 1.0), "start and goal"),
-        (lambda: Motion.through([[0, 0, 0]], 1.0), "way-points"),
-        (lambda: Motion.fit([[0, 0, 0]], 1.0), "samples"),
-        (
-            lambda: Motion.fit(np.zeros((20, 3)), 1.0, controls=5),
-            "controls must be >= 6, got 5",
-        ),
-    ],
-)
-def test_what_is_no_motion_is_refused(make, message):
+def timed(*control):
+    return lambda: Motion(duration=1.0, control=sum(control, ()))
+
+
+REFUSED = {
+    "duration must be > 0 s": lambda: Motion(duration=0.0, control=E3 + F3),
+    r"shape \(>= 6, n\), got \(5, 3\)": timed(E3, F3[:2]),
+    r"got \(6,\)": timed((0.0,) * 6),
+    "rows of n numbers": timed(E3, (("1",) * 3,) * 3),
+    "finite, got nan": timed(E3, ((np.nan,) * 3,) * 3),
+    "its first and its last point three": timed(E3[:2], F3[:1], F3),
+    "and its last point three times": timed(E3, E3[:1], F3[:2]),
+    "start and goal": lambda: Motion.straight([0, 0, 0], [0, 0], 1.0),
+    "way-points": lambda: Motion.through([[0, 0, 0]], 1.0),
+    "samples": lambda: Motion.fit([[0, 0, 0]], 1.0),
+    "controls must be >= 6, got 5": lambda: Motion.fit(np.zeros((20, 3)), 1.0, controls=5),
+}
+
+
+@pytest.mark.parametrize("message", REFUSED)
+def test_what_is_no_motion_is_refused(message):
     with pytest.raises(ParameterError, match=message):
-        make()
+        REFUSED[message]()
 
 
 # -------------------------------------------------------------------------- limits

@@ -31,12 +31,6 @@ def test_twelve_jets_make_any_small_wrench():
     np.testing.assert_allclose(force @ wrench_matrix(JETS).T, wrench, atol=1e-6)
 
 
-def test_jets_do_not_blow_at_each_other():
-    force = allocated(JETS, np.array([[4.0, 0, 0, 0, 0, 0]]))[0]
-    low = np.array([jet.direction[0] < 0 for jet in JETS])
-    assert force[low].max() < 1e-6
-
-
 def test_a_wrench_beyond_the_jets_keeps_its_direction():
     asked = np.array([[200.0, 0, -150.0, 10, 0, 0]])
     got = allocated(JETS, asked) @ wrench_matrix(JETS).T
@@ -136,21 +130,20 @@ def test_no_moment_is_asked_of_a_body_that_turns_as_it_should_by_itself():
 HUGE = tuple(replace(wheel, inertia=500.0) for wheel in WHEELS)
 
 
-@pytest.mark.parametrize(
-    ("make", "match"),
-    [
-        (lambda: replace(JETS[0], direction=(1.0, 1.0, 0.0)), "direction must have length 1"),
-        (lambda: replace(WHEELS[0], axis=(1.0, 1.0, 1.0)), "axis must have length 1"),
-        (lambda: replace(WHEELS[0], viscous=-1.0), "viscous must be >= 0"),
-        (lambda: AttitudeControl(dump_below=0.9), "dump_below <= dump_above"),
-        (lambda: replace(SERVICER, wheels=HUGE), "must include its wheels' inertia"),
-        (lambda: replace(SERVICER, thrusters=True), "thrusters = true is any wrench"),
-        (
-            lambda: Satellite(body=SERVICER.body, pointing=SERVICER.pointing),
-            "needs wheels, jets or thrusters",
-        ),
-    ],
-)
-def test_what_cannot_be_is_refused(make, match):
-    with pytest.raises(ParameterError, match=match):
-        make()
+REFUSED = {
+    "direction must have length 1": lambda: replace(JETS[0], direction=(1.0, 1.0, 0.0)),
+    "axis must have length 1": lambda: replace(WHEELS[0], axis=(1.0, 1.0, 1.0)),
+    "viscous must be >= 0": lambda: replace(WHEELS[0], viscous=-1.0),
+    "dump_below <= dump_above": lambda: AttitudeControl(dump_below=0.9),
+    "must include its wheels' inertia": lambda: replace(SERVICER, wheels=HUGE),
+    "thrusters = true is any wrench": lambda: replace(SERVICER, thrusters=True),
+    "needs wheels, jets or thrusters": lambda: Satellite(
+        body=SERVICER.body, pointing=SERVICER.pointing
+    ),
+}
+
+
+@pytest.mark.parametrize("message", REFUSED)
+def test_what_cannot_be_is_refused(message):
+    with pytest.raises(ParameterError, match=message):
+        REFUSED[message]()

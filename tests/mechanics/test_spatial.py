@@ -1,15 +1,12 @@
 """Base pose and rates: against finite differences of the rotation and of momentum."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ves_gym.mechanics.arm import Inertial, matrix
 from ves_gym.mechanics.spatial import (
     body_wrench,
-    matvec,
-    quadratic,
     rate_matrix,
     rotation,
     skew,
@@ -92,22 +89,3 @@ def test_the_body_wrench_is_the_derivative_of_momentum(y, yd, ydd):
     force = R @ wrench[:3]
     moment = R @ wrench[3:] + np.cross(y[:3], force)
     np.testing.assert_allclose(np.r_[force, moment], rate_of_change, atol=3e-6)
-
-
-def test_everything_works_on_stacks():
-    rng = np.random.default_rng(0)
-    y, yd, ydd = rng.uniform(-1, 1, (3, 2, 5, 6))
-    M = body().spatial()
-    for f, args in (
-        (rotation, (y,)),
-        (rate_matrix, (y,)),
-        (twist, (y, yd)),
-        (twist_rate, (y, yd, ydd)),
-        (lambda *a: body_wrench(M, *a), (y, yd, ydd)),
-        (lambda v: quadratic(M, v), (yd,)),
-        (lambda v: matvec(M, v), (yd,)),
-    ):
-        stacked = f(*args)
-        for i, j in np.ndindex(2, 5):
-            np.testing.assert_allclose(stacked[i, j], f(*(a[i, j] for a in args)), atol=1e-13)
-    assert quadratic(M, yd)[1, 2] == pytest.approx(0.5 * yd[1, 2] @ M @ yd[1, 2])
