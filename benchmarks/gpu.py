@@ -67,7 +67,7 @@ def ours(name: str, system: System, n: int) -> Callable[[], None]:
 
     def work() -> None:
         for _ in range(PERIODS):
-            simulations.advance(u, system.substeps, system.substeps)
+            backend.advance(u, system.substeps, system.substeps)
         simulations.wp.synchronize_device(simulations.device)
 
     return work

@@ -344,7 +344,7 @@ BAD_URDF = {  # what is said of each
     "is a xacro, not yet a URDF": '<robot xmlns:xacro="http://xacro"><xacro:a/></robot>',
     "expected <robot> or <mujoco> at the top, got <sdf>": "<sdf/>",
     "cannot be read": "<robot",
-    "one root link, got base, x": TWO.replace("</robot>", '<link name="x"/></robot>'),
+    "must have one root link": TWO.replace("</robot>", '<link name="x"/></robot>'),
     "joint 'elbow': its parent link 'x' is": TWO.replace(
         'parent link="upper', 'parent link="x'
     ),

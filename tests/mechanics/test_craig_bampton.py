@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.sparse
-from ves_gym.mechanics.beam import Tube
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics import craig_bampton

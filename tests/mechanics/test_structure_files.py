@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse
-from ves_gym.mechanics.beam import ALUMINIUM, Tube
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.craig_bampton import reduce

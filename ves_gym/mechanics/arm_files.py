@@ -16,7 +16,7 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import Arm, Capsule, Inertial
 from ves_gym.mechanics.arm_reader import ChainChoice, arm_of_tree
 from ves_gym.mechanics.attitude import from_matrix
-from ves_gym.mechanics.chain import angles_of
+from ves_gym.mechanics.chain import angles_of, upright
 from ves_gym.mechanics.dynamics import expand
 from ves_gym.mechanics.mjcf_arm import MjcfTree
 from ves_gym.mechanics.urdf import UrdfTree
@@ -155,7 +155,7 @@ def _urdf_link(
         a, b = np.array(capsule.start), np.array(capsule.end)
         length = float(np.linalg.norm(b - a))
         if length > 0:
-            turn = _along((b - a) / length)
+            turn = upright((b - a) / length)
             element = _shape(link, f"capsule_{k}", (a + b) / 2, turn)
             SubElement(element, "cylinder", radius=repr(capsule.radius), length=repr(length))
         for end, point in (("_start", a), ("_end", b)) if length > 0 else (("", a),):
@@ -167,14 +167,6 @@ def _shape(link: Element, name: str, p: Array, R: Array) -> Element:
     element = SubElement(link, "collision", name=name)
     SubElement(element, "origin", xyz=_text(p), rpy=_text(angles_of(R)))
     return SubElement(element, "geometry")
-
-
-def _along(axis: Array) -> Array:
-    """(3, 3) a rotation whose z is the axis."""
-    across = np.eye(3)[int(np.abs(axis).argmin())]
-    x = np.cross(across, axis)
-    x = x / np.linalg.norm(x)
-    return np.column_stack([x, np.cross(axis, x), axis])
 
 
 # ------------------------------------------------------------------------------- MJCF

@@ -306,7 +306,7 @@ class Boom:
         """Return where the flange is at rest, joints at q (joints,) [rad]."""
         return self._pose(q).flange
 
-    @on_one_thread()
+    @on_one_thread(scipy=False)
     def at(self, q: npt.ArrayLike, modes: int = 6, fastest: float = REACH) -> FlexibleBase:
         """Return the braked boom at q as a linear flexible base: flange and internal modes.
 

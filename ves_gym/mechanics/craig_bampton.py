@@ -22,7 +22,6 @@ import numpy.typing as npt
 import scipy
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym._util.threads import on_one_thread
 from ves_gym.mechanics.modes import modal_damping
 
 _DENSE = 1500  # inner freedoms up to which all modes come from one dense solve
@@ -141,7 +140,6 @@ class Reduction:
         )
 
 
-@on_one_thread()
 def reduce(
     mass: Any,
     stiffness: Any,

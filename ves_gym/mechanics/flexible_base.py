@@ -390,7 +390,7 @@ class FlexibleBase(Saved):
 
 
 @lru_cache(maxsize=32)
-@on_one_thread()  # a machine has the same bits in every process
+@on_one_thread(scipy=False)  # a machine has the same bits in every process
 def _reduction(base: FlexibleBase) -> Reduction:
     if isinstance(base.structure, Reduced):
         return base.structure.reduction().truncated(base.modes).within(base.fastest)
@@ -429,7 +429,7 @@ def _with_zeros(values: Array, least: float) -> Array:
 
 
 @lru_cache(maxsize=32)
-@on_one_thread()
+@on_one_thread(scipy=False)
 def _base_model(base: FlexibleBase) -> BaseModel:
     reduced = base.reduction()
     if base.damping_ratio is not None:

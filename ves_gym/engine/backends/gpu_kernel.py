@@ -25,21 +25,16 @@ class DeviceSimulations:
     """States and parameters of n simulations in the memory of a device.
 
     Args:
-        system: what to simulate.
-        sizes: rows of state, input and output.
+        nx: rows of state.
         n: number of simulations.
         real: float64 or float32.
         device: of Warp, None for its current one: the first GPU, or the CPU.
     """
 
-    def __init__(
-        self, system: System, sizes: tuple[int, int, int], n: int, real: str, device: Any = None
-    ) -> None:
+    def __init__(self, nx: int, n: int, real: str, device: Any = None) -> None:
         self.wp = wp = load_warp()
         self.device = wp.get_device(device)
-        self.system, self.n, self.real = system, n, real
         self.number = getattr(wp, real)
-        nx, self._nu, self._ny = sizes
         self.x = self.array(np.zeros((nx, n)))  # changed in place
         self.p = self.array(np.zeros((1, 1)))  # (np, n), or (np, 1) for all alike
         self.fault = wp.zeros(n, dtype=wp.int32, device=self.device)
@@ -59,34 +54,6 @@ class DeviceSimulations:
         """
         self.p = self.array(p[:, :1] if alike and (p == p[:, :1]).all() else p)
 
-    def advance(
-        self, u: Any, steps: int, stride: int, ids: Index | None = None, record: bool = False
-    ) -> Any:
-        """Take physics steps, all of them in one launch.
-
-        Args:
-            u: ((nodes nu), n) on the device; see `scalar.advance_text`.
-            steps: how many.
-            stride: steps from node to node.
-            ids: simulations that move, None for all.
-            record: return what is observed.
-
-        Returns:
-            ((steps + 1) ny, n) on the device, or without rows.
-        """
-        active, out = self.everyone, self.nothing
-        if ids is not None:
-            flags = np.zeros(self.n, np.int32)
-            flags[ids] = 1
-            active = self.wp.array(flags, dtype=self.wp.int32, device=self.device)
-        if record:
-            shape = ((steps + 1) * self._ny, self.n)
-            out = self.wp.empty(shape, dtype=self.number, device=self.device)
-        parts = [self.x, u, self.p, out, active, self.fault]
-        kernel = stepper(self.system).gpu_steps(self.real, record)
-        launch(kernel, self.n, [*parts, steps, stride, self.system.physics_dt], self.device)
-        return out
-
 
 class GpuKernelBackend(CompiledBackend):
     """`Backend` on a GPU; see `Backend` for what each method does.
@@ -101,8 +68,8 @@ class GpuKernelBackend(CompiledBackend):
 
     def __init__(self, system: System, n: int, threads: int, device: Any = None) -> None:
         super().__init__(system, n)
-        sizes = self._nx, self._nu, self._ny
-        self.simulations = DeviceSimulations(system, sizes, n, self.real, device)
+        self.simulations = DeviceSimulations(self._nx, n, self.real, device)
+        self._system = system
         if device is None and not self.simulations.device.is_cuda:
             warnings.warn(
                 f"backend {self.name} finds no GPU and runs on Warp's CPU device, one"
@@ -130,16 +97,44 @@ class GpuKernelBackend(CompiledBackend):
         x[ids, columns] = values
         self.simulations.x.assign(np.ascontiguousarray(x.T).astype(self.real))
 
+    def advance(
+        self, u: Any, steps: int, stride: int, ids: Index | None = None, record: bool = False
+    ) -> Any:
+        """Take physics steps, all of them in one launch.
+
+        Args:
+            u: ((nodes nu), n) on the device; see `scalar.advance_text`.
+            steps: how many.
+            stride: steps from node to node.
+            ids: simulations that move, None for all.
+            record: return what is observed.
+
+        Returns:
+            ((steps + 1) ny, n) on the device, or without rows.
+        """
+        sims, wp = self.simulations, self.simulations.wp
+        active, out = sims.everyone, sims.nothing
+        if ids is not None:
+            flags = np.zeros(self.n, np.int32)
+            flags[ids] = 1
+            active = wp.array(flags, dtype=wp.int32, device=sims.device)
+        if record:
+            shape = ((steps + 1) * self._ny, self.n)
+            out = wp.empty(shape, dtype=sims.number, device=sims.device)
+        kernel = stepper(self._system).gpu_steps(self.real, record)
+        parts = [sims.x, u, sims.p, out, active, sims.fault, steps, stride, self.dt]
+        launch(kernel, self.n, parts, sims.device)
+        return out
+
     def _run(
         self, nodes: Array, steps: int, stride: int, ids: Index | None, record: bool = False
     ) -> Array:
         """Advance; nodes (n, k, nu) of the commands. Outputs (n, steps + 1, ny), or none."""
-        sims = self.simulations
         if not self._loaded:
-            sims.set_parameters(self._p)
+            self.simulations.set_parameters(self._p)
             self._loaded = True
-        u = sims.array(np.moveaxis(nodes, 0, 2).reshape(-1, self.n))
-        outputs = sims.advance(u, steps, stride, ids, record).numpy()
+        u = self.simulations.array(np.moveaxis(nodes, 0, 2).reshape(-1, self.n))
+        outputs = self.advance(u, steps, stride, ids, record).numpy()
         self._ticks[slice(None) if ids is None else ids] += steps
         return np.array(np.moveaxis(outputs.reshape(-1, self._ny, self.n), 2, 0), np.float64)
 

@@ -39,12 +39,12 @@ def torque_function(system: System) -> CompiledFunction:
     return CompiledFunction(f"torque {structure(system)}", partial(_torque, system))
 
 
-class SceneMap:
-    """Energy of the base and place of the tool of n simulations (`scene_function`)."""
+class _SystemMap:
+    """A function of n simulations whose last argument is a system's parameters."""
 
-    def __init__(self, system: System, n: int) -> None:
-        self.function, self._p = scene_function(system), parameters(system)[1]
-        self._values = self.function.buffered(n, self._p)
+    def __init__(self, function: CompiledFunction, system: System, n: int) -> None:
+        self.function, self._p = function, parameters(system)[1]
+        self._values = function.buffered(n, self._p)
 
     def piece(self, arguments: Sequence[Array], result: Array) -> Piece:
         """The map on rows of the caller's.
@@ -54,6 +54,13 @@ class SceneMap:
             result: (blocks, height, LANES), written.
         """
         return self.function.piece(*arguments, everywhere(self._p), result)
+
+
+class SceneMap(_SystemMap):
+    """Energy of the base and place of the tool of n simulations (`scene_function`)."""
+
+    def __init__(self, system: System, n: int) -> None:
+        super().__init__(scene_function(system), system, n)
 
     def __call__(
         self,
@@ -74,16 +81,11 @@ class SceneMap:
         return out[:, :2], out[:, 2:5], out[:, 5:]
 
 
-class TorqueMap:
+class TorqueMap(_SystemMap):
     """Joint torque of n motions on a base that stands still (`torque_function`)."""
 
     def __init__(self, system: System, n: int) -> None:
-        self.function, self._p = torque_function(system), parameters(system)[1]
-        self._values = self.function.buffered(n, self._p)
-
-    def piece(self, arguments: Sequence[Array], result: Array) -> Piece:
-        """As `SceneMap.piece`."""
-        return self.function.piece(*arguments, everywhere(self._p), result)
+        super().__init__(torque_function(system), system, n)
 
     def __call__(self, motion: Array) -> Array:
         """(n, 3, joints) angle, rate and acceleration -> (n, joints) [N m]."""
