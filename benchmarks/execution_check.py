@@ -12,8 +12,7 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 
-from ves_gym.leaderboard.problems import get_problem, problems
-from ves_gym.leaderboard.seeds import seeds_of
+from ves_gym.leaderboard.problems import get_problem, problems, seeds_of
 from ves_gym.leaderboard.tracks.paths import path_queries
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.execution_check import RESERVE, executed_violation, solve_with_reserve

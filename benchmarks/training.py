@@ -11,7 +11,8 @@ the same number of decisions.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import gymnasium as gym
@@ -25,6 +26,7 @@ ENVS, BATCH = 64, 4096
 ROLLOUTS = 2  # in one measurement
 RUNS = 5
 LEARNED = "ves/PumaDamp-v0"  # what the learners are compared on
+HOLD, SCALE = 4, 20.0  # of its actions and rewards
 DEFAULTS: dict[str, Any] = {"n_steps": 64}  # Stable-Baselines3's but for this: 4096 decisions
 LARGE: dict[str, Any] = {  # those of the released configurations
     "n_steps": 64, "batch_size": 1024, "n_epochs": 8, "learning_rate": 1e-3,
@@ -40,6 +42,22 @@ def has_sb3() -> bool:
     except ImportError:
         return False
     return True
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """PyTorch and linear algebra on one thread: layers this small are slower on more."""
+    import torch
+
+    from ves_gym._util.threads import on_one_thread
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with on_one_thread():
+            yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def _clocked(venv: Any) -> Any:
@@ -61,31 +79,24 @@ def _clocked(venv: Any) -> Any:
     return Clocked(venv)
 
 
-def _learner(venv: Any, batch: int) -> Callable[[], None]:
+def _sb3_ppo(venv: Any, seed: int = 0, **hyperparameters: Any) -> Any:
+    """A new PPO of Stable-Baselines3."""
     from stable_baselines3 import PPO
     from stable_baselines3.common.logger import Logger
 
-    model = PPO(
-        "MlpPolicy",
-        venv,
-        n_steps=batch // venv.num_envs,
-        batch_size=batch,
-        device="cpu",
-        seed=0,
-    )
-    model.set_logger(
-        Logger(folder=None, output_formats=[])
-    )  # else a folder in the temporary one
+    model = PPO("MlpPolicy", venv, device="cpu", seed=seed, **hyperparameters)
+    # the default one makes a folder among the temporary files
+    model.set_logger(Logger(folder=None, output_formats=[]))
+    return model
 
-    def work() -> None:
-        model.learn(ROLLOUTS * batch, reset_num_timesteps=False)
 
-    return work
+def _learner(venv: Any, batch: int) -> Callable[[], None]:
+    model = _sb3_ppo(venv, n_steps=batch // venv.num_envs, batch_size=batch)
+    return lambda: model.learn(ROLLOUTS * batch, reset_num_timesteps=False)
 
 
 def ppo(envs: int = ENVS, batch: int = BATCH, runs: int = RUNS) -> tuple[Pair, float, float]:
     """Seconds per measurement, and the share of each side's that is in env.step."""
-    import torch
     from stable_baselines3.common.vec_env import DummyVecEnv
 
     from ves_gym.baselines.sb3 import Sb3VecEnv
@@ -102,50 +113,49 @@ def ppo(envs: int = ENVS, batch: int = BATCH, runs: int = RUNS) -> tuple[Pair, f
 
         return go
 
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
+    with _one_thread():
         pair = side_by_side(
             timed("native", _learner(native, batch)),
             timed("single", _learner(single, batch)),
             runs,
         )
-    finally:
-        torch.set_num_threads(threads)
-        native.close()
-        single.close()
+    native.close()
+    single.close()
     return pair, native.stepping / spent["native"], single.stepping / spent["single"]
 
 
 def share(envs: int = ENVS, batch: int = BATCH, runs: int = RUNS) -> float:
     """Part of PPO's time that the native environment's steps and resets take."""
-    import torch
-
     from ves_gym.baselines.sb3 import Sb3VecEnv
 
     native = _clocked(Sb3VecEnv(gym.make_vec(EMULATED, num_envs=envs, threads=1).unwrapped))
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
+    with _one_thread():
         learn = _learner(native, batch)
         learn()
         native.stepping, begin = 0.0, time.perf_counter()
         for _ in range(runs):
             learn()
-        return float(native.stepping / (time.perf_counter() - begin))
-    finally:
-        torch.set_num_threads(threads)
-        native.close()
+        share = float(native.stepping / (time.perf_counter() - begin))
+    native.close()
+    return share
 
 
-def _config(learner: str, hyperparameters: dict[str, Any], **changes: Any) -> Any:
+def _config(hyperparameters: dict[str, Any], **changes: Any) -> Any:
     from ves_gym.baselines.config import TrainConfig
 
     return TrainConfig(
-        env=LEARNED, algorithm="PPO", learner=learner, hold=4, reward_scale=20.0,
+        env=LEARNED, algorithm="PPO", hold=HOLD, reward_scale=SCALE,
         hyperparameters=hyperparameters,
         **{"n_envs": ENVS, "total_timesteps": 10**9, **changes},
     )  # fmt: skip
+
+
+def _held(envs: int) -> Any:
+    """The environments as Stable-Baselines3 takes them, actions held, rewards scaled."""
+    from ves_gym.baselines.sb3 import Sb3VecEnv
+
+    env = gym.make_vec(f"ves_gym:{LEARNED}", num_envs=envs, threads=1).unwrapped
+    return Sb3VecEnv(env, hold=HOLD, reward_scale=SCALE)
 
 
 def learners(hyperparameters: dict[str, Any], envs: int = ENVS, runs: int = RUNS) -> Pair:
@@ -153,39 +163,54 @@ def learners(hyperparameters: dict[str, Any], envs: int = ENVS, runs: int = RUNS
     from gymnasium.vector import AutoresetMode
 
     from ves_gym.baselines.evaluate import make_vector
-    from ves_gym.baselines.train import make_learner, one_thread
+    from ves_gym.baselines.learner import Learner
 
-    def work(learner: str) -> Callable[[], None]:
-        config = _config(learner, hyperparameters, n_envs=envs)
-        env = make_vector(LEARNED, envs, AutoresetMode.SAME_STEP, threads=1)
-        trained = make_learner(config, 0, env)
-        count = ROLLOUTS * envs * hyperparameters["n_steps"]
+    count = ROLLOUTS * envs * hyperparameters["n_steps"]
+    env = make_vector(LEARNED, envs, AutoresetMode.SAME_STEP, threads=1)
+    ours = Learner(_config(hyperparameters, n_envs=envs), 0, env)
+    theirs = _sb3_ppo(_held(envs), **hyperparameters)
+    with _one_thread():
+        return side_by_side(
+            lambda: ours.learn(ours.steps + count, lambda: None),
+            lambda: theirs.learn(count, reset_num_timesteps=False),
+            runs,
+        )
 
-        def go() -> None:
-            trained.learn(trained.steps + count, lambda: None)
 
-        return go
-
-    with one_thread("native"), one_thread("sb3"):
-        return side_by_side(work("native"), work("sb3"), runs)
+def _falling(remaining: float) -> float:
+    """Learning rate where a share of the training remains, as the native learner has it."""
+    return float(remaining * LARGE["learning_rate"])
 
 
 def returns(
-    decisions: int = DECISIONS, seeds: tuple[int, ...] = SEEDS, **changes: Any
+    decisions: int = DECISIONS,
+    seeds: tuple[int, ...] = SEEDS,
+    envs: int = ENVS,
+    episodes: int = 100,
 ) -> tuple[list[float], list[float]]:
     """Mean return of the last policy of every seed: native learner, Stable-Baselines3."""
     import tempfile
     from pathlib import Path
 
-    from ves_gym.baselines.train import train
+    from ves_gym.baselines.evaluate import evaluate
+    from ves_gym.baselines.sb3 import from_sb3
+    from ves_gym.baselines.train import VALIDATION, train
 
-    out: dict[str, list[float]] = {"native": [], "sb3": []}
-    for learner, means in out.items():
-        config = _config(learner, LARGE, total_timesteps=decisions, **changes)
-        for seed in seeds:
-            with tempfile.TemporaryDirectory() as folder:
-                means.append(train(config, seed, Path(folder))[-1]["return"])
-    return out["native"], out["sb3"]
+    config = _config(LARGE, total_timesteps=decisions, n_envs=envs, eval_episodes=episodes)
+    ours, theirs = [], []
+    for seed in seeds:
+        with tempfile.TemporaryDirectory() as folder:
+            ours.append(train(config, seed, Path(folder))[-1]["return"])
+        changes = {**LARGE, "learning_rate": _falling}
+        with _one_thread():
+            model = _sb3_ppo(
+                _held(envs), seed, policy_kwargs={"log_std_init": config.log_std}, **changes
+            )
+            model.learn(decisions)
+        policy = from_sb3(model, hold=HOLD)
+        found = evaluate(policy, LEARNED, episodes=episodes, seed=VALIDATION, threads=1)
+        theirs.append(float(np.mean(found.values("return")[0])))
+    return ours, theirs
 
 
 def _tell_learners(small: bool) -> dict[str, object]:
@@ -200,7 +225,7 @@ def _tell_learners(small: bool) -> dict[str, object]:
             f" {steps / pair.ours:,.0f} against {steps / pair.reference:,.0f} decisions/s"
         )
         out[name] = vars(pair)
-    few: dict[str, Any] = {"decisions": 128, "seeds": (0,), "n_envs": 2, "eval_episodes": 1}
+    few: dict[str, Any] = {"decisions": 128, "seeds": (0,), "envs": 2, "episodes": 1}
     ours, theirs = returns(**few) if small else returns()
     out["returns"], out["returns_reference"] = ours, theirs
     print(

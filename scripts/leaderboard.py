@@ -24,12 +24,17 @@ from typing import NamedTuple
 from ves_gym._util.process_pool import Workers
 from ves_gym.baselines.policy import released, task_name
 from ves_gym.baselines.registry import REFERENCES
-from ves_gym.leaderboard.board import make_board, read_board
+from ves_gym.leaderboard.board import make_board, read_board, write_page
 from ves_gym.leaderboard.entry import Entry
-from ves_gym.leaderboard.page import write_page
-from ves_gym.leaderboard.problems import QUICK, SCORES, get_problem, problems
+from ves_gym.leaderboard.problems import (
+    QUICK,
+    SCORES,
+    get_problem,
+    problems,
+    read_salt,
+    seeds_of,
+)
 from ves_gym.leaderboard.run import make_entry
-from ves_gym.leaderboard.seeds import read_salt, seeds_of
 from ves_gym.leaderboard.tracks.damping import TUNERS
 from ves_gym.leaderboard.verify import add
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ves_gym.baselines.comparison import ControllerComparison
     from ves_gym.baselines.config import TrainConfig
     from ves_gym.baselines.controllers import Controller
-    from ves_gym.baselines.training_result import TrainingResult
+    from ves_gym.baselines.train import TrainingResult
     from ves_gym.diagnosis.diagnose import Diagnosis
     from ves_gym.diagnosis.inference.candidates import Candidate
     from ves_gym.diagnosis.machines.mjcf import MjcfMachine
@@ -428,7 +428,6 @@ def train(
     config: str | os.PathLike[str] | TrainConfig,
     *,
     algorithm: str | None = None,
-    learner: str | None = None,
     imitate: str | None = None,
     steps: int | None = None,
     seeds: Sequence[int] | None = None,
@@ -444,9 +443,8 @@ def train(
     Args:
         config: an environment that a configuration comes with, a .toml file, or a
             `TrainConfig`.
-        algorithm: ppo, sac or sac-her; default the first there is.
-        learner: native or sb3; default the configuration's.
-        imitate: a controller whose actions are learned first (native).
+        algorithm: a label, such as ppo; default the first there is.
+        imitate: a controller whose actions are learned first.
         steps: in all, instead of the configuration's.
         seeds: of weights, exploration and training episodes; default the configuration's.
         settings: of the environment, beside the configuration's.
@@ -460,19 +458,16 @@ def train(
         Learning curves and the best policy of each seed.
 
     Raises:
-        ParameterError: no such configuration, the extra `rl` is not installed, or `folder`
-            holds a run and `resume` is false.
+        ParameterError: no such configuration, or `folder` holds a run and `resume` is false.
     """
     from ves_gym.baselines.config import TrainConfig, choose_config
-    from ves_gym.baselines.train import train_seeds
-    from ves_gym.baselines.training_result import TrainingResult
+    from ves_gym.baselines.train import TrainingResult, train_seeds
 
     if workers < 1:
         raise ParameterError(f"workers must be >= 1, got {workers}")
     chosen = config if isinstance(config, TrainConfig) else choose_config(config, algorithm)
     changes: dict[str, Any] = {
         "imitate": imitate,
-        "learner": "native" if learner is None and imitate is not None else learner,
         "total_timesteps": steps,
         "seeds": None if seeds is None else tuple(seeds),
         "settings": None if settings is None else {**chosen.settings, **settings},

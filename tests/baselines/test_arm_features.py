@@ -100,18 +100,6 @@ def test_of_a_pose_they_are_the_joint_angles_that_give_it(arm, rounds):
         np.testing.assert_allclose(taken[i], np.clip(2 * rates, -1, 1), atol=2e-4)
 
 
-def test_newton_ends_elsewhere_than_at_the_nearest_configuration():
-    """Why the closed form: from the start of an episode, in 79 of 100."""
-    control = {"kind": "joint_velocity"}
-    env = gym.make_vec("ves/PoseReach-v0", num_envs=100, threads=1, control=control)
-    observation, _ = env.reset(seed=5)
-    exact = arm_features(env.task)
-    ways = [f(observation)[:, 6:12] for f in (exact, dataclasses.replace(exact, rounds=4))]
-    share = np.mean(np.linalg.norm(ways[0] - ways[1], axis=1) > 0.3)
-    print(f"four rounds of Newton's method end elsewhere in {share:.0%} of 100 episodes")
-    assert share > 0.5
-
-
 def test_a_file_says_them_and_a_row_does_not_depend_on_its_neighbours(tmp_path):
     env, rows = moving("ves/PumaReachGoal-v0")
     features = arm_features(env.task, env.goal)

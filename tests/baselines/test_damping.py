@@ -6,7 +6,7 @@ import pytest
 from ves_gym.baselines.damping import Receding, TunedGains
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.registry import get_controller
-from ves_gym.baselines.regulator import Regulator, observer_gain
+from ves_gym.baselines.regulator import Regulator, feedback, observer_gain
 from ves_gym.engine.linear import linearise_ideal
 from ves_gym.mechanics.servo import PPED_GAINS, JointServo
 from ves_gym.mechanics.vehicle import BENT_THESIS
@@ -55,7 +55,7 @@ def test_the_integral_takes_out_what_a_constant_torque_leaves():
     system, servo = System(vehicle=BENT_THESIS), JointServo(kp=(0.0,) * 3, kd=PPED_GAINS.kd)
     q, dt = np.array([0.8, 0.2, -0.3]), system.control_dt
     A, B = linearise_ideal(system, q, servo=servo).discretise(dt)
-    F, L = Regulator().feedback(system, q, A, B, dt), observer_gain(A, 3, dt)
+    F, L = feedback(system, q, A, B, dt), observer_gain(A, 3, dt)
 
     def joint_error(F):
         x, estimate, summed = np.zeros(18), np.zeros(18), np.zeros(3)

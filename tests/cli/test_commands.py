@@ -512,7 +512,6 @@ hyperparameters = { n_steps = 16, batch_size = 64, n_epochs = 1 }
 
 
 def test_trains_a_policy_per_seed(call, tmp_path):
-    pytest.importorskip("stable_baselines3")
     (tmp_path / "small.toml").write_text(CONFIG)
     words = ("train", "small.toml", "--steps", 130, "--seed", 3)
     status, out, err, result = call(*words, "--workers", 2)

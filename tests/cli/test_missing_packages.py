@@ -91,17 +91,11 @@ def command(server, tmp_path, tmp_path_factory):
 @pytest.mark.parametrize(
     ("hidden", "words", "says"),
     [
-        (EVERYTHING, [], "training needs the packages torch and stable-baselines3 and"),
-        ("torch", [], "training needs the package torch: pip install 'ves-gym[rl]'"),
-        (
-            "stable_baselines3",
-            [],
-            "needs the package stable-baselines3: pip install 'ves-gym[rl]'",
-        ),
+        (EVERYTHING, [], "training needs the package safetensors: pip install safetensors"),
         ("safetensors", [], "training needs the package safetensors: pip install safetensors"),
         (
             "tensorboard",
-            ["--learner", "native", "--tensorboard", "board"],
+            ["--tensorboard", "board"],
             "a curve in TensorBoard needs the package tensorboard:"
             " pip install 'ves-gym[tensorboard]'",
         ),
@@ -133,7 +127,7 @@ def test_train(command, hidden, words, says, tmp_path):
             " Linux and macOS 15, Python 3.11 to 3.13",
         ),
         (["benchmark", "--quick", "--first", "1", "--planners", "ompl-qt"], "package ompl"),
-        (["sweep", "SWEEP"], "training needs the packages torch and stable-baselines3"),
+        (["sweep", "SWEEP"], "training needs the package safetensors"),
         (["search", "SPEC"], "search needs the package optuna: pip install 'ves-gym[scale]'"),
     ],
 )

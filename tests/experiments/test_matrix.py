@@ -46,7 +46,7 @@ methods = [
     { name = "zero", controller = "zero" },
     { name = "optimum", controller = "lqr" },
     { name = "softly", controller = "lqr", episodes = 1, settings = { shift = 1e-3 } },
-    { name = "trained", train = "BeamLQR-ppo", machine = "lab", changes = { learner = "native", total_timesteps = 200, n_envs = 5, eval_episodes = 2, hyperparameters = { n_steps = 20, batch_size = 50 } } },
+    { name = "trained", train = "BeamLQR-ppo", machine = "lab", changes = { total_timesteps = 200, n_envs = 5, eval_episodes = 2, hyperparameters = { n_steps = 20, batch_size = 50 } } },
 ]
 """  # noqa: E501
 

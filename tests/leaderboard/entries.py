@@ -6,10 +6,9 @@ import json
 import numpy as np
 
 from ves_gym.baselines.policy import Network, Policy, save_policy
-from ves_gym.leaderboard.entry import Entry, Method
-from ves_gym.leaderboard.errors import Refused
+from ves_gym.leaderboard.entry import Entry, Method, Refused
 from ves_gym.leaderboard.files import ENTRY, RECORDING, pack, read_files
-from ves_gym.leaderboard.tracks.settings import task_of
+from ves_gym.leaderboard.tracks.base import task_of
 from ves_gym.leaderboard.verify import verify
 
 DAMP = ("damping", "ves/PumaDamp-v0-quick")

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from tests.leaderboard.entries import Spoiled, code_of, made_entry, noisy
 from ves_gym._util.params import ParameterError
-from ves_gym.leaderboard.entry import LARGEST, from_bytes, require_name, to_bytes
-from ves_gym.leaderboard.errors import Code, Refused
+from ves_gym.leaderboard.entry import LARGEST, Code, Refused, from_bytes, require_name, to_bytes
 from ves_gym.leaderboard.files import ENTRY, RECORDING, pack, read_files, unpack, write_files
 
 MISSING = object()

@@ -11,8 +11,7 @@ import pytest
 
 from tests.leaderboard.entries import made_entry
 from ves_gym._util.params import ParameterError
-from ves_gym.leaderboard.board import make_board
-from ves_gym.leaderboard.page import render_page, write_page
+from ves_gym.leaderboard.board import make_board, render_page, write_page
 
 HOSTILE = (
     '</script><script>window.hacked=1</script><img src=x onerror="window.hacked=2">{{script}}'

@@ -6,9 +6,8 @@ import gymnasium as gym
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.leaderboard.errors import Code
-from ves_gym.leaderboard.problems import SCORES, get_problem, problems
-from ves_gym.leaderboard.seeds import read_salt, seeds_of
+from ves_gym.leaderboard.entry import Code
+from ves_gym.leaderboard.problems import SCORES, get_problem, problems, read_salt, seeds_of
 from ves_gym.leaderboard.tracks.paths import path_queries
 from ves_gym.mechanics.flexible_base import FlexibleBase
 

@@ -12,11 +12,11 @@ from ves_gym._util.params import ParameterError
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.policy import load_policy
 from ves_gym.baselines.registry import REFERENCES
-from ves_gym.leaderboard.errors import Code
+from ves_gym.leaderboard.entry import Code
 from ves_gym.leaderboard.files import ENTRY, RECORDING, unpack
 from ves_gym.leaderboard.run import make_entry
 from ves_gym.leaderboard.tracks import paths as path_track
-from ves_gym.leaderboard.tracks.settings import require_settings
+from ves_gym.leaderboard.tracks.base import require_settings
 from ves_gym.leaderboard.verify import add, verify
 from ves_gym.planners.query import NoPlan
 from ves_gym.planners.registry import get_planner
@@ -433,7 +433,7 @@ def test_an_entry_goes_to_the_board_and_is_verified_there(straight, own, tmp_pat
 @pytest.mark.parametrize(
     ("problem", "method", "name", "why"),
     [
-        (DAMP, "nonsense", None, "method must be"),
+        (DAMP, "nonsense", None, "or one of zero, random"),
         (DAMP, ["a.json", "b.json"], None, r"a\.json"),
         (("paths", "bent-1s-quick"), "nonsense", None, "planner must be"),
         (("damping", "gains-bent-quick"), "nonsense", None, "gains must be"),

@@ -26,10 +26,10 @@ from ves_gym.baselines.controllers import (
     Follow,
     joint_query,
     reference_action,
+    remember,
     require_fit,
     row_of_step,
     sampled,
-    sized,
 )
 from ves_gym.baselines.resolved import base_torque, servo_shift
 from ves_gym.damping.observer import BaseObserver
@@ -61,14 +61,15 @@ class Adaptive(Follow):
     hidden from it.
     """
 
+    _shift: Array  # (n, 2, joints) what is added to the plan, and its rate
+    _before: list[Array]  # q, v, torque, y, yd a period ago
+    _periods: Array  # (n,) since the first, -1 at a start
+    _information: Array  # (n, 1 + joints, 1 + joints)
+    _evidence: Array  # (n, 1 + joints)
+    _planned_for: Array  # (n,) kg
+
     def __init__(self, seed: int = 0) -> None:
-        super().__init__("adaptive", "direct", seed)  # its plan is without the shift
-        self._shift: Array = np.empty(0)  # (2, n, joints) what is added to it, and its rate
-        self._before: list[Array] = []  # q, v, torque, y, yd a period ago
-        self._periods: Array = np.empty(0)  # (n,) since the first, -1 at a start
-        self._information: Array = np.empty(0)  # (n, 1 + joints, 1 + joints)
-        self._evidence: Array = np.empty(0)  # (n, 1 + joints)
-        self._planned_for: Array = np.empty(0)  # (n,) kg
+        super().__init__("adaptive", "direct", seed)
 
     @property
     def payload(self) -> Array:
@@ -81,28 +82,28 @@ class Adaptive(Follow):
         return np.asarray(means[..., 0], dtype=np.float64)
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
         fits = isinstance(env.task, RestToRest) and env.task.control.level == "reference"
         require_fit(self.name, fits, "leads the reference of task rest_to_rest", env)
         super().reset(env, ids)
-        n, joints = env.num_envs, env.task.system.arm.n
-        self._shift = sized(self._shift, 2, n, joints)
-        self._information = sized(self._information, n, 1 + joints, 1 + joints)
-        self._evidence = sized(self._evidence, n, 1 + joints)
-        self._planned_for, self._periods = (
-            sized(k, n) for k in (self._planned_for, self._periods)
+        joints, measured = env.task.system.arm.n, self._measured(env)
+        if np.shape(getattr(self, "_shift", ())) != (env.num_envs, 2, joints):
+            self._before = measured
+        remember(
+            self,
+            env.num_envs,
+            _shift=(2, joints),
+            _information=(1 + joints, 1 + joints),
+            _evidence=(1 + joints,),
+            _planned_for=(),
+            _periods=(),
         )
         weights: Array = np.r_[_PRIOR[0], np.full(joints, _PRIOR[1])] ** -2.0
         self._information[ids], self._evidence[ids] = np.diag(weights), 0.0
-        self._shift[:, ids], self._planned_for[ids], self._periods[ids] = 0.0, 0.0, -1
-        measured = self._measured(env)
-        if not self._before or self._before[0].shape != measured[0].shape:
-            self._before = measured
+        self._shift[ids], self._planned_for[ids], self._periods[ids] = 0.0, 0.0, -1
         for before, value in zip(self._before, measured, strict=True):
             before[ids] = value[ids]
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`."""
         self._learn(env)
         steps, dt = env.batch.episodes.steps, env.batch.dt
         # whole kilograms: the planner compiles its maps for every arm that it is given
@@ -160,8 +161,8 @@ class Adaptive(Follow):
         missing = self.payload[:, None] * (heavy - plain) / _HEAVY
         missing = missing + friction * np.tanh(v / _SIGN)
         shift = servo_shift(env, q, self._shift, missing)
-        self._shift = shift[:2]
-        return np.swapaxes(shift, 0, 1)
+        self._shift = shift[:, :2]
+        return shift
 
     # -------------------------------------------------------------------- planning
 

@@ -84,9 +84,7 @@ class _Packer:
         if isinstance(value, np.ndarray) and value.dtype == object:  # events, systems by lane
             return {_TAG: "objects", "of": [self.pack(item) for item in value]}
         if isinstance(value, (np.ndarray, np.generic)):
-            return self._array(np.asarray(value), "array")
-        if type(value).__module__ == "torch":  # a Tensor
-            return self._array(value.detach().cpu().numpy(), "tensor")
+            return self._array(np.asarray(value))
         if isinstance(value, System):
             at = self._places.setdefault(value.hash, len(self.systems))
             if at == len(self.systems):
@@ -110,7 +108,7 @@ class _Packer:
             }
         raise ParameterError(f"a checkpoint cannot hold {cls.__module__}.{cls.__qualname__}")
 
-    def _array(self, array: Array, kind: str) -> dict[str, Any]:
+    def _array(self, array: Array) -> dict[str, Any]:
         if array.dtype.kind not in "fiub":
             raise ParameterError(f"a checkpoint cannot hold arrays of {array.dtype}")
         name = str(len(self.arrays))
@@ -118,7 +116,7 @@ class _Packer:
         turned = array.ndim > 1 and array.flags.f_contiguous and not array.flags.c_contiguous
         stored = array.T if turned else array
         self.arrays[name] = np.ascontiguousarray(stored).reshape(stored.shape)
-        return {_TAG: kind, "at": name, **({"turned": True} if turned else {})}
+        return {_TAG: "array", "at": name, **({"turned": True} if turned else {})}
 
 
 def _unpack(
@@ -132,14 +130,9 @@ def _unpack(
     if not isinstance(tree, dict):
         return tree
     kind = tree[_TAG]
-    if kind in ("array", "tensor"):
+    if kind == "array":
         array = arrays[tree["at"]]
-        array = (array.T if tree.get("turned") else array).copy("K")  # what was read is frozen
-        if kind == "array":
-            return array
-        import torch
-
-        return torch.from_numpy(array)
+        return (array.T if tree.get("turned") else array).copy("K")  # what was read is frozen
     if kind == "objects":
         out = np.empty(len(tree["of"]), object)
         for i, item in enumerate(unpack_all(tree["of"])):

@@ -9,7 +9,7 @@ from gymnasium.envs.registration import EnvSpec
 from scipy.spatial.transform import Rotation
 
 from ves_gym._util.params import Array, Index
-from ves_gym.baselines.controllers import require_fit, sized
+from ves_gym.baselines.controllers import remember, require_fit
 from ves_gym.baselines.resolved import carried, damped_inverse, seen_from_base
 from ves_gym.baselines.resolved_pose import STARTS, configurations_for, inverse_sparing
 from ves_gym.envs.pose_reach import PoseReach, goal_pose
@@ -55,24 +55,20 @@ class Closing:
     name = "closing"
     privileged = True
     move = 0.82  # share of an episode that the way to a target takes
-
-    def __init__(self) -> None:
-        self._ends = np.empty(0)  # (n, STARTS + 1, joints) at the target, base at rest, and NaN
+    _ends: Array  # (n, STARTS + 1, joints) at the target, base at rest, and NaN
 
     def settings(self, spec: EnvSpec) -> dict[str, Any]:
-        """See `Controller`."""
         if "control" in spec.kwargs:
             return {}
         desired = "tool_velocity" if spec.kwargs.get("task") == "track" else "joint_velocity"
         return {"control": _CONTROLS[desired]}
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
         task, s = env.task, env.batch.scene
         self._require(env)
         if isinstance(task, Track):
             return
-        self._ends = sized(self._ends, env.num_envs, STARTS + 1, s.q.shape[1])
+        remember(self, env.num_envs, _ends=(STARTS + 1, s.q.shape[1]))
         self._ends[ids] = np.nan
         for i, ends in zip(ids.tolist(), self._every(env, ids), strict=True):
             self._ends[i, : len(ends)] = ends
@@ -95,7 +91,6 @@ class Closing:
         return list(every_joints_for(env.task.system.arm, s.goal[ids, :3], s.q[ids]))
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`."""
         rates = self._along(env) if isinstance(env.task, Track) else self._towards(env)
         return np.clip(rates, -1.0, 1.0)
 
@@ -225,12 +220,9 @@ class Homing:
 
     name = "homing"
     privileged = True
-
-    def __init__(self) -> None:
-        self._end = np.empty(0)  # (n, joints) that reach the target, base at rest [rad]
+    _end: Array  # (n, joints) that reach the target, base at rest [rad]
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
         s, fits = env.batch.scene, isinstance(env.task, Reach)
         require_fit(
             self.name,
@@ -238,11 +230,10 @@ class Homing:
             "acts on tasks reach and reach_goal through control acceleration",
             env,
         )
-        self._end = sized(self._end, *s.q.shape)
+        remember(self, len(s.q), _end=s.q.shape[1:])
         self._end[ids], _ = joints_for(env.task.system.arm, s.goal[ids, :3], s.q[ids])
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`."""
         task, s, control = env.task, env.batch.scene, env.task.control
         arm = task.system.arm
         remaining = np.maximum(_MOVE * task.duration - s.time, _LEAST)[:, None]

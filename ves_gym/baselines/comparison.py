@@ -9,11 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ves_gym._util.params import (
-    ParameterError,
-    read_result,
-    write_result,
-)
+from ves_gym._util.params import ParameterError, read_result, write_result
 from ves_gym._util.statistics import Estimate
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.tables import table
@@ -231,8 +227,6 @@ def line_up(id: str, chosen: Sequence[str | Path | Controller], seed: int = 0) -
         elif str(entry) in CONTROLLERS:
             out.append((str(entry), [get_controller(str(entry), seed)]))
         else:
-            if isinstance(entry, str):
-                _require_known(entry, id)
             files = policy_files(entry, id)
             policies = [load_policy(file) for file in files]
             label = str(policies[0].about.get("algorithm", policies[0].name))
@@ -244,23 +238,21 @@ def line_up(id: str, chosen: Sequence[str | Path | Controller], seed: int = 0) -
     return out
 
 
-def _require_known(text: str, id: str) -> None:
-    names = [*CONTROLLERS, *released(id)]
-    if not Path(text).suffix and not Path(text).exists() and text not in names:
-        raise ParameterError(
-            f"controller must be a file or folder of policies, or one of {', '.join(names)},"
-            f" got {text!r}{did_you_mean(text, names)}"
-        )
-
-
-def policy_files(text: str | Path, id: str) -> list[Path]:
+def policy_files(text: str | os.PathLike[str], id: str, base: Path = Path()) -> list[Path]:
     """Return the .json files that a text stands for.
 
     Args:
-        text: a file, a folder of `train`, or the name of a released policy.
+        text: a file, a folder of `train`, the name of a released policy, or "released" for all
+            of them.
         id: of the environment.
+        base: folder that paths start from.
+
+    Raises:
+        ParameterError: it is none of these.
     """
-    path = Path(text)
+    policies, word = released(id), str(text)
+    named = list(policies.values()) if word == "released" else [policies.get(word)]
+    path = base / text
     if path.is_dir():
         files = sorted(path.glob("seed-*/best.json")) or sorted(path.glob("best.json"))
         if not files:
@@ -270,12 +262,12 @@ def policy_files(text: str | Path, id: str) -> list[Path]:
                 + (f": {', '.join(runs)}" if runs else "")
             )
         return files
-    if not path.suffix and not path.exists():
-        policies = released(id)
-        if str(text) not in policies:
-            raise ParameterError(
-                f"policy {str(text)!r} is no file or folder, and none released for {id}: known"
-                f" are {', '.join(policies) or 'none'}{did_you_mean(str(text), policies)}"
-            )
-        return [policies[str(text)]]
-    return [path]
+    if path.suffix or path.exists():
+        return [path]
+    if found := [file for file in named if file is not None]:
+        return found
+    names = [*CONTROLLERS, *policies]
+    raise ParameterError(
+        f"controller must be a file or folder of policies, or one of {', '.join(names)} in"
+        f" {id}, got {word!r}{did_you_mean(word, names)}"
+    )

@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from ves_gym._util.params import (
     ParameterError,
@@ -21,28 +21,12 @@ from ves_gym.baselines.policy import ACTIVATIONS, task_name
 
 CONFIGS = Path(__file__).parent / "configs"
 FEATURES = ("", "arm")
-PACKAGES: dict[str, tuple[str, ...]] = {  # what training needs, by learner
-    "sb3": ("torch", "stable_baselines3", "safetensors"),
-    "native": ("safetensors",),
+ALGORITHMS = ("PPO", "DAgger")
+# smallest value of each count
+_LEAST = {
+    **dict.fromkeys(("total_timesteps", "n_envs", "hold", "frames", "eval_episodes"), 1),
+    **dict.fromkeys(("eval_every", "checkpoint_every"), 0),
 }
-LEARNERS = tuple(PACKAGES)
-
-
-class Algorithm(NamedTuple):
-    """Learners that have it, the default first, and what a run of it needs."""
-
-    learners: tuple[str, ...]
-    goal: bool = False  # observations of a goal variant
-    imitates: bool = False  # learns from a controller alone
-
-
-ALGORITHMS = {
-    "PPO": Algorithm(("native", "sb3")),
-    "SAC": Algorithm(("sb3",)),
-    "SAC-HER": Algorithm(("sb3",), goal=True),  # with hindsight replay
-    "DAgger": Algorithm(("native",), imitates=True),
-}
-_RESERVED = {"policy", "env", "seed", "device", "verbose", "policy_kwargs", "use_sde"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,22 +34,19 @@ class TrainConfig:
     """A training run.
 
     A step is a decision, held for `hold` control periods of each of `n_envs` environments.
-    `settings` go to the environment (see `envs.build_task`), `hyperparameters` to the
-    algorithm under the names of its constructor in Stable-Baselines3, but for the learning
-    rate, which falls linearly to `final_rate` of itself. Where the network or the noise start
-    is said by `layers`, `activation` and `log_std`.
+    `settings` go to the environment (see `envs.build_task`), `hyperparameters` are the fields
+    of `ppo.Settings`; the learning rate falls linearly to `final_rate` of itself. Where the
+    network or the noise start is said by `layers`, `activation` and `log_std`.
 
-    `learner` native trains with `ves_gym.baselines.ppo`; `imitate`, `imitation`, `frames` and
-    `features` need it. With `imitate`, the policy first learns what a built-in controller does
-    (`imitation` are the fields of `ves_gym.baselines.imitation.ImitationConfig`); its
-    decisions count as steps. Algorithm DAgger does no more than that.
+    With `imitate`, the policy first learns what a built-in controller does (`imitation` are
+    the fields of `imitation.ImitationConfig`); its decisions count as steps. Algorithm DAgger
+    does no more than that.
     """
 
     env: str
     algorithm: str
     total_timesteps: int
     n_envs: int
-    learner: str = ""  # default: the algorithm's first in `ALGORITHMS`
     imitate: str = ""  # a controller, by its name
     imitation: dict = field(default_factory=dict)
     frames: int = 1  # observations that the policy sees, those of its last decisions
@@ -84,37 +65,17 @@ class TrainConfig:
     checkpoint_every: int = 0  # steps; 0: as often as it is evaluated
 
     def __post_init__(self) -> None:
-        require_choice(self, "algorithm", tuple(ALGORITHMS))
-        algorithm = ALGORITHMS[self.algorithm]
-        if not self.learner:
-            object.__setattr__(self, "learner", algorithm.learners[0])
-        require_choice(self, "learner", LEARNERS)
+        require_choice(self, "algorithm", ALGORITHMS)
         require_choice(self, "activation", ACTIVATIONS)
         require_choice(self, "features", FEATURES)
-        if self.learner not in algorithm.learners:
-            raise ParameterError(
-                f"TrainConfig.learner of {self.algorithm} must be"
-                f" {' or '.join(algorithm.learners)}, got {self.learner}"
-            )
-        ours = self.imitate or self.imitation or self.frames != 1 or self.features
-        if self.learner != "native" and ours:
-            raise ParameterError(
-                "TrainConfig.imitate, imitation, frames and features need learner native, got"
-                f" {self.learner}"
-            )
-        if (self.imitation or algorithm.imitates) and not self.imitate:
+        if (self.imitation or self.algorithm == "DAgger") and not self.imitate:
             raise ParameterError(
                 "TrainConfig.imitation and algorithm DAgger need a controller to imitate"
             )
-        for name in ("total_timesteps", "n_envs", "hold", "frames", "eval_episodes"):
-            if getattr(self, name) < 1:
+        for name, least in _LEAST.items():
+            if getattr(self, name) < least:
                 raise ParameterError(
-                    f"TrainConfig.{name} must be >= 1, got {getattr(self, name)}"
-                )
-        for name in ("eval_every", "checkpoint_every"):
-            if getattr(self, name) < 0:
-                raise ParameterError(
-                    f"TrainConfig.{name} must be >= 0, got {getattr(self, name)}"
+                    f"TrainConfig.{name} must be >= {least}, got {getattr(self, name)}"
                 )
         if not self.seeds or any(s < 0 for s in self.seeds):
             raise ParameterError(f"TrainConfig.seeds must be numbers >= 0, got {self.seeds}")
@@ -122,11 +83,6 @@ class TrainConfig:
             raise ParameterError(
                 "TrainConfig needs 0 <= final_rate <= 1 and reward_scale > 0, got"
                 f" {self.final_rate} and {self.reward_scale}"
-            )
-        reserved = _RESERVED & set(self.hyperparameters)
-        if reserved:
-            raise ParameterError(
-                f"TrainConfig.hyperparameters cannot set {', '.join(sorted(reserved))}"
             )
 
     @property
@@ -136,14 +92,8 @@ class TrainConfig:
 
     @property
     def label(self) -> str:
-        """The algorithm's name in file names: ppo, sac, sac-her, resolved-ppo."""
+        """The algorithm's name in file names: ppo, resolved-ppo, closing-dagger."""
         return "-".join(filter(None, (self.imitate, self.algorithm.lower())))
-
-    @property
-    def env_settings(self) -> dict[str, Any]:
-        """Settings of the environment, the algorithm's own among them."""
-        goal = {"goal": True} if ALGORITHMS[self.algorithm].goal else {}
-        return {**goal, **self.settings}
 
     def learning_rate(self, rate: float, remaining: float) -> float:
         """Return the learning rate where a share of the training remains.
@@ -197,7 +147,7 @@ def choose_config(source: str | os.PathLike[str], algorithm: str | None = None) 
 
     Args:
         source: a .toml or .json file, or an environment that one comes with.
-        algorithm: ppo, sac or sac-her; None: the first there is.
+        algorithm: its label, such as ppo; None: the first there is.
 
     Raises:
         ParameterError: no such file or configuration, or it is for another algorithm.

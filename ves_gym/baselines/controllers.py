@@ -65,9 +65,17 @@ def require_fit(name: str, fits: bool, work: str, env: VesVectorEnv) -> None:
         )
 
 
-def sized(array: Array, *shape: int) -> Array:
-    """Return what a controller remembers if it has a shape, else zeros of it."""
-    return array if array.shape == shape else np.zeros(shape)
+def remember(controller: object, n: int, **shapes: tuple[int, ...]) -> None:
+    """Give a controller arrays of zeros; those that it has of their shape stay as they are.
+
+    Args:
+        controller: gets them as attributes.
+        n: leading axis, environments.
+        shapes: the others, by name.
+    """
+    for name, shape in shapes.items():
+        if np.shape(getattr(controller, name, ())) != (n, *shape):
+            setattr(controller, name, np.zeros((n, *shape)))
 
 
 class Zero:
@@ -77,10 +85,9 @@ class Zero:
     privileged = False
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
+        """Nothing to prepare."""
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`."""
         return np.zeros((env.num_envs, env.batch.width))
 
 
@@ -95,20 +102,18 @@ class Random:
 
     name = "random"
     privileged = False
+    _actions: Array  # (n, steps, width)
 
     def __init__(self, seed: int = 0) -> None:
         self.seed = seed
-        self._actions = np.empty(0)
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
         shape = (env.task.steps, env.batch.width)
-        self._actions = sized(self._actions, env.num_envs, *shape)
+        remember(self, env.num_envs, _actions=shape)
         for i in ids.tolist():
             self._actions[i] = episode_rng(env, i, self.seed).uniform(-1.0, 1.0, shape)
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`."""
         return row_of_step(env, self._actions)
 
 
@@ -121,13 +126,12 @@ class Hold:
     """
 
     privileged = True
+    _place: Array  # (n, joints) rad
 
     def __init__(self, name: str = "hold", gains: JointServo | None = None) -> None:
         self.name, self.gains = name, gains
-        self._place = np.empty(0)
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
         level, kind = env.task.control.level, env.task.control.kind
         if kind == "guided" or (level == "reference" and self.gains is not None):
             raise ParameterError(
@@ -135,15 +139,13 @@ class Hold:
                 + (" leads to its goal" if kind == "guided" else " has gains of its own")
             )
         q = env.batch.scene.q
-        self._place = sized(self._place, *q.shape)
+        remember(self, len(q), _place=q.shape[1:])
         self._place[ids] = q[ids]
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`."""
-        control, s = env.task.control, env.batch.scene
-        arm = env.task.system.arm
-        servo = self.gains or own_gains(arm)
-        if len(servo.kp) != arm.n:  # the thesis's, for three joints
+        control, s, arm = env.task.control, env.batch.scene, env.task.system.arm
+        servo = self.gains
+        if servo is None or len(servo.kp) != arm.n:  # the thesis's, for three joints
             servo = own_gains(arm)
         kp, kd = np.array(servo.kp), np.array(servo.kd)
         if isinstance(control, Gains):
@@ -166,18 +168,17 @@ class Follow:
     """
 
     privileged = True
+    _plan: Array  # (n, steps + 1, 3, joints)
 
     def __init__(self, name: str, planner: str, seed: int = 0) -> None:
         self.name, self.planner, self.seed = name, planner, seed
-        self._plan: Array = np.empty(0)  # (n, steps + 1, 3, joints)
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
         task, s = env.task, env.batch.scene
         fits = isinstance(task, RestToRest) and task.control.level != "gains"
         require_fit(self.name, fits, "plans from rest to rest in joint space", env)
         joints = s.q.shape[1]
-        self._plan = sized(self._plan, env.num_envs, task.steps + 1, 3, joints)
+        remember(self, env.num_envs, _plan=(task.steps + 1, 3, joints))
         for i in ids.tolist():
             query = joint_query(env, s.q[i], s.goal[i, :joints], task.duration)
             self._plan[i] = sampled(self._motion(query), task.steps + 1, env.batch.dt)
@@ -190,7 +191,6 @@ class Follow:
         return query.straight if motion is None else motion  # better than not to move
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`."""
         control, s, arm = env.task.control, env.batch.scene, env.task.system.arm
         target = row_of_step(env, self._plan, ahead=1)
         if isinstance(control, Torque):
@@ -280,8 +280,7 @@ def reference_action(
         moving = SimpleNamespace(time=s.time, q=s.q, v=s.v, ref=s.ref.copy(), goal=s.goal)
         control.advance(moving, middle + small, arm, dt, remaining)
         ends.append(moving.ref)
-    c = follow
-    mix = np.array([c * c, 2 * c, 1.0])
+    mix = np.array([follow**2, 2 * follow, 1.0])
     if control.kind == "pd_target":  # it sets the angle and nothing else
         mix = np.array([1.0, 0.0, 0.0])
     still, slope = mix @ (ends[0] + ends[1]) / 2, mix @ (ends[1] - ends[0]) / (2 * _SMALL)
@@ -300,11 +299,9 @@ class Optimal:
     privileged = True
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
         require_fit(self.name, hasattr(env.task, "optimum"), "acts on task lqr", env)
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`."""
         task: Any = env.task
         plan: Array = task.optimum.gains
         gains = plan[np.minimum(env.batch.episodes.steps, len(plan) - 1)]

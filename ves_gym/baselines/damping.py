@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
-from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym._util.params import Array, Index
 from ves_gym._util.threads import on_one_thread
 from ves_gym.baselines.controllers import (
     gains_action,
     joint_query,
     reference_action,
+    remember,
     require_fit,
     row_of_step,
     sampled,
-    sized,
 )
 from ves_gym.damping.observer import BaseObserver
 from ves_gym.damping.plant import plant_at
@@ -29,6 +29,12 @@ from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.sequential import minimise
 
 _NODES = 60  # of the momentum over a horizon
+# of `Receding`
+_PERIOD, _DELAY = (
+    0.25,
+    0.1,
+)  # s between plans, and from a measurement to the plan that it leads to
+_HORIZON, _FREE, _ITERATIONS = 3.0, 14, 3  # of a plan: s, coefficients, steps of optimisation
 _STARTS = 8  # of a search for gains: the best of 24 is 0.1 % better
 
 
@@ -42,22 +48,21 @@ class TunedGains:
     name = "tuned"
     privileged = True
 
+    _gains: Array  # (n, 2, joints)
+
     def __init__(self, seed: int = 0) -> None:
         self.seed = seed
-        self._gains: Array = np.empty((0, 2, 0))  # (n, 2, joints)
 
     def settings(self, spec: EnvSpec) -> dict[str, Any]:
-        """See `Controller`."""
         if spec.kwargs.get("task") != "damp":
             return {}
         return {"control": {"kind": "pd_gains", "kp": list(WIDE.K), "kd": list(WIDE.B)}}
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
         s, system = env.batch.scene, env.task.system.ideal()
         fits = isinstance(env.task.control, Gains)
         require_fit(self.name, fits, "sets gains through control pd_gains", env)
-        self._gains = sized(self._gains, env.num_envs, 2, s.q.shape[1])
+        remember(self, env.num_envs, _gains=(2, s.q.shape[1]))
         for i in ids.tolist():
             gains = tune(
                 plant_at(system, s.q[i]), y=s.y[i], starts=_STARTS, seed=self.seed
@@ -65,7 +70,6 @@ class TunedGains:
             self._gains[i] = np.diag(gains.K), np.diag(gains.B)
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`."""
         control = env.task.control
         assert isinstance(control, Gains)
         return np.stack([gains_action(control, k[0], k[1]) for k in self._gains])
@@ -74,54 +78,35 @@ class TunedGains:
 class Receding:
     """Plans the best motion from the base as measured, and plans it anew while it moves.
 
-    Every `period` an observer's estimate of the base is led on over `delay`, in which the last
-    plan goes on and the new one is found; from there the plan of least E_mean over `horizon`,
-    which ends at rest where the episode began, is the one to follow. A plan starts from the
-    last one and takes `iterations` steps of the optimisation. The model is the nominal system,
-    whatever the episode draws; what is measured is the base's pose.
+    Every `_PERIOD` an observer's estimate of the base is led on over `_DELAY`, in which the
+    last plan goes on and the new one is found; from there the plan of least E_mean over
+    `_HORIZON`, which ends at rest where the episode began, is the one to follow. A plan starts
+    from the last one and takes `_ITERATIONS` steps of the optimisation. The model is the
+    nominal system, whatever the episode draws; what is measured is the base's pose.
     """
 
     name = "receding"
     privileged = True
+    _plan: Array  # (n, steps + 2, 3, joints) of the reference
+    _momentum: Array  # (n, steps + 2, 6) that it has
+    _home: Array  # (n, joints) where it is to end [rad]
 
-    def __init__(
-        self,
-        seed: int = 0,
-        *,
-        period: float = 0.25,
-        delay: float = 0.1,
-        horizon: float = 3.0,
-        free: int = 14,
-        iterations: int = 3,
-    ) -> None:
-        if not 0 < delay <= period <= horizon:
-            raise ParameterError(
-                "receding needs 0 < delay <= period <= horizon [s], got"
-                f" {delay:g}, {period:g} and {horizon:g}"
-            )
+    def __init__(self, seed: int = 0) -> None:
         self.seed = seed
-        self.period, self.delay, self.horizon = period, delay, horizon
-        self.free, self.iterations = free, iterations
-        self._plan: Array = np.empty((0, 0, 3, 0))  # (n, steps + 2, 3, joints) of the reference
-        self._momentum: Array = np.empty((0, 0, 6))  # (n, steps + 2, 6) that it has
-        self._home: Array = np.empty((0, 0))  # (n, joints) where it is to end [rad]
         self._observers: dict[int, BaseObserver] = {}
 
     def settings(self, spec: EnvSpec) -> dict[str, Any]:
-        """See `Controller`."""
         if spec.kwargs.get("task") != "damp":
             return {}
         return {"control": {"kind": "acceleration"}}
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
         task, s = env.task, env.batch.scene
         fits = task.kind == "damp" and task.control.level == "reference"
         require_fit(self.name, fits, "leads the reference of task damp", env)
         n, joints = s.q.shape
-        self._plan = sized(self._plan, n, task.steps + 2, 3, joints)
-        self._momentum = sized(self._momentum, n, task.steps + 2, 6)
-        self._home = sized(self._home, n, joints)
+        shapes = {"_plan": (task.steps + 2, 3, joints), "_momentum": (task.steps + 2, 6)}
+        remember(self, n, **shapes, _home=(joints,))
         system = task.system.ideal()
         for i in ids.tolist():
             self._home[i] = s.q[i]
@@ -132,9 +117,8 @@ class Receding:
             self._observers[i] = observer
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`."""
         s, steps, dt = env.batch.scene, env.batch.episodes.steps, env.batch.dt
-        every, late = round(self.period / dt), round(self.delay / dt)
+        every, late = round(_PERIOD / dt), round(_DELAY / dt)
         with on_one_thread():
             for i, k in enumerate(steps.tolist()):
                 if k:
@@ -154,15 +138,13 @@ class Receding:
             state = observer.ahead(state, u[0], u[1])
         base = observer.base_state(0, state[0], self._momentum[i, begin])
         q, v, a = self._plan[i, begin]
-        query = joint_query(
-            env, q, self._home[i], self.horizon, rate=v, acceleration=a, base=base
-        )
-        problem = MotionProblem(query, self.free, nodes=_NODES)
-        length = round(self.horizon / dt)
+        query = joint_query(env, q, self._home[i], _HORIZON, rate=v, acceleration=a, base=base)
+        problem = MotionProblem(query, _FREE, nodes=_NODES)
+        length = round(_HORIZON / dt)
         ahead = self._plan[i, np.minimum(begin + np.arange(length + 1), task.steps + 1), 0]
         x = problem.near(np.vstack([ahead[:-1], self._home[i]]))
         problem.follow(problem.motion(x))
-        motion = problem.motion(minimise(problem, x, self.iterations).x)
+        motion = problem.motion(minimise(problem, x, _ITERATIONS).x)
         plan = sampled(motion, self._plan.shape[1] - begin, dt)
         self._plan[i, begin:] = plan
         pushing = inertia(task.system.arm, plan[:, 0])[:, :6, 6:]

@@ -41,8 +41,8 @@ from ves_gym._util.params import (
 )
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.comparison import line_up
-from ves_gym.baselines.controllers import Controller, row_of_step, sized
-from ves_gym.baselines.evaluate import make_vector, run_episodes, spec_of
+from ves_gym.baselines.controllers import Controller, remember, row_of_step
+from ves_gym.baselines.evaluate import make_vector, run_episodes, settings_of, spec_of
 from ves_gym.baselines.policy import Policy, task_name
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
@@ -50,6 +50,7 @@ from ves_gym.envs.vector import VesVectorEnv
 SCHEMA = "ves-dataset/1"
 RECIPES = Path(__file__).parent / "datasets"
 TOLERANCE = 1e-5  # of a fingerprint's sums, over the root mean square of the numbers
+_COLUMNS = ("actions", "rewards", "terminations", "truncations")  # of an episode
 _SUMS = 16  # random sums of a fingerprint
 _DIGITS = 10  # of numbers in an identity
 _AT_ONCE = 32  # episodes
@@ -122,11 +123,8 @@ def fingerprint_of(identity: str, episodes: Sequence[Episode]) -> dict[str, Any]
         (`random_sums`).
     """
     arrays = {
-        "observations": [flat_observations(e.observations) for e in episodes],
-        **{
-            name: [getattr(e, name) for e in episodes]
-            for name in ("actions", "rewards", "terminations", "truncations")
-        },
+        name: [flat_observations(getattr(e, name)) for e in episodes]
+        for name in ("observations", *_COLUMNS)
     }
     return {
         "identity": identity,
@@ -267,22 +265,21 @@ def _beside(recipe: Recipe) -> Path:
 class _Stored:
     """Acts as another controller does, with noise, in the float32 that is stored."""
 
+    _added: Array  # (n, steps, width)
+
     def __init__(self, inner: Controller, noise: float) -> None:
         self.inner, self.noise = inner, noise
         self.name, self.privileged = inner.name, inner.privileged
-        self._added = np.empty(0)
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
         self.inner.reset(env, ids)
         shape = env.task.steps, env.batch.width
-        self._added = sized(self._added, env.num_envs, *shape)
+        remember(self, env.num_envs, _added=shape)
         for i in ids.tolist() if self.noise else ():
             draw = np.random.default_rng((int(env.batch.episodes.root[i]), 1))
             self._added[i] = self.noise * draw.standard_normal(shape)
 
     def act(self, env: VesVectorEnv, observation: Any) -> Any:
-        """See `Controller`."""
         added = row_of_step(env, self._added)
         actions = np.clip(self.inner.act(env, observation) + added, -1.0, 1.0)
         return actions.astype(np.float32)
@@ -316,11 +313,9 @@ def _behaviour(recipe: Recipe, name: str) -> Controller:
 
 def _settings(recipe: Recipe, controllers: Sequence[Controller]) -> dict[str, Any]:
     """Settings of the environment that the behaviours need, each of them the same."""
-    spec = spec_of(recipe.env)
     out: dict[str, Any] = {}
     for controller in controllers:
-        needs = getattr(controller, "settings", None)
-        for key, value in (needs(spec) if needs else {}).items():
+        for key, value in settings_of(controller, recipe.env).items():
             if out.setdefault(key, value) != value:
                 raise ParameterError(
                     f"{recipe.id}: behaviours that share a data set must need the same {key},"
@@ -342,12 +337,9 @@ def _episodes(
             if period.ended[i]:
                 before, *parts = zip(*steps.pop(seed), strict=True)
                 rows = _stacked([*before, _row(period.following, i)])
-                actions, rewards, terminations, truncations = map(np.array, parts)
+                arrays = dict(zip(_COLUMNS, map(np.array, parts), strict=True))
                 success = bool(period.info["success"][i])
-                yield Episode(
-                    seed, controller.name, rows, actions, rewards, terminations, truncations,
-                    success,
-                )  # fmt: skip
+                yield Episode(seed, controller.name, rows, success=success, **arrays)
 
 
 def _row(observation: Any, i: int) -> Any:

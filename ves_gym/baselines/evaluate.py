@@ -18,7 +18,7 @@ from gymnasium.envs.registration import EnvSpec, load_env_creator
 from gymnasium.vector import AutoresetMode
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError, to_plain
-from ves_gym._util.statistics import STATISTICS, Estimate, bootstrap, rate
+from ves_gym._util.statistics import STATISTICS, Estimate, bootstrap, iqm, rate
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.controllers import Controller
 from ves_gym.envs.build import build_task
@@ -62,25 +62,16 @@ class Evaluation:
         out: dict[str, Any] = {"episodes": len(self.rows)}
         out["failed"] = sum(row["failed"] for row in self.rows)
         for name in MEASURES:
-            out[name] = {
-                kind: bootstrap(self.values(name), statistic)
-                for kind, statistic in STATISTICS.items()
-            }
+            values = self.values(name)
+            out[name] = {kind: bootstrap(values, k) for kind, k in STATISTICS.items()}
         for name in RATES:
             out[name] = rate(np.concatenate(self.values(name)) > 0)
         return out
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; what is infinite becomes null."""
-        entry = {
-            "name": self.name,
-            "about": dict(self.about),
-            "settings": dict(self.settings),
-            "seconds": self.seconds,
-            "summary": self.summary(),
-            "rows": self.rows,
-        }
-        out: dict[str, Any] = plain(entry)
+        entry = {k: v for k, v in vars(self).items() if k != "id"}
+        out: dict[str, Any] = plain({**entry, "summary": self.summary()})
         return out
 
 
@@ -111,9 +102,7 @@ def evaluate(
             raise ParameterError(
                 f"{name} must be a whole number from 1 to {MOST_EPISODES}, got {value!r:.80}"
             )
-    needs = getattr(controller, "settings", None)
-    if needs is not None and id in gym.registry:
-        settings = {**needs(gym.spec(id)), **settings}
+    settings = {**settings_of(controller, id), **settings}
     begin = time.perf_counter()
     env = make_vector(
         id, min(n_envs or _AT_ONCE, episodes), AutoresetMode.DISABLED, threads, **settings
@@ -129,6 +118,12 @@ def evaluate(
     about = getattr(controller, "about", {})
     seconds = round(time.perf_counter() - begin, 3)
     return Evaluation(controller.name, id, settings, rows, about, seconds)
+
+
+def settings_of(controller: Controller, id: str) -> dict[str, Any]:
+    """Return the settings of an environment that a controller needs."""
+    needs = getattr(controller, "settings", None)
+    return dict(needs(spec_of(id))) if needs is not None else {}
 
 
 @dataclass(frozen=True)
@@ -167,14 +162,17 @@ def run_episodes(
     running = np.full(env.num_envs, -1)
     ended = np.ones(env.num_envs, bool)
     observation: Any = None
-    while True:
-        if not queue and (ended | (running < 0)).all():
-            return
-        if ended.any():
-            observation = _begin(env, ended, running, queue)
-            begun = np.flatnonzero(ended & (running >= 0))
-            if len(begun):
-                controller.reset(env, begun)
+    while queue or not (ended | (running < 0)).all():
+        if ended.any():  # idle ones begin any episode
+            for i in np.flatnonzero(ended).tolist():
+                running[i] = queue.pop() if queue else -1
+            begun = ended & (running >= 0)
+            chosen = [
+                k if now else None for k, now in zip(running.tolist(), begun, strict=True)
+            ]
+            observation = env.reset(seed=chosen, options={"reset_mask": ended})[0]
+            if begun.any():
+                controller.reset(env, np.flatnonzero(begun))
         idle = running < 0
         actions = controller.act(env, observation)
         if idle.any():
@@ -242,37 +240,24 @@ def with_deviations(
     return out
 
 
-def _begin(env: VesVectorEnv, ended: Mask, running: Index, queue: list[int]) -> Any:
-    """Start the queue's next episodes where one ended; idle ones start any."""
-    for i in np.flatnonzero(ended).tolist():
-        running[i] = queue.pop() if queue else -1
-    seeds = [
-        int(k) if over and k >= 0 else None for k, over in zip(running, ended, strict=True)
-    ]
-    return env.reset(seed=seeds, options={"reset_mask": ended})[0]
-
-
 def _rows(
     env: VesVectorEnv, which: Mask, running: Index, info: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
     e = env.batch.episodes
-    failed = (info["reward/failure"] < 0) | info["diverged"]
-    out = []
-    for i in np.flatnonzero(which).tolist():
-        row = {
-            "seed": int(running[i]),
-            "group": 0,
-            "return": float(e.total[i]),
-            "length": int(e.steps[i]),
-            "success": bool(info["success"][i]),
-            "success_once": bool(info["success_once"][i]),
-            "failed": bool(failed[i]),
-        }
-        for name in ENERGIES:
-            value = float(info[f"energy/{name}"][i])
-            row[name] = value if np.isfinite(value) else float("inf")
-        out.append(row)
-    return out
+    columns = {
+        "seed": running,
+        "group": np.zeros_like(running),
+        "return": e.total,
+        "length": e.steps,
+        "success": info["success"],
+        "success_once": info["success_once"],
+        "failed": (info["reward/failure"] < 0) | info["diverged"],
+    }
+    for name in ENERGIES:
+        value = info[f"energy/{name}"]
+        columns[name] = np.where(np.isfinite(value), value, np.inf)
+    rows = zip(*(column[which].tolist() for column in columns.values()), strict=True)
+    return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
 def pool(evaluations: Sequence[Evaluation], name: str) -> Evaluation:
@@ -301,17 +286,14 @@ def ratio(a: Evaluation, b: Evaluation, measure: str = "E_mean") -> Estimate:
     return bootstrap([np.array(g) for g in groups.values()], STATISTICS["median"])
 
 
-def beats(
-    a: Evaluation, b: Evaluation, measure: str = "return", statistic: str = "iqm"
-) -> bool:
-    """Return True if a is better than b with 95 % intervals apart.
+def beats(a: Evaluation, b: Evaluation, measure: str = "return") -> bool:
+    """Return True if a is better than b, 95 % intervals of interquartile means apart.
 
     Args:
         a, b: evaluations on the same episodes.
         measure: of the episodes.
-        statistic: of the measure.
     """
-    better, worse = (bootstrap(e.values(measure), STATISTICS[statistic]) for e in (a, b))
+    better, worse = (bootstrap(e.values(measure), iqm) for e in (a, b))
     if measure == "return":
         return better.low > worse.high
     return better.high < worse.low

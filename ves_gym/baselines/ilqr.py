@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym._util.params import Array, Index
 from ves_gym._util.threads import on_one_thread
 from ves_gym.baselines.controllers import require_fit
 from ves_gym.baselines.mppi import AT_REST, nominal_model, residual_motion_cost
@@ -32,6 +32,7 @@ from ves_gym.planners.momentum import torque
 from ves_gym.planners.prediction import LinearBase
 
 _STEPS = np.array([0.0, 1.0, 0.7, 0.5, 0.3, 0.2, 0.1, 0.03])  # alpha, a lane each
+_PERIOD = 0.5  # s between decisions
 _EFFORT = 1e-6  # of an action squared: keeps Q_uu regular
 _AT_ONCE = 2  # directions per program: more take long to compile
 _ENOUGH = 1e-3  # relative decrease of the cost below which a decision is made
@@ -55,27 +56,18 @@ class Ilqr:
     Args:
         seed: not used; nothing is drawn.
         first, later: iterations of an episode's first decision and of each one after it.
-        period: between decisions [s].
     """
 
     name = "ilqr"
     privileged = True
 
-    def __init__(
-        self, seed: int = 0, *, first: int = 12, later: int = 1, period: float = 0.5
-    ) -> None:
-        if first < 1 or later < 0 or not period > 0:
-            raise ParameterError(
-                "ilqr needs first >= 1, later >= 0 and period > 0 s, got"
-                f" {first}, {later} and {period:g}"
-            )
-        self.seed, self.first, self.later, self.period = seed, first, later, period
+    def __init__(self, seed: int = 0, *, first: int = 12, later: int = 1) -> None:
+        self.first, self.later = first, later
         self._of: Task | None = None
         self._model: VesVectorEnv | None = None
         self._motion: list[ControlledMotion] = []
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
         task = env.task
         fits = isinstance(task, RestToRest) and isinstance(task.control, Guided)
         require_fit(self.name, fits, "acts on task rest_to_rest through control guided", env)
@@ -92,8 +84,7 @@ class Ilqr:
             self._motion[i] = self._still
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`."""
-        every = max(round(self.period / env.batch.dt), 1)
+        every = max(round(_PERIOD / env.batch.dt), 1)
         out = np.zeros((env.num_envs, env.batch.width))
         steps = env.batch.episodes.steps
         for i, k in enumerate(steps.tolist()):

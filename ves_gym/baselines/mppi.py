@@ -13,83 +13,55 @@ share of the spread of S, whatever the reward's scale.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import Array, Index, ParameterError
+from ves_gym._util.params import Array, Index
 from ves_gym.baselines.controllers import Follow, episode_rng, require_fit, row_of_step
 from ves_gym.envs.rest_to_rest import RestToRest
 from ves_gym.envs.task import Task
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.motion import basis
 
+_PERIOD = 0.25  # s between decisions
+_KNOTS = 12  # splines per episode
+_TEMPERATURE = 0.2  # lambda over the standard deviation of the returns
 _FADES = 0.85  # of the noise, from one iteration to the next of the same decision
 AT_REST = 30.0  # s^2/rad^2: price of half the squared joint rates at the end
 _LEAST = 1e-9  # spread of the returns below which all sequences are alike
 
 
+@dataclass(eq=False)
 class Mppi:
     """Plays sampled futures on a model in space without errors, every so often, from now on.
 
     The model is an environment of `lanes` simulations that `VesVectorEnv.fan_out` puts where
     the episode is, as measured. Between two decisions the actions found last go on.
-
-    Args:
-        seed: of the noise.
-        lanes: sampled sequences per iteration.
-        first, later: iterations of an episode's first decision and of each one after it.
-        period: between decisions [s].
-        knots: splines per episode.
-        noise: standard deviation of their coefficients in the first iteration.
-        temperature: lambda over the standard deviation of the returns.
-        start: "straight" (no action) or a planner whose motion the first actions follow.
     """
 
     name = "mppi"
     privileged = True
-
-    def __init__(
-        self,
-        seed: int = 0,
-        *,
-        lanes: int = 64,
-        first: int = 6,
-        later: int = 1,
-        period: float = 0.25,
-        knots: int = 12,
-        noise: float = 0.02,
-        temperature: float = 0.2,
-        start: str = "direct",
-    ) -> None:
-        if min(lanes, first) < 2 or later < 0 or knots < 4:
-            raise ParameterError(
-                "mppi needs lanes >= 2, first >= 2, later >= 0 and knots >= 4, got"
-                f" {lanes}, {first}, {later} and {knots}"
-            )
-        if min(period, noise, temperature) <= 0:
-            raise ParameterError(
-                "mppi needs period, noise and temperature > 0, got"
-                f" {period:g}, {noise:g} and {temperature:g}"
-            )
-        self.seed, self.lanes, self.first, self.later = seed, lanes, first, later
-        self.period, self.knots = period, knots
-        self.noise, self.temperature, self.start = noise, temperature, start
-        self._model: VesVectorEnv | None = None
-        self._of: Task | None = None
-        self._splines: Array = np.empty((0, 0))  # (steps, knots)
-        self._actions: Array = np.empty((0, 0, 0))  # (n, steps, width)
-        self._rng: list[np.random.Generator] = []
+    seed: int = 0  # of the noise
+    lanes: int = 64  # sampled sequences per iteration
+    first: int = 6  # iterations of an episode's first decision
+    later: int = 1  # and of each one after it
+    noise: float = 0.02  # standard deviation of the splines' coefficients at first
+    start: str = "direct"  # planner whose motion the first actions follow; straight: no action
+    _model: VesVectorEnv | None = field(default=None, init=False)
+    _of: Task | None = field(default=None, init=False)
+    _splines: Array = field(default_factory=lambda: np.empty((0, 0)), init=False)  # (steps, k)
+    _actions: Array = field(default_factory=lambda: np.empty(0), init=False)  # (n, steps, w)
+    _rng: list[np.random.Generator] = field(default_factory=list, init=False)
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
         task = env.task
         fits = isinstance(task, RestToRest) and task.control.level == "reference"
         require_fit(self.name, fits, "leads the reference of task rest_to_rest", env)
         if self._of != task or len(self._actions) != env.num_envs:
             self._model, self._of = nominal_model(env, self.lanes), task
-            self._splines = basis(self.knots, np.linspace(0.0, 1.0, task.steps), 0)
+            self._splines = basis(_KNOTS, np.linspace(0.0, 1.0, task.steps), 0)
             self._actions = np.zeros((env.num_envs, task.steps, env.batch.width))
             self._rng = [np.random.default_rng()] * env.num_envs
         for i in ids.tolist():
@@ -99,8 +71,7 @@ class Mppi:
                 self._actions[i] = followed(self._model, env, i, self.start, self.seed)
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`."""
-        every = max(round(self.period / env.batch.dt), 1)
+        every = max(round(_PERIOD / env.batch.dt), 1)
         steps = env.batch.episodes.steps
         for i, k in enumerate(steps.tolist()):
             if k % every == 0 and k < env.task.steps:
@@ -113,7 +84,7 @@ class Mppi:
         assert model is not None
         splines, scale = self._splines[k:], self.noise
         for _ in range(self.later if k else self.first):
-            shape = (self.lanes, self.knots, planned.shape[1])
+            shape = (self.lanes, _KNOTS, planned.shape[1])
             e = scale * self._rng[i].standard_normal(shape)
             e[0] = 0.0  # the present sequence itself
             model.fan_out(env, i)
@@ -122,7 +93,7 @@ class Mppi:
             spread = float(cost.std())
             if not spread > _LEAST:
                 break
-            weights = np.exp(-(cost - cost.min()) / (self.temperature * spread))
+            weights = np.exp(-(cost - cost.min()) / (_TEMPERATURE * spread))
             weights /= weights.sum()
             planned += splines @ np.einsum("k,kmj->mj", weights, e)
             scale *= _FADES

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.optional import require
-from ves_gym._util.params import ParameterError, write_bytes
+from ves_gym._util.params import write_bytes
 from ves_gym.baselines.arm_features import ArmFeatures
 from ves_gym.baselines.policy import Policy
 from ves_gym.engine.kernel.symbolic import column, symbols
@@ -24,6 +24,54 @@ from ves_gym.engine.kernel.symbolic import column, symbols
 OPSET = 17
 TOLERANCE = 1e-6  # of an action in [-1, 1]
 _SHORTEST = 1e-300  # length of a direction: zero has none
+
+
+class _Graph:
+    """Nodes and numbers of a model under way; every method gives the name of an output."""
+
+    def __init__(self) -> None:
+        self.nodes: list[Any] = []
+        self.numbers: dict[str, Any] = {}  # by name, also that of a number itself
+
+    def constant(self, name: str, value: Any) -> str:
+        """Add an array under a name."""
+        from onnx import numpy_helper
+
+        self.numbers[name] = numpy_helper.from_array(np.asarray(value, np.float64), name)
+        return name
+
+    def number(self, value: float) -> str:
+        """Add a number, unless it is there."""
+        name = repr(float(value))
+        return name if name in self.numbers else self.constant(name, value)
+
+    def add(self, kind: str, *inputs: str, **attributes: Any) -> str:
+        """Add a node."""
+        from onnx import helper
+
+        name = f"x{len(self.nodes)}"
+        self.nodes.append(helper.make_node(kind, list(inputs), [name], **attributes))
+        return name
+
+    def angle(self, y: str, x: str) -> str:
+        """Add the angle of a direction [rad], y and x columns of its sides.
+
+        Engines have the arctangent in single precision alone. What it leaves of the angle is
+        so small that its sine, which they have in double precision, makes up for it.
+        """
+        from onnx import TensorProto
+
+        add, zero = self.add, self.number(0.0)
+        squares = add("Add", add("Mul", x, x), add("Mul", y, y))
+        long = add("Max", add("Sqrt", squares), self.number(_SHORTEST))
+        half = add("Div", y, add("Add", long, add("Abs", x)))  # its tangent, for x >= 0
+        single = add("Atan", add("Cast", half, to=TensorProto.FLOAT))
+        near = add("Mul", add("Cast", single, to=TensorProto.DOUBLE), self.number(2.0))
+        turns = self.number(-math.pi), self.number(math.pi)
+        straight = add("Where", add("Less", y, zero), *turns)
+        rough = add("Where", add("Less", x, zero), add("Sub", straight, near), near)
+        missing = add("Sub", add("Mul", y, add("Cos", rough)), add("Mul", x, add("Sin", rough)))
+        return add("Add", rough, add("Div", missing, long))
 
 
 def to_onnx(policy: Policy) -> bytes:
@@ -36,28 +84,17 @@ def to_onnx(policy: Policy) -> bytes:
     """
     require("a policy as ONNX", "onnx")
     import onnx
-    from onnx import TensorProto, helper, numpy_helper
+    from onnx import TensorProto, helper
 
-    net = policy.network
-    nodes: list[Any] = []
-    numbers: list[Any] = []
-
-    def constant(name: str, value: Any) -> str:
-        numbers.append(numpy_helper.from_array(np.asarray(value, np.float64), name))
-        return name
-
-    def add(kind: str, *inputs: str, **attributes: Any) -> str:
-        name = f"x{len(nodes)}"
-        nodes.append(helper.make_node(kind, list(inputs), [name], **attributes))
-        return name
-
-    x = add("Cast", "observation", to=TensorProto.DOUBLE)
+    net, graph = policy.network, _Graph()
+    add, constant = graph.add, graph.constant
     limit = net.observation_limit
+    x = add("Cast", "observation", to=TensorProto.DOUBLE)
     x = add("Clip", x, constant("low", -limit), constant("high", limit))
     if net.features is not None:
         split = [f"entry{i}" for i in range(net.entries)]
-        nodes.append(helper.make_node("Split", [x], split, axis=1))
-        x = add("Concat", x, *_features(net.features, split, add, constant), axis=1)
+        graph.nodes.append(helper.make_node("Split", [x], split, axis=1))
+        x = add("Concat", x, *_features(net.features, split, graph), axis=1)
     for i, (W, b) in enumerate(policy.weights):
         x = add("MatMul", x, constant(f"layer{i}.weight", W))
         x = add("Add", x, constant(f"layer{i}.bias", b))
@@ -67,16 +104,14 @@ def to_onnx(policy: Policy) -> bytes:
         x = add("Tanh", x)
     else:
         x = add("Clip", x, constant("least", -1.0), constant("most", 1.0))
-    nodes.append(helper.make_node("Cast", [x], ["action"], to=TensorProto.FLOAT))
-    graph = helper.make_graph(
-        nodes,
-        policy.name,
-        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["n", net.entries])],
-        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["n", net.sizes[-1]])],
-        numbers,
+    graph.nodes.append(helper.make_node("Cast", [x], ["action"], to=TensorProto.FLOAT))
+    taken, given = (
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", size])]
+        for name, size in (("observation", net.entries), ("action", net.sizes[-1]))
     )
+    numbers = list(graph.numbers.values())
     model = helper.make_model(
-        graph,
+        helper.make_graph(graph.nodes, policy.name, taken, given, numbers),
         producer_name="ves_gym",
         opset_imports=[helper.make_opsetid("", OPSET)],
         ir_version=8,  # of the first release with this opset: any engine of today reads it
@@ -89,105 +124,59 @@ def to_onnx(policy: Policy) -> bytes:
     return data
 
 
-# Of CasADi, as nodes; truth is what `Where` takes
-_NODES = {
-    "OP_ADD": "Add",
-    "OP_SUB": "Sub",
-    "OP_MUL": "Mul",
-    "OP_DIV": "Div",
-    "OP_NEG": "Neg",
-    "OP_SIN": "Sin",
-    "OP_COS": "Cos",
-    "OP_SQRT": "Sqrt",
-    "OP_FABS": "Abs",
-    "OP_FMIN": "Min",
-    "OP_FMAX": "Max",
-    "OP_LT": "Less",
-    "OP_NOT": "Not",
-}
+# Of CasADi, as nodes of columns a, b; truth is what `Where` takes
+_NODES: dict[str, Callable[[_Graph, str, str], str]] = {
+    **{
+        f"OP_{name}": lambda graph, a, b, kind=kind: graph.add(kind, a, b)  # type: ignore[misc]
+        for name, kind in {
+            "ADD": "Add", "SUB": "Sub", "MUL": "Mul", "DIV": "Div", "FMIN": "Min",
+            "FMAX": "Max", "LT": "Less",
+        }.items()
+    },
+    **{
+        f"OP_{name}": lambda graph, a, b, kind=kind: graph.add(kind, a)  # type: ignore[misc]
+        for name, kind in {
+            "NEG": "Neg", "SIN": "Sin", "COS": "Cos", "SQRT": "Sqrt", "FABS": "Abs",
+            "NOT": "Not",
+        }.items()
+    },
+    "OP_SQ": lambda graph, a, b: graph.add("Mul", a, a),
+    "OP_TWICE": lambda graph, a, b: graph.add("Add", a, a),
+    "OP_INV": lambda graph, a, b: graph.add("Div", graph.number(1.0), a),
+    "OP_IF_ELSE_ZERO": lambda graph, a, b: graph.add("Where", a, b, graph.number(0.0)),
+    "OP_ATAN2": _Graph.angle,
+}  # fmt: skip
 
 
-def _features(
-    features: ArmFeatures,
-    entries: list[str],
-    add: Callable[..., str],
-    constant: Callable[..., str],
-) -> list[str]:
+def _features(features: ArmFeatures, entries: list[str], graph: _Graph) -> list[str]:
     """Return the columns of the features, traced and written instruction by instruction.
 
     Args:
         features: of an observation.
         entries: its columns (n, 1).
-        add: adds a node, by its kind and inputs; the name of its output.
-        constant: adds a number, by its name.
+        graph: gets the nodes.
     """
     import casadi as ca
 
     x = symbols("x", (1, len(entries)))
-    graph = ca.Function("features", [column(x)], [ca.cse(column(features(x)))])
-    kinds = {getattr(ca, name): kind for name, kind in _NODES.items()}
-    constants: dict[float, str] = {}
-
-    def number(value: float) -> str:
-        if value not in constants:
-            constants[value] = constant(f"number{len(constants)}", value)
-        return constants[value]
-
+    traced = ca.Function("features", [column(x)], [ca.cse(column(features(x)))])
+    nodes = {getattr(ca, name): node for name, node in _NODES.items()}
     columns: dict[int, str] = {}
-    out = [""] * graph.size1_out(0)
-    for k in range(graph.n_instructions()):
-        op, into = graph.instruction_id(k), graph.instruction_output(k)
-        operands = graph.instruction_input(k)
+    out = [""] * traced.size1_out(0)
+    for k in range(traced.n_instructions()):
+        op, into = traced.instruction_id(k), traced.instruction_output(k)
+        operands = traced.instruction_input(k)
         if op == ca.OP_OUTPUT:
             out[into[1]] = columns[operands[0]]
-            continue
-        if op == ca.OP_CONST:
-            columns[into[0]] = number(graph.instruction_constant(k))
-            continue
-        if op == ca.OP_INPUT:
+        elif op == ca.OP_CONST:
+            columns[into[0]] = graph.number(traced.instruction_constant(k))
+        elif op == ca.OP_INPUT:
             columns[into[0]] = entries[operands[1]]
-            continue
-        a, b = columns[operands[0]], columns[operands[-1]]
-        if op in kinds:
-            column_ = add(kinds[op], *(columns[i] for i in operands))
-        elif op == ca.OP_SQ:
-            column_ = add("Mul", a, a)
-        elif op == ca.OP_TWICE:
-            column_ = add("Add", a, a)
-        elif op == ca.OP_INV:
-            column_ = add("Div", number(1.0), a)
-        elif op == ca.OP_IF_ELSE_ZERO:
-            column_ = add("Where", a, b, number(0.0))
-        elif op == ca.OP_ATAN2:
-            column_ = _angle(a, b, add, number)
         else:
-            raise ParameterError(f"operation {op} of the features has no ONNX node")
-        columns[into[0]] = column_
+            assert op in nodes, f"operation {op} of the features has no ONNX node"
+            a, b = columns[operands[0]], columns[operands[-1]]
+            columns[into[0]] = nodes[op](graph, a, b)
     return out
-
-
-def _angle(y: str, x: str, add: Callable[..., str], number: Callable[[float], str]) -> str:
-    """Angle of a direction [rad].
-
-    Engines have the arctangent in single precision alone. What it leaves of the angle is so
-    small that its sine, which they have in double precision, makes up for it.
-
-    Args:
-        y, x: columns of its sides.
-        add, number: see `_features`.
-    """
-    from onnx import TensorProto
-
-    squares = add("Add", add("Mul", x, x), add("Mul", y, y))
-    long = add("Max", add("Sqrt", squares), number(_SHORTEST))
-    half = add("Div", y, add("Add", long, add("Abs", x)))  # its tangent, for x >= 0
-    single = add("Atan", add("Cast", half, to=TensorProto.FLOAT))
-    near = add("Mul", add("Cast", single, to=TensorProto.DOUBLE), number(2.0))
-    zero = number(0.0)
-    straight = add("Where", add("Less", y, zero), number(-math.pi), number(math.pi))
-    rough = add("Where", add("Less", x, zero), add("Sub", straight, near), near)
-    missing = add("Sub", add("Mul", y, add("Cos", rough)), add("Mul", x, add("Sin", rough)))
-    return add("Add", rough, add("Div", missing, long))
 
 
 def difference(policy: Policy, data: bytes, rows: int = 1000) -> float:

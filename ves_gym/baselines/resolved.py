@@ -10,9 +10,9 @@ from ves_gym._util.params import Array, Index
 from ves_gym.baselines.controllers import (
     FOLLOW,
     reference_action,
+    remember,
     require_fit,
     row_of_step,
-    sized,
 )
 from ves_gym.envs.free_flyer import FreeFlyerReach
 from ves_gym.envs.payload_transfer import PayloadTransfer
@@ -57,18 +57,17 @@ class Resolved:
     """
 
     privileged = True
+    _plan: Array  # (n, steps + 2, joints) rad
+    _path: Array  # (n, steps + 2, 3) of the tool in space [m]
+    _base_rate: Array  # (n, 6) a period ago
+    _shift: Array  # (n, 2, joints) of the reference, and its rate
 
     def __init__(
         self, name: str = "resolved", follow: float = FOLLOW, braced: bool = False
     ) -> None:
         self.name, self.follow, self.braced = name, follow, braced
-        self._plan = np.empty(0)  # (n, steps + 2, joints) rad
-        self._path = np.empty(0)  # (n, steps + 2, 3) of the tool in space [m]
-        self._base_rate = np.empty(0)  # (n, 6) a period ago
-        self._shift = np.empty(0)  # (2, n, joints) of the reference, and its rate
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
         task, s = env.task, env.batch.scene
         fits = isinstance(task, (FreeFlyerReach, PayloadTransfer, Reach, Track))
         require_fit(
@@ -77,12 +76,10 @@ class Resolved:
             "leads the reference of tasks reach, track, free_flyer and payload_transfer",
             env,
         )
-        arm, steps, n = task.system.arm, task.steps, env.num_envs
-        self._plan = sized(self._plan, n, steps + 2, arm.n)
-        self._path = sized(self._path, n, steps + 2, 3)
-        self._base_rate = sized(self._base_rate, n, 6)
-        self._shift = sized(self._shift, 2, n, arm.n)
-        self._base_rate[ids], self._shift[:, ids] = s.yd_seen[ids], 0.0
+        arm, steps = task.system.arm, task.steps
+        shapes = {"_plan": (steps + 2, arm.n), "_path": (steps + 2, 3)}
+        remember(self, env.num_envs, **shapes, _base_rate=(6,), _shift=(2, arm.n))
+        self._base_rate[ids], self._shift[ids] = s.yd_seen[ids], 0.0
         q = s.q[ids]
         if isinstance(task, Track):
             path = task.path(s)[ids]
@@ -112,7 +109,6 @@ class Resolved:
         self._path[ids] = np.concatenate([path, path[:, -1:]], axis=1)
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`."""
         target = self._target(env)
         if self.braced:
             s, arm, q = env.batch.scene, env.task.system.arm, target[:, 0]
@@ -121,8 +117,8 @@ class Resolved:
             self._base_rate = s.yd_seen.copy()
             torque = base_torque(arm, q, target[:, 1], s.y_seen, s.yd_seen, slope)
             shift = servo_shift(env, q, self._shift, torque)
-            self._shift = shift[:2]
-            target = target + np.swapaxes(shift, 0, 1)
+            self._shift = shift[:, :2]
+            target = target + shift
         return reference_action(env, env.task.control, target, self.follow)
 
     def _target(self, env: VesVectorEnv) -> Array:
@@ -215,19 +211,19 @@ def servo_shift(env: VesVectorEnv, q: Array, before: Array, torque: Array) -> Ar
     Args:
         env: whose gains and inertia M they are.
         q: (n, joints) where the inertia is taken [rad].
-        before: (2, n, joints) s and s' a period ago.
+        before: (n, 2, joints) s and s' a period ago.
         torque: (n, joints) [N m].
 
     Returns:
-        (3, n, joints) s, s' and s''.
+        (n, 3, joints) s, s' and s''.
     """
     s, dt, arm = env.batch.scene, env.batch.dt, env.task.system.arm
     M = inertia(arm, q)[:, 6:, 6:]
-    place, rate = before
+    place, rate = before.swapaxes(0, 1)
     resists = M + (dt * s.kd + dt**2 * s.kp)[:, None] * np.eye(arm.n)
     push = matvec(M, rate) + dt * (torque - s.kp * place)
     after = np.linalg.solve(resists, push[..., None])[..., 0]
-    return np.stack([place + dt * after, after, (after - rate) / dt])
+    return np.stack([place + dt * after, after, (after - rate) / dt], axis=1)
 
 
 def base_torque(arm: Arm, q: Array, v: Array, y: Array, yd: Array, ydd: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ves_gym._util.params import Array, Index
-from ves_gym.baselines.controllers import reference_action, require_fit, row_of_step, sized
+from ves_gym.baselines.controllers import reference_action, remember, require_fit, row_of_step
 from ves_gym.baselines.resolved import LEVER, carried, damped_inverse, seen_from_base
 from ves_gym.envs.pose_reach import PoseReach, goal_pose
 from ves_gym.envs.scales import straight_energy, straight_motion
@@ -46,23 +46,17 @@ class ResolvedPose:
 
     name = "resolved-pose"
     privileged = True
-
-    def __init__(self) -> None:
-        self._plan = np.empty(0)  # (n, steps + 2, joints) rad
-        self._rate = np.empty(0)  # (n, 6) twist of the base a period ago
-        self._commanded = np.empty(0)  # (n, 2, joints) angles and rates for now, as of then
+    _plan: Array  # (n, steps + 2, joints) rad
+    _rate: Array  # (n, 6) twist of the base a period ago
+    _commanded: Array  # (n, 2, joints) angles and rates for now, as of then
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
-        task, s, n = env.task, env.batch.scene, env.num_envs
+        task, s = env.task, env.batch.scene
         fits = isinstance(task, PoseReach) and task.control.level == "reference"
         require_fit(self.name, fits, "leads the reference of task pose_reach", env)
         arm, steps = task.system.arm, task.steps
-        self._plan = sized(self._plan, n, steps + 2, arm.n)
-        self._rate, self._commanded = (
-            sized(self._rate, n, 6),
-            sized(self._commanded, n, 2, arm.n),
-        )
+        shapes = {"_plan": (steps + 2, arm.n), "_commanded": (2, arm.n)}
+        remember(self, env.num_envs, **shapes, _rate=(6,))
         self._rate[ids] = twist(s.y_seen[ids], s.yd_seen[ids])
         way = _MOVE * task.duration
         energy = straight_motion(task, way)
@@ -74,7 +68,6 @@ class ResolvedPose:
             self._plan[i] = s.q[i] + share * (end - s.q[i])
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`."""
         s, arm, dt = env.batch.scene, env.task.system.arm, env.batch.dt
         before, present, then = (row_of_step(env, self._plan, k) for k in (0, 1, 2))
         y = s.y_seen + dt * s.yd_seen  # of the base at the period's end

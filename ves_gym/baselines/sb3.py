@@ -1,9 +1,7 @@
-"""Stable-Baselines3: its vector environment, its learner as `train` runs it, its policies."""
+"""Stable-Baselines3: its vector environment, and its policies as ours."""
 
 from __future__ import annotations
 
-import inspect
-import random
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,27 +9,13 @@ from typing import Any
 
 import numpy as np
 import stable_baselines3
-import torch
 from gymnasium import spaces
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 
 from ves_gym._util.params import Array, Mask, ParameterError
-from ves_gym._util.suggest import did_you_mean
-from ves_gym.baselines.config import TrainConfig
 from ves_gym.baselines.decisions import Decisions, Endings
 from ves_gym.baselines.policy import ACTIVATIONS, Network, Policy
 from ves_gym.envs.vector import VesVectorEnv
-
-_ATTRIBUTES = (  # of a model, beside its parameters
-    "num_timesteps",
-    "_n_updates",
-    "_episode_num",
-    "_current_progress_remaining",
-    "_last_obs",
-    "_last_episode_starts",
-)
 
 
 class Sb3VecEnv(VecEnv):
@@ -139,166 +123,6 @@ class Sb3VecEnv(VecEnv):
     def close(self) -> None:
         """Close the vector environment."""
         self.env.close()
-
-
-# -------------------------------------------------------------------------- learner
-
-
-class _BetweenRollouts(BaseCallback):
-    def __init__(self, between: Callable[[], None]) -> None:
-        super().__init__()
-        self.between = between
-
-    def _on_rollout_start(self) -> None:
-        self.between()
-
-    def _on_step(self) -> bool:
-        return True
-
-
-class Sb3Learner:
-    """PPO, SAC or SAC with hindsight replay of Stable-Baselines3, see `train.Learner`."""
-
-    def __init__(
-        self,
-        config: TrainConfig,
-        seed: int,
-        env: VesVectorEnv,
-        episodes: int,
-        on_endings: Callable[[Endings], None],
-    ) -> None:
-        self.config = config
-        venv = Sb3VecEnv(
-            env, on_endings=on_endings, hold=config.hold, reward_scale=config.reward_scale
-        )
-        self.decisions, self.model = venv.decisions, _model(config, seed, venv)
-        venv.seed(episodes + seed)
-
-    @property
-    def steps(self) -> int:
-        """Decisions so far."""
-        return int(self.model.num_timesteps)
-
-    def learn(self, total: int, between: Callable[[], None]) -> None:
-        """See `train.Learner`."""
-        if total > self.steps:
-            self.model.learn(
-                total - self.steps,
-                callback=_BetweenRollouts(between),
-                log_interval=None,
-                reset_num_timesteps=False,
-            )
-
-    @property
-    def logged(self) -> dict[str, float]:
-        """Figures of the last update."""
-        every = self.model.logger.name_to_value
-        return {k.removeprefix("train/"): v for k, v in every.items() if "train/" in k}
-
-    def policy(self, about: Mapping[str, Any]) -> Policy:
-        """Return the policy as it is now."""
-        return from_sb3(self.model, about, self.config.label, self.config.hold)
-
-    def state(self) -> dict[str, Any]:
-        """See `train.Learner`. Not Stable-Baselines3's own file, which is a pickle."""
-        model = self.model
-        return {
-            "parameters": model.get_parameters(),
-            "variables": {name: getattr(model, name) for name in _variables(model)},
-            "attributes": {k: getattr(model, k) for k in _ATTRIBUTES if hasattr(model, k)},
-            "buffer": _buffer(model),
-            "random": (
-                random.getstate(),
-                np.random.get_state(),  # noqa: NPY002
-                torch.get_rng_state(),
-                model.action_space.np_random.bit_generator.state,
-            ),
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a state."""
-        model = self.model
-        model.set_parameters(state["parameters"], device="cpu")
-        for name, value in state["variables"].items():
-            getattr(model, name).data.copy_(value)
-        for name, value in state["attributes"].items():
-            setattr(model, name, value)
-        if state["buffer"] is not None:
-            buffer = model.replay_buffer
-            buffer.pos, buffer.full = state["buffer"]["pos"], state["buffer"]["full"]
-            for name, array in _arrays(buffer).items():
-                rows = state["buffer"]["arrays"][name]
-                array[: len(rows)] = rows
-        python, numpy, torch_state, actions = state["random"]
-        random.setstate(python)
-        np.random.set_state(numpy)  # noqa: NPY002
-        torch.set_rng_state(torch_state)
-        model.action_space.np_random.bit_generator.state = actions
-
-
-def _model(config: TrainConfig, seed: int, venv: Sb3VecEnv) -> Any:
-    """A new model of Stable-Baselines3."""
-    name, _, replay = config.algorithm.partition("-")
-    cls = getattr(stable_baselines3, name)
-    settings = dict(config.hyperparameters)
-    parameters = [k for k in inspect.signature(cls).parameters if k != "policy_kwargs"]
-    unknown = [k for k in settings if k not in parameters]
-    if unknown:
-        raise ParameterError(
-            f"{config.algorithm} has no hyper-parameter {unknown[0]!r}; known:"
-            f" {', '.join(parameters)}{did_you_mean(unknown[0], parameters)}"
-        )
-    rate = settings.pop("learning_rate", 3e-4)
-    if replay:
-        settings["replay_buffer_class"] = stable_baselines3.HerReplayBuffer
-    kwargs: dict[str, Any] = {
-        "net_arch": list(config.layers),
-        "activation_fn": {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}[config.activation],
-    }
-    if name == "PPO":
-        kwargs["log_std_init"] = config.log_std
-    try:
-        model = cls(
-            "MultiInputPolicy" if venv.env.goal else "MlpPolicy",
-            venv,
-            learning_rate=lambda remaining: config.learning_rate(rate, remaining),
-            policy_kwargs=kwargs,
-            seed=seed,
-            device="cpu",
-            **settings,
-        )
-    except (TypeError, AssertionError) as error:
-        raise ParameterError(f"{config.algorithm}: {error}") from error
-    # the default one makes a folder among the temporary files
-    model.set_logger(Logger(folder=None, output_formats=[]))
-    return model
-
-
-def _variables(model: Any) -> list[str]:
-    """Names of tensors that are learned beside the networks: SAC's entropy coefficient."""
-    names = model._get_torch_save_params()[1]
-    return [name for name in names if getattr(model, name) is not None]
-
-
-def _buffer(model: Any) -> dict[str, Any] | None:
-    """A replay buffer as far as it is filled."""
-    buffer = getattr(model, "replay_buffer", None)
-    if buffer is None:
-        return None
-    rows = buffer.buffer_size if buffer.full else buffer.pos
-    arrays = {k: v[:rows] if v.ndim > 1 else v for k, v in _arrays(buffer).items()}
-    return {"pos": buffer.pos, "full": buffer.full, "arrays": arrays}
-
-
-def _arrays(buffer: Any) -> dict[str, Any]:
-    """A buffer's arrays of numbers, (transitions, ...) or (environments,), by name."""
-    out = {}
-    for name, value in vars(buffer).items():
-        parts = value if isinstance(value, dict) else {"": value}
-        for key, array in parts.items():
-            if isinstance(array, np.ndarray) and array.dtype != object:
-                out[f"{name}/{key}"] = array
-    return out
 
 
 # ------------------------------------------------------------------------- policies

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ves_gym._util.params import Array, Index
-from ves_gym.baselines.controllers import require_fit, sized, torque_action
+from ves_gym.baselines.controllers import remember, require_fit, torque_action
 from ves_gym.baselines.resolved import damped_inverse
 from ves_gym.envs.control import Acceleration, Torque
 from ves_gym.envs.servicer_capture import ServicerCapture, meeting
@@ -50,14 +50,11 @@ class Servicer:
 
     name = "servicer"
     privileged = True
-
-    def __init__(self) -> None:
-        self._led = np.empty(0)  # (n, 3, joints) angles, rates, accelerations wanted
-        self._fades = np.empty(0)  # (n,) s since the capture, negative before
-        self._caught = np.empty(0)  # (n, joints) rates at the capture
+    _led: Array  # (n, 3, joints) angles, rates, accelerations wanted
+    _fades: Array  # (n,) s since the capture, negative before
+    _caught: Array  # (n, joints) rates at the capture
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
         s, fits = env.batch.scene, isinstance(env.task, ServicerCapture)
         require_fit(
             self.name,
@@ -66,13 +63,11 @@ class Servicer:
             env,
         )
         n, joints = s.q.shape
-        self._led, self._caught = sized(self._led, n, 3, joints), sized(self._caught, n, joints)
-        self._fades = sized(self._fades, n)
+        remember(self, n, _led=(3, joints), _caught=(joints,), _fades=())
         self._led[ids, 0], self._led[ids, 1:] = s.q[ids], 0.0
         self._fades[ids] = -1.0
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`."""
         s, dt = env.batch.scene, env.batch.dt
         cargo = env.batch.sim.payload
         assert cargo is not None

@@ -1,6 +1,4 @@
-"""`train`: one training run, and how it survives being killed.
-
-The learner is Stable-Baselines3's (`sb3`) or the native one (`native_learner`).
+"""`train`: training runs, how they survive being killed, and `TrainingResult`.
 
 A run's folder holds `curve.jsonl` (one line per evaluation), the best and the last policy in
 the safe format, and `checkpoint.safetensors`: everything the run needs to go on, taken where
@@ -18,8 +16,9 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -29,93 +28,28 @@ from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError, content_hash, write_text
 from ves_gym._util.process_pool import Workers
 from ves_gym._util.statistics import STATISTICS, bootstrap, rate
+from ves_gym._util.tables import table
 from ves_gym._util.threads import on_one_thread
+from ves_gym._util.views import Viewable
 from ves_gym.baselines.checkpoint import load_state, save_state
-from ves_gym.baselines.config import PACKAGES, TrainConfig
+from ves_gym.baselines.config import TrainConfig
 from ves_gym.baselines.controllers import Zero
-from ves_gym.baselines.decisions import Decisions, Endings
+from ves_gym.baselines.decisions import Endings
 from ves_gym.baselines.evaluate import Evaluation, evaluate, make_vector, ratio_or_none
-from ves_gym.baselines.policy import Policy, save_policy, versions
-from ves_gym.baselines.tracking import Row, event_writer, require_tensorboard
-from ves_gym.envs.vector import VesVectorEnv
+from ves_gym.baselines.learner import Learner
+from ves_gym.baselines.policy import Policy, load_policy, save_policy, versions
 
-CHECKPOINT, CURVE = "checkpoint.safetensors", "curve.jsonl"
-SCHEMA = "ves-checkpoint/3"
+CHECKPOINT, CURVE, BEST = "checkpoint.safetensors", "curve.jsonl", "best.json"
+SCHEMA, RESULT = "ves-checkpoint/3", "ves-train/1"
 TRAINING = 1_000_000  # seed of the training episodes, plus the run's own
 VALIDATION = 2_000_000  # first seed of the episodes that a run is judged by as it learns
 
 Progress = Callable[[float, str], None]
+Row = dict[str, Any]  # of a learning curve
+Folder = str | os.PathLike[str]
 
 
-class Learner(Protocol):
-    """Learner as `train` runs it, made of a configuration, a seed and an environment."""
-
-    decisions: Decisions  # the environments that decisions are made in
-
-    @property
-    def steps(self) -> int:
-        """Decisions so far."""
-
-    @property
-    def logged(self) -> dict[str, float]:
-        """Figures of the last update."""
-
-    def learn(self, total: int, between: Callable[[], None]) -> None:
-        """Train up to `total` decisions; `between` is called between rollouts."""
-
-    def policy(self, about: Mapping[str, Any]) -> Policy:
-        """Return the policy as it is now."""
-
-    def state(self) -> dict[str, Any]:
-        """Everything that training depends on from here, but the environment."""
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a state."""
-
-
-def make_learner(
-    config: TrainConfig,
-    seed: int,
-    env: VesVectorEnv,
-    on_endings: Callable[[Endings], None] = lambda endings: None,
-) -> Learner:
-    """Return the learner of a configuration, at its beginning.
-
-    Args:
-        config: of the run.
-        seed: of weights, exploration and, plus `TRAINING`, the episodes.
-        env: its environment, taken over.
-        on_endings: called with every episode that ends while rewards are learned from.
-    """
-    if config.learner == "native":
-        from ves_gym.baselines.native_learner import NativeLearner
-
-        return NativeLearner(config, seed, env, TRAINING, on_endings)
-    from ves_gym.baselines.sb3 import Sb3Learner
-
-    return Sb3Learner(config, seed, env, TRAINING, on_endings)
-
-
-@contextmanager
-def one_thread(learner: str) -> Iterator[None]:
-    """Layers this small are slower on more threads, and sums depend on their number."""
-    with on_one_thread():
-        if learner == "native":
-            yield
-            return
-        import torch
-
-        threads = torch.get_num_threads()
-        deterministic = torch.are_deterministic_algorithms_enabled()
-        torch.set_num_threads(1)
-        torch.use_deterministic_algorithms(True)
-        try:
-            yield
-        finally:
-            torch.set_num_threads(threads)
-            torch.use_deterministic_algorithms(deterministic)
-
-
+@on_one_thread()  # layers this small are slower on more, and sums depend on their number
 def train(
     config: TrainConfig,
     seed: int,
@@ -123,8 +57,8 @@ def train(
     *,
     resume: bool = False,
     progress: Progress = lambda done, note: None,
-    tensorboard: str | os.PathLike[str] | None = None,
-) -> list[dict[str, Any]]:
+    tensorboard: Folder | None = None,
+) -> list[Row]:
     """Train one policy; the rows of its learning curve.
 
     Args:
@@ -138,32 +72,28 @@ def train(
     Raises:
         ParameterError: a run is already there and `resume` is not said, or it is another
             configuration's; hyper-parameters that the algorithm does not know.
-        MissingPackageError: a package of `PACKAGES` is not installed.
+        MissingPackageError: a package is not installed.
     """
     folder = Path(folder)
-    _require_ready(config, [folder], resume, tensorboard)
+    _require_ready([folder], resume, tensorboard)
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob(".*"):  # left by a write that was killed
         stale.unlink()
-    with one_thread(config.learner):
-        run = _Run(config, seed, folder, progress)
-        events: Any = nullcontext(lambda row: None)
-        if tensorboard is not None:
-            events = event_writer(Path(tensorboard, config.name, f"seed-{seed}"), run.rows)
-        with events as run.on_row:
-            return run.learn()
-
-
-def _require_ready(
-    config: TrainConfig,
-    folders: Sequence[Path],
-    resume: bool,
-    tensorboard: str | os.PathLike[str] | None,
-) -> None:
-    """Refuse what would fail only after hours of training."""
-    require("training", *PACKAGES[config.learner])
+    run = _Run(config, seed, folder, progress)
+    events: Any = nullcontext(lambda row: None)
     if tensorboard is not None:
-        require_tensorboard(tensorboard)
+        events = _event_writer(Path(tensorboard, config.name, f"seed-{seed}"), run.rows)
+    with events as run.on_row:
+        return run.learn()
+
+
+def _require_ready(folders: Sequence[Path], resume: bool, tensorboard: Folder | None) -> None:
+    """Refuse what would fail only after hours of training."""
+    require("training", "safetensors")
+    if tensorboard is not None:
+        require("a curve in TensorBoard", "tensorboard")
+        if Path(tensorboard).is_file():
+            raise ParameterError(f"tensorboard must be a folder, got the file {tensorboard}")
     for folder in folders:
         if (folder / CHECKPOINT).exists() and not resume:
             raise ParameterError(f"{folder} holds a run already: resume it, or choose another")
@@ -178,11 +108,11 @@ class _Run:
         self.config, self.seed, self.folder, self.progress = config, seed, folder, progress
         self.on_row: Callable[[Row], None] = lambda row: None
         env = make_vector(
-            config.env, config.n_envs, AutoresetMode.SAME_STEP, threads=1, **config.env_settings
+            config.env, config.n_envs, AutoresetMode.SAME_STEP, threads=1, **config.settings
         )
-        self.learner = make_learner(config, seed, env, self._episodes)
+        self.learner = Learner(config, seed, env, TRAINING, self._episodes)
         self.zero = self._evaluate(Zero())  # what every evaluation is compared with
-        self.rows: list[dict[str, Any]] = []
+        self.rows: list[Row] = []
         self.best: Policy | None = None
         self.returns: list[float] = []  # of the training episodes since the last row
         self.solved = 0
@@ -195,15 +125,14 @@ class _Run:
             "task": content_hash(env.task),
         }
         self.references = {"task": env.task}
-        packages = (name.replace("_", "-") for name in PACKAGES[config.learner])
-        self.versions = versions(*packages)
+        self.versions = versions("safetensors")
         if (folder / CHECKPOINT).exists():
             self._restore(folder / CHECKPOINT)
         self.begin = time.perf_counter()
 
     # ------------------------------------------------------------------ training
 
-    def learn(self) -> list[dict[str, Any]]:
+    def learn(self) -> list[Row]:
         """Train to the end."""
         self.learner.learn(self.config.total_timesteps, self.between_rollouts)
         self.between_rollouts(last=True)
@@ -238,13 +167,13 @@ class _Run:
             episodes=self.config.eval_episodes,
             seed=VALIDATION,
             threads=1,
-            **self.config.env_settings,
+            **self.config.settings,
         )
 
     def _policy(self, steps: int) -> Policy:
         about = {
             "env": self.config.env,
-            "settings": self.config.env_settings,
+            "settings": self.config.settings,
             "algorithm": self.config.label,
             "seed": self.seed,
             "steps": steps,
@@ -258,12 +187,8 @@ class _Run:
         evaluation = self._evaluate(policy)
         mean = bootstrap(evaluation.values("return"), STATISTICS["mean"])
         seconds, stepping = self._time()
-        row: dict[str, Any] = {
-            "steps": steps,
-            "return": mean.value,
-            "return_low": mean.low,
-            "return_high": mean.high,
-        }
+        row: Row = {"steps": steps, "return": mean.value}
+        row |= {"return_low": mean.low, "return_high": mean.high}
         for name in ("success", "success_once"):
             row[name] = rate(np.concatenate(evaluation.values(name)) > 0).value
         for name in ("E_mean", "E_peak", "E_int"):
@@ -284,7 +209,7 @@ class _Run:
 
     def _write(self, last: Policy) -> None:
         assert self.best is not None
-        save_policy(self.best, self.folder / "best.json")
+        save_policy(self.best, self.folder / BEST)
         save_policy(last, self.folder / "last.json")
         lines = [json.dumps(row, allow_nan=False) + "\n" for row in self.rows]
         write_text(self.folder / CURVE, "".join(lines))
@@ -343,6 +268,47 @@ def _finite(value: Any) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
+# ----------------------------------------------------------------------- TensorBoard
+
+
+def scalars(row: Mapping[str, Any]) -> dict[str, float]:
+    """Return the numbers of a row of a learning curve by tag, empty ones left out.
+
+    `validation/` are the episodes that a policy is judged by, `train/` the exploring ones
+    since the row before, `learner/` figures of the last update, `time/` seconds.
+    """
+    tagged = {f"learner/{name}": value for name, value in row["train"].items()}
+    for name, value in row.items():
+        if name.startswith("train_"):
+            tagged[f"train/{name.removeprefix('train_')}"] = value
+        elif name.startswith("seconds"):
+            tagged[f"time/{name}"] = value
+        elif name not in ("steps", "train"):
+            tagged[f"validation/{name}"] = value
+    return {tag: float(value) for tag, value in tagged.items() if value is not None}
+
+
+@contextmanager
+def _event_writer(folder: Path, rows: Sequence[Row]) -> Iterator[Callable[[Row], None]]:
+    """Open a folder for the curve of one run, with the rows so far of one that goes on."""
+    from tensorboard.summary import Writer
+
+    resumed = any(folder.glob("events.*"))  # then the rows before the checkpoint are there
+    writer = Writer(str(folder))
+
+    def add(row: Row) -> None:
+        for tag, value in scalars(row).items():
+            writer.add_scalar(tag, value, row["steps"])
+        writer.flush()
+
+    try:
+        for row in () if resumed else rows:
+            add(row)
+        yield add
+    finally:
+        writer.close()
+
+
 # --------------------------------------------------------------------- several seeds
 
 
@@ -353,8 +319,8 @@ def train_seeds(
     workers: int = 1,
     resume: bool = False,
     progress: Callable[[int, float, str], None] = lambda seed, done, note: None,
-    tensorboard: str | os.PathLike[str] | None = None,
-) -> dict[int, list[dict[str, Any]]]:
+    tensorboard: Folder | None = None,
+) -> dict[int, list[Row]]:
     """Train a policy per seed of a configuration in folder/seed-N; the curves by seed.
 
     Args:
@@ -370,7 +336,7 @@ def train_seeds(
         ParameterError, MissingPackageError: see `train`.
     """
     places = {seed: Path(folder) / f"seed-{seed}" for seed in config.seeds}
-    _require_ready(config, list(places.values()), resume, tensorboard)
+    _require_ready(list(places.values()), resume, tensorboard)
     if min(workers, len(places)) == 1:
         return {
             seed: _train_seed(config, seed, place, tensorboard, lambda words: progress(*words))
@@ -401,9 +367,9 @@ def _train_seed(
     config: TrainConfig,
     seed: int,
     folder: Path,
-    tensorboard: str | os.PathLike[str] | None,
+    tensorboard: Folder | None,
     progress: Callable[[tuple[int, float, str]], None],
-) -> list[dict[str, Any]]:
+) -> list[Row]:
     return train(
         config,
         seed,
@@ -412,3 +378,88 @@ def _train_seed(
         progress=lambda done, note: progress((seed, done, note)),
         tensorboard=tensorboard,
     )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TrainingResult(Viewable):
+    """One training run per seed; files are under `folder`/seed-N."""
+
+    config: TrainConfig
+    folder: Path
+    curves: Mapping[int, list[Row]]  # seed -> rows of its learning curve
+
+    @property
+    def policies(self) -> dict[int, Policy]:
+        """Best policy of each seed."""
+        return {seed: load_policy(self._best(seed)) for seed in self.curves}
+
+    @property
+    def best(self) -> Policy:
+        """Policy of the seed with the largest return on the validation episodes."""
+        return load_policy(self._best(max(self.curves, key=lambda s: self._run(s)["return"])))
+
+    def _best(self, seed: int) -> Path:
+        return self.folder / f"seed-{seed}" / BEST
+
+    def _run(self, seed: int) -> Row:
+        """Row of the best policy of a seed."""
+        return max(self.curves[seed], key=lambda row: row["return"])
+
+    def __repr__(self) -> str:
+        largest = max(self._run(seed)["return"] for seed in self.curves)
+        return (
+            f"<TrainingResult: {self.config.env}, {self.config.label},"
+            f" {len(self.curves)} seed(s), best return {largest:.3f}; {self.folder}>"
+        )
+
+    def __str__(self) -> str:
+        rows, runs = [], self.to_dict()["runs"]
+        for r in runs:
+            best = r["best"]
+            rows.append(
+                (
+                    r["seed"],
+                    f"{r['steps']:,}",
+                    f"{r['seconds']:.0f}",
+                    f"{r['steps_per_second']:,}",
+                    f"{r['share_stepping']:.0%}",
+                    f"{best['return']:.3f} ({best['return_low']:.2f} to"
+                    f" {best['return_high']:.2f})",
+                    f"{best['success']:.0%}",
+                    *(
+                        "-" if best[name] is None else f"{best[name]:.3f}"
+                        for name in ("E_mean_ratio", "E_int_ratio")
+                    ),
+                )
+            )
+        head = ("seed", "steps", "s", "steps/s", "env", "return", "success", "E_mean/0",
+                "E_int/0")  # fmt: skip
+        title = f"{self.config.env}, {self.config.label}: best policy of each seed"
+        return "\n".join(
+            [
+                table(head, rows, title=title, left=()),
+                "Mean return with its 95 % interval on the validation episodes; env: share of"
+                " the time in\nenv.step; E/0: median of the energy over that of the zero"
+                " action.",
+                *(r["policy"] for r in runs),
+            ]
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data, schema ves-train/1, as `ves-gym train --json` writes it."""
+        runs = []
+        for seed, rows in self.curves.items():
+            last = rows[-1]
+            runs.append(
+                {
+                    "seed": seed,
+                    "policy": str(self._best(seed)),
+                    "steps": last["steps"],
+                    "seconds": last["seconds"],
+                    "steps_per_second": round(last["steps"] / last["seconds"]),
+                    "share_stepping": round(last["seconds_stepping"] / last["seconds"], 3),
+                    "best": self._run(seed),
+                    "last": last,
+                }
+            )
+        return {"schema": RESULT, "config": self.config.to_dict(), "runs": runs}

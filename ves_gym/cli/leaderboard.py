@@ -63,7 +63,7 @@ def check(at: Context, entry: str, *, board: Path | None = None, **how: Any) -> 
     runs nothing that is in it: a built-in method or a policy answers again, what was recorded
     of another is simulated again.
     """
-    from ves_gym.leaderboard.errors import Refused
+    from ves_gym.leaderboard.entry import Refused
     from ves_gym.leaderboard.verify import add, verify
 
     try:
@@ -80,8 +80,7 @@ def check(at: Context, entry: str, *, board: Path | None = None, **how: Any) -> 
 
 def render(at: Context, entries: Path) -> Answer:
     """Write one HTML page from the entries."""
-    from ves_gym.leaderboard.board import make_board, read_board
-    from ves_gym.leaderboard.page import write_page
+    from ves_gym.leaderboard.board import make_board, read_board, write_page
 
     listed = read_board(entries)
     board = make_board(listed)
@@ -98,7 +97,7 @@ def _training(value: str) -> tuple[str, str]:
 
 
 def _salt(file: str) -> str:
-    from ves_gym.leaderboard.seeds import read_salt
+    from ves_gym.leaderboard.problems import read_salt
 
     return read_salt(file)
 

@@ -11,7 +11,7 @@ from typing import Any
 import ves_gym.api as vg
 from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError, read_table, write_text
-from ves_gym.baselines.config import LEARNERS, choose_config
+from ves_gym.baselines.config import choose_config
 from ves_gym.baselines.evaluate import with_deviations
 from ves_gym.baselines.registry import CONTROLLERS
 from ves_gym.cli.flags import (
@@ -22,7 +22,6 @@ from ves_gym.cli.flags import (
     integer,
     integers,
     names,
-    one_of,
     read,
     say,
     text,
@@ -239,10 +238,8 @@ POLICY = Flag(
 TABLE = {
     "train": (train, (
         Flag("CONFIG", help="a .toml file, or an environment: ves/PumaDamp-v0"),
-        Flag("--algo", "A", text, "ppo, sac, sac-her or another label of a configuration"),
-        Flag("--learner", "L", one_of(*LEARNERS),
-             f"{' or '.join(LEARNERS)} (default the configuration's); native: PPO in NumPy"),
-        Flag("--imitate", "C", text, "a controller whose actions are learned first (native)"),
+        Flag("--algo", "A", text, "ppo or another label of a configuration"),
+        Flag("--imitate", "C", text, "a controller whose actions are learned first"),
         Flag("--steps", "N", integer(), "instead of the configuration's"),
         Flag("--seeds", "0,1", integers, "default the configuration's; --seed adds to each"),
         replace(WORKERS, help="seeds at once"),

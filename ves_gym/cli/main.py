@@ -28,7 +28,7 @@ COMMANDS = {  # name -> its module, loaded when it is asked for, and what it doe
     "plan": ("planning", "find one path with one planner"),
     "studio": ("planning", "draw a path in a page, and the energy of the base follows"),
     "map": ("machine_checks", "coupling-map pictures and arrays"),
-    "train": ("learning", "learn policies for an environment with PPO or SAC"),
+    "train": ("learning", "learn policies for an environment, by PPO or from a controller"),
     "evaluate": ("learning", "controllers and policies side by side on the same episodes"),
     "dataset": (
         "learning",

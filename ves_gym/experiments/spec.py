@@ -13,7 +13,6 @@ from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.comparison import policy_files
 from ves_gym.baselines.config import CONFIGS, TrainConfig, config_from_plain
 from ves_gym.baselines.evaluate import MOST_EPISODES
-from ves_gym.baselines.policy import released
 from ves_gym.baselines.registry import CONTROLLERS
 from ves_gym.experiments.units import Unit, evaluate_unit, plan_unit, train_unit
 from ves_gym.planners.registry import get_planner
@@ -124,19 +123,7 @@ def _policies(text: str, env: str, base: Path) -> list[str]:
     """A controller's name or files of policies."""
     if text in CONTROLLERS:
         return [text]
-    if text == "released":
-        files = list(released(env).values())
-    elif (base / text).is_dir():
-        files = policy_files(base / text, env)
-    else:
-        files = [base / text] if Path(text).suffix == ".json" else []
-    if not files:
-        raise ParameterError(
-            f"policy {text!r} of {env} must be one of {', '.join(CONTROLLERS)}, `released`, a"
-            " policy's .json file or a folder that `ves-gym train` made"
-            f"{did_you_mean(text, ('released', *CONTROLLERS))}"
-        )
-    return [str(file.resolve()) for file in files]
+    return [str(file.resolve()) for file in policy_files(text, env, base)]
 
 
 def _trainings(table: Trainings, base: Path) -> Iterable[Unit]:

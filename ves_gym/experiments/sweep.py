@@ -27,7 +27,6 @@ from ves_gym._util.params import (
     write_text,
 )
 from ves_gym._util.process_pool import Workers
-from ves_gym.baselines.config import PACKAGES
 from ves_gym.experiments.spec import Spec, read_spec, units_of
 from ves_gym.experiments.units import Unit, read_result, run_unit, store
 
@@ -131,10 +130,8 @@ def do_units(
     report.skipped.extend(u.id for u in units if resume and finished(report.folder, u))
     skipped = set(report.skipped)
     todo = [u for u in units if u.id not in skipped]
-    trained = [u.identity["config"] for u in todo if u.identity["kind"] == "train"]
-    if trained:
-        for plain in trained:
-            require("training", *PACKAGES[plain["learner"]])
+    if any(u.identity["kind"] == "train" for u in todo):
+        require("training", "safetensors")
     on_progress = progress or (lambda stage, done: None)
     if not todo:
         on_progress(stage, 1.0)

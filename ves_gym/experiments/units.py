@@ -96,7 +96,7 @@ def evaluate_unit(
 def train_unit(config: TrainConfig, seed: int) -> Unit:
     """A training run with one seed."""
     config = replace(config, seeds=(seed,))
-    system = _task(config.env, config.env_settings)
+    system = _task(config.env, config.settings)
     identity = _identity("train", config.env, config.label, seed, system)
     return Unit(identity | {"config": config.to_dict()})
 

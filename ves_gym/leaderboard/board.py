@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import ParameterError
+from ves_gym._util.params import ParameterError, write_text
 from ves_gym.leaderboard import statistics
-from ves_gym.leaderboard.entry import MEASURES, Entry, from_bytes
-from ves_gym.leaderboard.errors import Refused
+from ves_gym.leaderboard.entry import MEASURES, Entry, Refused, from_bytes
 from ves_gym.leaderboard.files import ENTRY, read_files
 from ves_gym.leaderboard.problems import SCORES, get_problem
+from ves_gym.report.pages import page, require_schema
 
 SCHEMA = "ves-board/1"
 RANKED = "reproduced"  # level of entries that are compared
@@ -135,3 +135,24 @@ def _plain(value: float | Iterable[float]) -> Any:
     if isinstance(value, float):
         return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
     return [_plain(float(k)) for k in value]
+
+
+def write_page(board: Plain, path: str | os.PathLike[str]) -> None:
+    """Write the page of a board, completely or not at all.
+
+    Raises:
+        ParameterError: another schema, or a number that JSON has not.
+    """
+    write_text(path, render_page(board))
+
+
+def render_page(board: Plain) -> str:
+    """One HTML file: no server, no network, nothing beside it."""
+    require_schema(board, SCHEMA, "board")
+    return page(
+        "leaderboard/page.html",
+        title="Leaderboard of ves_gym",
+        styles=("leaderboard/page.css",),
+        scripts=("report/dom.js", "leaderboard/page.js"),
+        data=board,
+    )

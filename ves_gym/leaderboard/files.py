@@ -19,8 +19,7 @@ import numpy as np
 import safetensors.numpy
 
 from ves_gym._util.params import Array, ParameterError, write_bytes
-from ves_gym.leaderboard.entry import LARGEST, MOST_GROUPS
-from ves_gym.leaderboard.errors import Code, Refused
+from ves_gym.leaderboard.entry import LARGEST, MOST_GROUPS, Code, Refused
 
 ENTRY = "entry.json"
 RECORDING = "recording.safetensors"

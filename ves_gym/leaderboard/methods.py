@@ -15,12 +15,11 @@ from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.comparison import policy_files
 from ves_gym.baselines.policy import Policy, load_policy, released
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
-from ves_gym.leaderboard.entry import MOST_GROUPS, Method
-from ves_gym.leaderboard.errors import Code, Refused
+from ves_gym.leaderboard.entry import MOST_GROUPS, Code, Method, Refused
 from ves_gym.leaderboard.files import policy_names
 from ves_gym.leaderboard.problems import Problem
+from ves_gym.leaderboard.tracks.base import chosen_settings
 from ves_gym.leaderboard.tracks.damping import TUNERS, tuner
-from ves_gym.leaderboard.tracks.settings import chosen_settings
 from ves_gym.planners.registry import PLANNERS, get_planner
 
 # A planner, a controller per group, or a function that finds gains; see the tracks.
@@ -141,13 +140,6 @@ def _settings(agent: Any, problem: Problem) -> dict[str, Any]:
 
 
 def _policies(id: str, words: Sequence[str]) -> Entered:
-    if len(words) == 1 and not Path(words[0]).suffix and not Path(words[0]).exists():
-        names = [*CONTROLLERS, *released(id)]
-        if words[0] not in names:
-            raise ParameterError(
-                f"method must be a controller, a policy released for {id} or files of policies:"
-                f" one of {', '.join(names)}, got {words[0]!r}{did_you_mean(words[0], names)}"
-            )
     places = [file for word in words for file in policy_files(word, id)]
     if not 1 <= len(places) <= MOST_GROUPS:
         raise ParameterError(f"an entry has 1 to {MOST_GROUPS} policies, got {len(places)}")

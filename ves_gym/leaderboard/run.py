@@ -10,13 +10,12 @@ from ves_gym._util.params import ParameterError
 from ves_gym._util.threads import on_one_thread
 from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.policy import versions
-from ves_gym.leaderboard.entry import Entry, Method, Results, to_bytes
+from ves_gym.leaderboard.entry import Entry, Method, to_bytes
 from ves_gym.leaderboard.files import ENTRY, RECORDING, pack, write_files
 from ves_gym.leaderboard.methods import enter
-from ves_gym.leaderboard.problems import Problem, get_problem
-from ves_gym.leaderboard.seeds import Seeds, seeds_of
+from ves_gym.leaderboard.problems import Problem, Seeds, get_problem, seeds_of
 from ves_gym.leaderboard.statistics import repeated
-from ves_gym.leaderboard.tracks.base import Answers, Progress, TrackRules, no_progress
+from ves_gym.leaderboard.tracks.base import Progress, Track, no_progress
 from ves_gym.leaderboard.tracks.damping import GainTrack, Tuner
 from ves_gym.leaderboard.tracks.paths import PathTrack
 from ves_gym.leaderboard.tracks.tasks import DampTrack, TaskTrack
@@ -58,11 +57,11 @@ def make_entry(
         The entry.
     """
     question = get_problem(track, problem)
-    drawn, rules = seeds_of(question, salt), track_of(question, workers)
-    entered = enter(question, method, seeds)
+    drawn, entered = seeds_of(question, salt), enter(question, method, seeds)
+    rules = track_of(question, drawn, entered.method, workers)
     with on_one_thread():  # as `verify` does
-        answers = rules.answer(question, drawn, entered.method, entered.agents, progress)
-        results = results_of(rules, question, drawn, entered.method, answers)
+        answers = rules.answer(entered.agents, progress)
+        results = rules.results(answers)
     if (twice := repeated(results, entered.method.kind)) is not None:
         raise ParameterError(
             f"groups {twice[0]} and {twice[1]} do the same, and one of them would count twice:"
@@ -87,18 +86,9 @@ def make_entry(
     return entry
 
 
-def track_of(problem: Problem, workers: int = 1) -> TrackRules:
-    """The track of a problem; `workers` are processes that plan."""
-    if problem.track == "paths":
-        return PathTrack(workers)
-    if problem.track == "tasks":
-        return TaskTrack()
-    return GainTrack() if problem.environment is None else DampTrack()
-
-
-def results_of(
-    rules: TrackRules, problem: Problem, seeds: Seeds, method: Method, answers: Answers
-) -> Results:
-    """Results of answers, with the seconds that they took."""
-    results = rules.replay(problem, seeds, method, answers.recording)
-    return results if answers.seconds is None else {**results, "seconds": answers.seconds}
+def track_of(problem: Problem, seeds: Seeds, method: Method, workers: int) -> Track:
+    """The track of a problem that a method answers; `workers` are processes that plan."""
+    kind = {"paths": PathTrack, "tasks": TaskTrack, "damping": DampTrack}[problem.track]
+    if problem.track == "damping" and problem.environment is None:
+        kind = GainTrack
+    return kind(problem, seeds, method, workers)

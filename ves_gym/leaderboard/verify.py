@@ -18,16 +18,27 @@ import numpy as np
 from ves_gym._util.params import ParameterError, write_bytes
 from ves_gym._util.threads import on_one_thread
 from ves_gym.baselines.policy import versions
-from ves_gym.leaderboard.entry import LEVELS, Entry, Method, Results, from_bytes, to_bytes
-from ves_gym.leaderboard.errors import Code, Refused
+from ves_gym.leaderboard.entry import (
+    LEVELS,
+    Code,
+    Entry,
+    Method,
+    Refused,
+    Results,
+    from_bytes,
+    to_bytes,
+)
 from ves_gym.leaderboard.files import ENTRY, RECORDING, read_files, unpack
 from ves_gym.leaderboard.methods import answering
-from ves_gym.leaderboard.problems import Problem, get_problem
-from ves_gym.leaderboard.run import results_of, track_of
-from ves_gym.leaderboard.seeds import PUBLIC, Seeds, seeds_of
+from ves_gym.leaderboard.problems import PUBLIC, Problem, Seeds, get_problem, seeds_of
+from ves_gym.leaderboard.run import track_of
 from ves_gym.leaderboard.statistics import repeated
-from ves_gym.leaderboard.tracks.base import Answers, Progress, TrackRules, no_progress
-from ves_gym.leaderboard.tracks.settings import require_settings
+from ves_gym.leaderboard.tracks.base import (
+    Answers,
+    Progress,
+    no_progress,
+    require_settings,
+)
 
 _ABSOLUTE = 1e-9
 _RELATIVE = 1e-4, 1e-3  # of a score and of a measure: the file holds five and four digits
@@ -63,7 +74,7 @@ def verify(
     files = read_files(path)
     claimed = from_bytes(files[ENTRY])
     problem = _problem(claimed)
-    seeds, rules = _seeds(claimed, problem, salt), track_of(problem, workers)
+    seeds = _seeds(claimed, problem, salt)
     if claimed.results["score"].shape[1] != problem.count:
         raise Refused(
             Code.WRONG_LENGTH,
@@ -71,14 +82,18 @@ def verify(
         )
     if RECORDING in files:
         level, method = "replayed", _recorded(claimed.method, problem)
-        answers = _from_recording(rules, problem, claimed, files[RECORDING])
+        rules = track_of(problem, seeds, method, workers)
+        shape = len(method.seeds), problem.count, rules.shape()
+        # the seconds that the answers took are taken over as they are told
+        answers = Answers(unpack(files[RECORDING], *shape), claimed.results.get("seconds"))
     else:
         level = "reproduced"
         method, agents = answering(problem, claimed.method, files)
+        rules = track_of(problem, seeds, method, workers)
         with _careful(Code.BAD_POLICY):
-            answers = rules.answer(problem, seeds, method, agents, progress)
+            answers = rules.answer(agents, progress)
     with _careful(Code.BAD_RECORDING):
-        results = results_of(rules, problem, seeds, method, answers)
+        results = rules.results(answers)
     if (twice := repeated(results, method.kind)) is not None:
         raise Refused(Code.REPEATED_GROUP, f"groups {twice[0]} and {twice[1]} do the same")
     searched = level == "reproduced" and problem.environment is None
@@ -174,15 +189,6 @@ def _recorded(method: Method, problem: Problem) -> Method:
         except ParameterError as error:
             raise Refused(Code.BAD_SETTINGS, str(error)) from None
     return method
-
-
-def _from_recording(
-    rules: TrackRules, problem: Problem, claimed: Entry, data: bytes
-) -> Answers:
-    """Recorded answers; the seconds they took are taken over as they are told."""
-    groups, shape = len(claimed.method.seeds), rules.shape(problem, claimed.method)
-    recording = unpack(data, groups, problem.count, shape)
-    return Answers(recording, claimed.results.get("seconds"))
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from ves_gym._util.optional import lacking, require
 from ves_gym._util.params import ParameterError
 from ves_gym._util.views import Viewable, draw, facts, picture
 from ves_gym.baselines.comparison import ControllerComparison
-from ves_gym.baselines.training_result import TrainingResult
+from ves_gym.baselines.train import TrainingResult
 from ves_gym.diagnosis.diagnose import Diagnosis
 from ves_gym.planners.comparison import Comparison
 from ves_gym.planners.coupling_map import CouplingMap

@@ -16,12 +16,10 @@ from ves_gym.damping.free_vibration import simulate_free_vibration
 from ves_gym.damping.plant import GainMatrices, plant_at
 from ves_gym.damping.tuning import OBJECTIVES, WIDE, tune
 from ves_gym.envs.damp import Damp
-from ves_gym.leaderboard.entry import Method, Results
-from ves_gym.leaderboard.errors import Code, Refused
+from ves_gym.leaderboard.entry import Code, Refused, Results
 from ves_gym.leaderboard.files import Recording
-from ves_gym.leaderboard.problems import GAINS_VEHICLE, Problem
-from ves_gym.leaderboard.seeds import Seeds
-from ves_gym.leaderboard.tracks.base import Answers, Progress, no_progress
+from ves_gym.leaderboard.problems import GAINS_VEHICLE, Problem, Seeds
+from ves_gym.leaderboard.tracks.base import Answers, Progress, Track, no_progress
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import get_vehicle
 from ves_gym.simulation.machines import Divergence
@@ -36,37 +34,25 @@ _MEASURES = ("score", "success", "E_decay", "E_peak", "E_res")
 Tuner = Callable[[System, Array, Array, int], GainMatrices]
 
 
-class GainTrack:
-    """Gains for every release; see `base.TrackRules`."""
+class GainTrack(Track):
+    """Gains for every release: matrices K and B."""
 
-    def shape(self, problem: Problem, method: Method) -> tuple[int, ...]:
-        """See `TrackRules`: an answer is the matrices K and B."""
+    def shape(self) -> tuple[int, ...]:
         n = _system().arm.n
         return (n, n)
 
-    def answer(
-        self,
-        problem: Problem,
-        seeds: Seeds,
-        method: Method,
-        agents: Sequence[Tuner],
-        progress: Progress = no_progress,
-    ) -> Answers:
-        """See `TrackRules`."""
-        questions = releases(problem, seeds)
+    def answer(self, agents: Sequence[Tuner], progress: Progress = no_progress) -> Answers:
+        questions = releases(self.problem, self.seeds)
         out: list[list[Array]] = []
-        for find, seed in zip(agents, method.seeds, strict=True):
+        for find, seed in zip(agents, self.method.seeds, strict=True):
             out.append([])
             for k, (q, y) in enumerate(questions):
                 out[-1].append(np.stack(find(_system(), q, y, seed)))
                 progress("gains", (k + 1) / len(questions))
         return Answers(out)
 
-    def replay(
-        self, problem: Problem, seeds: Seeds, method: Method, recording: Recording
-    ) -> Results:
-        """See `TrackRules`."""
-        questions = releases(problem, seeds)
+    def replay(self, recording: Recording) -> Results:
+        questions = releases(self.problem, self.seeds)
         for group in recording:
             for gains in group:
                 _require_gains(gains)

@@ -10,19 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.process_pool import Workers
-from ves_gym.leaderboard.entry import Method, Results
-from ves_gym.leaderboard.errors import Code, Refused
+from ves_gym.leaderboard.entry import Code, Refused, Results
 from ves_gym.leaderboard.files import Recording
-from ves_gym.leaderboard.problems import DURATIONS, OBSTACLES, Problem
-from ves_gym.leaderboard.seeds import Seeds
-from ves_gym.leaderboard.tracks.base import Answers, Progress, no_progress
+from ves_gym.leaderboard.problems import DURATIONS, OBSTACLES, Problem, Seeds
+from ves_gym.leaderboard.tracks.base import Answers, Progress, Track, no_progress
 from ves_gym.mechanics.motion import DEGREE, Motion
 from ves_gym.planners.execution_check import executed_violation, solve_with_reserve
 from ves_gym.planners.query import Plan, Planner, Query, first_violation, solve
@@ -42,29 +39,17 @@ _MOST = 512  # control points of a motion
 _MEASURES = ("E_mean", "E_peak", "E_res")
 
 
-@dataclass(frozen=True)
-class PathTrack:
-    """Planners on queries of one vehicle and duration; see `base.TrackRules`."""
+class PathTrack(Track):
+    """Planners on queries of one vehicle and duration: control points, none of no motion."""
 
-    workers: int = 1  # processes that plan
-
-    def shape(self, problem: Problem, method: Method) -> tuple[int, ...]:
-        """See `TrackRules`: control points of a motion, none where there is no motion."""
+    def shape(self) -> tuple[int, ...]:
         return (System().arm.n,)
 
-    def answer(
-        self,
-        problem: Problem,
-        seeds: Seeds,
-        method: Method,
-        agents: Sequence[Planner],
-        progress: Progress = no_progress,
-    ) -> Answers:
-        """See `TrackRules`."""
-        queries = path_queries(problem, seeds)
+    def answer(self, agents: Sequence[Planner], progress: Progress = no_progress) -> Answers:
+        queries = path_queries(self.problem, self.seeds)
         jobs = [
             (planner, query, seed)
-            for planner, seed in zip(agents, method.seeds, strict=True)
+            for planner, seed in zip(agents, self.method.seeds, strict=True)
             for query in queries
         ]
         plans: list[Plan] = []
@@ -77,18 +62,15 @@ class PathTrack:
             for plan in planned:
                 plans.append(plan)
                 progress("planning", len(plans) / len(jobs))
-        none = np.zeros((0, *self.shape(problem, method)))
+        none = np.zeros((0, *self.shape()))
         points = [none if p.motion is None else np.array(p.motion.control) for p in plans]
         groups = [points[k : k + len(queries)] for k in range(0, len(points), len(queries))]
         seconds = np.array([plan.seconds for plan in plans]).reshape(len(agents), -1)
         return Answers(groups, seconds)
 
-    def replay(
-        self, problem: Problem, seeds: Seeds, method: Method, recording: Recording
-    ) -> Results:
-        """See `TrackRules`."""
-        queries = path_queries(problem, seeds)
-        lines = _lines(problem, seeds)
+    def replay(self, recording: Recording) -> Results:
+        queries = path_queries(self.problem, self.seeds)
+        lines = _lines(self.problem, self.seeds)
         parts = []
         for group in recording:
             motions = [_motion(q, points) for q, points in zip(queries, group, strict=True)]

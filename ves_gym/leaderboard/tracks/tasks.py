@@ -18,112 +18,89 @@ from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.evaluate import Evaluation, evaluate
 from ves_gym.baselines.registry import get_controller
 from ves_gym.envs.vector import VesVectorEnv
-from ves_gym.leaderboard.entry import Method, Results
-from ves_gym.leaderboard.errors import Code, Refused
+from ves_gym.leaderboard.entry import Code, Refused, Results
 from ves_gym.leaderboard.files import Recording
-from ves_gym.leaderboard.problems import Problem
-from ves_gym.leaderboard.seeds import Seeds
-from ves_gym.leaderboard.tracks.base import Answers, Progress, no_progress
-from ves_gym.leaderboard.tracks.settings import task_of
+from ves_gym.leaderboard.problems import Problem, Seeds
+from ves_gym.leaderboard.tracks.base import Answers, Progress, Track, no_progress, task_of
 
 _SLACK = 1e-12  # of an action's bound
 
 
-class TaskTrack:
-    """Policies and controllers on a registered environment; see `base.TrackRules`."""
+class TaskTrack(Track):
+    """Policies and controllers on a registered environment: actions."""
 
-    def shape(self, problem: Problem, method: Method) -> tuple[int, ...]:
-        """See `TrackRules`."""
-        return (task_of(_id(problem), method.settings).action_width,)
+    def shape(self) -> tuple[int, ...]:
+        return (task_of(_id(self.problem), self.method.settings).action_width,)
 
-    def answer(
-        self,
-        problem: Problem,
-        seeds: Seeds,
-        method: Method,
-        agents: Sequence[Controller],
-        progress: Progress = no_progress,
-    ) -> Answers:
-        """See `TrackRules`."""
-        out = []
+    def answer(self, agents: Sequence[Controller], progress: Progress = no_progress) -> Answers:
+        out, root = [], self.seeds.root
         for group, agent in enumerate(agents):
             recorder = Recorded(agent)
 
             def step(done: float, group: int = group) -> None:
                 progress("episodes", (group + done) / len(agents))
 
-            evaluated(recorder, problem, seeds, method.settings, step)
-            out.append([recorder.actions(seeds.root + k) for k in range(problem.count)])
+            self._evaluated(recorder, progress=step)
+            out.append([recorder.actions(root + k) for k in range(self.problem.count)])
         return Answers(out)
 
-    def replay(
-        self, problem: Problem, seeds: Seeds, method: Method, recording: Recording
-    ) -> Results:
-        """See `TrackRules`."""
+    def replay(self, recording: Recording) -> Results:
         parts = []
         for group in recording:
             for k, actions in enumerate(group):
                 if actions.size and np.abs(actions).max() > 1 + _SLACK:
                     raise Refused(Code.BAD_RECORDING, f"episode {k}: an action beyond +-1")
-            by_seed = {seeds.root + k: actions for k, actions in enumerate(group)}
-            evaluation = evaluated(Replayed(by_seed), problem, seeds, method.settings)
+            by_seed = {self.seeds.root + k: actions for k, actions in enumerate(group)}
+            evaluation = self._evaluated(Replayed(by_seed))
             for k, (row, actions) in enumerate(zip(evaluation.rows, group, strict=True)):
                 if row["length"] != len(actions):
                     raise Refused(
                         Code.WRONG_LENGTH,
                         f"episode {k}: {len(actions)} actions, it takes {row['length']}",
                     )
-            parts.append(self._results(problem, seeds, evaluation))
+            names = ("success", "failed", "E_mean", "E_peak", "E_res", "E_int")
+            parts.append(self._scored({k: _column(evaluation, k) for k in names}))
         return {name: np.stack([part[name] for part in parts]) for name in parts[0]}
 
-    def _results(self, problem: Problem, seeds: Seeds, evaluation: Evaluation) -> Results:
+    def _evaluated(self, controller: Controller, **options: Any) -> Evaluation:
+        """The episodes of the problem by a controller."""
+        return _evaluated(
+            controller, self.problem, self.seeds, **options, **self.method.settings
+        )
+
+    def _scored(self, measured: Results) -> Results:
         """Results of one group, each (episodes,)."""
-        energies = {k: _column(evaluation, k) for k in ("E_mean", "E_peak", "E_res")}
-        success = _column(evaluation, "success")
-        return {
-            "score": np.where(success > 0, energies["E_mean"], np.inf),
-            "success": success,
-            **energies,
-        }
+        score = np.where(measured["success"] > 0, measured["E_mean"], np.inf)
+        names = ("success", "E_mean", "E_peak", "E_res")
+        return {"score": score, **{k: measured[k] for k in names}}
 
 
 class DampTrack(TaskTrack):
     """Score: the time integral of the strain energy over that of joints held by high gains."""
 
-    def _results(self, problem: Problem, seeds: Seeds, evaluation: Evaluation) -> Results:
-        """See `TaskTrack`."""
-        score = _column(evaluation, "E_int") / _held(problem, seeds)
-        failed = (_column(evaluation, "failed") > 0) | ~np.isfinite(score)
+    def _scored(self, measured: Results) -> Results:
+        score = measured["E_int"] / _held(self.problem, self.seeds)
+        failed = (measured["failed"] > 0) | ~np.isfinite(score)
         return {
             "score": np.where(failed, np.inf, score),
-            "success": _column(evaluation, "success"),
-            "E_decay": _column(evaluation, "E_mean"),
-            "E_peak": _column(evaluation, "E_peak"),
-            "E_res": _column(evaluation, "E_res"),
+            "success": measured["success"],
+            "E_decay": measured["E_mean"],
+            "E_peak": measured["E_peak"],
+            "E_res": measured["E_res"],
         }
 
 
 @lru_cache(maxsize=8)
 def _held(problem: Problem, seeds: Seeds) -> Array:
     """(episodes,) integral of the strain energy under the high gains."""
-    return _column(evaluated(get_controller("high"), problem, seeds, {}), "E_int")
+    return _column(_evaluated(get_controller("high"), problem, seeds), "E_int")
 
 
-def evaluated(
-    controller: Controller,
-    problem: Problem,
-    seeds: Seeds,
-    settings: Mapping[str, Any],
-    progress: Any = None,
+def _evaluated(
+    controller: Controller, problem: Problem, seeds: Seeds, **options: Any
 ) -> Evaluation:
-    """The episodes of a problem by a controller."""
     return evaluate(
-        controller,
-        _id(problem),
-        episodes=problem.count,
-        seed=seeds.root,
-        progress=progress,
-        **settings,
+        controller, _id(problem), episodes=problem.count, seed=seeds.root, **options
     )
 
 
@@ -148,7 +125,6 @@ class Recorded:
         self._recorded: dict[int, list[Array]] = {}
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        """See `Controller`."""
         self.inner.reset(env, ids)
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
@@ -181,7 +157,6 @@ class Replayed:
         """See `Controller`."""
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`."""
         episodes = env.batch.episodes
         out = np.zeros((env.num_envs, env.batch.width))
         for i in np.flatnonzero(_in_episode(env)).tolist():
