@@ -4,8 +4,6 @@ import os
 import subprocess
 import sys
 
-import pytest
-
 STEP = """
 import os
 from ves_gym.simulation.simulator import Simulator
@@ -15,8 +13,8 @@ print(round(float(sim.step().time[0]), 9), os.environ["MUJOCO_GL"])
 """
 
 
-@pytest.mark.parametrize("word", ["nonsense", "off"])
-def test_physics_runs_whatever_mujoco_gl_says(word):
+def test_physics_runs_whatever_mujoco_gl_says():
+    word = "nonsense"
     environment = {**os.environ, "MUJOCO_GL": word, "PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run(
         [sys.executable, "-c", STEP], env=environment, capture_output=True, text=True

@@ -10,8 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from tests.arms import six_joint_arm
 from ves_gym._util import params
@@ -25,137 +23,45 @@ from ves_gym._util.params import (
     symmetric,
     to_plain,
     units,
-    write_bytes,
     write_text,
 )
-from ves_gym.mechanics.arm import Arm, Inertial, Link, diagonal, matrix, read_arm
+from ves_gym.mechanics.arm import Inertial, Link, diagonal, matrix, read_arm
 from ves_gym.mechanics.arm_library import PUMA_560
-from ves_gym.mechanics.vehicle import (
-    BENT_THESIS,
-    VEHICLES,
-    Beam,
-    Material,
-    MatrixVehicle,
-    Satellite,
-)
-from ves_gym.system.system import DRIVES, INTEGRATORS, System
+from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES, Beam, MatrixVehicle
+from ves_gym.system.system import System
 
 ROOT = Path(__file__).parents[2]
 
-# ------------------------------------------------------------------ random systems
-
-number = st.floats(-1e6, 1e6, allow_nan=False)
-positive = st.floats(1e-6, 1e6)
-small = st.floats(-3, 3)
-text = st.text(max_size=20)
+# ------------------------------------------------------------------------ round trips
 
 
-@st.composite
-def inertials(draw):
-    """Point masses give every possible inertia and no impossible one."""
-    a, b, c = (draw(st.floats(1e-3, 10)) for _ in range(3))
-    return Inertial(
-        mass=draw(st.floats(0, 1e3)),
-        com=draw(st.tuples(small, small, small)),
-        inertia=diagonal(b + c, a + c, a + b),
-    )
+def matrices(seed):
+    """A symmetric vehicle with numbers of every length."""
+    roots = np.random.default_rng(seed).normal(size=(3, 6, 6)) * [[[1e-3]], [[1.0]], [[1e5]]]
+    M, D, K = (matrix(root @ root.T) for root in roots)
+    return MatrixVehicle(M=M, D=D, K=K, source="ω ü 'quoted' \\ \n")
 
 
-@st.composite
-def links(draw):
-    low, high = sorted(draw(st.tuples(small, small).filter(lambda p: p[0] != p[1])))
-    return Link(
-        d=draw(small),
-        a=draw(small),
-        alpha=draw(small),
-        offset=draw(small),
-        inertial=draw(inertials()),
-        rotor_inertia=draw(st.floats(0, 10)),
-        q_min=low,
-        q_max=high,
-        v_max=draw(positive),
-        a_max=draw(positive),
-        tau_max=draw(positive),
-    )
+SYSTEMS = {
+    **{name: System(vehicle=vehicle) for name, vehicle in VEHICLES.items()},
+    "drawn": System(vehicle=matrices(0), physics_dt=1e-3 / 3, control_dt=7e-3),
+    "euler": System(integrator="euler", drive="prescribed", arm=six_joint_arm()),
+}
 
 
-arms = st.builds(
-    Arm,
-    name=text,
-    base=inertials(),
-    links=st.lists(links(), min_size=1, max_size=4).map(tuple),
-    source=text,
-)
-
-materials = st.builds(
-    Material, youngs_modulus=positive, shear_modulus=positive, density=positive, source=text
-)
-
-
-@st.composite
-def beams(draw):
-    segment = st.tuples(number, number, number).filter(lambda s: np.linalg.norm(s) > 1e-3)
-    diameter = draw(st.floats(1e-2, 1))
-    return Beam(
-        segments=tuple(draw(st.lists(segment, min_size=1, max_size=3))),
-        outer_diameter=diameter,
-        wall=diameter * draw(st.floats(0.01, 0.49)),
-        material=draw(materials),
-        mass_model=draw(st.sampled_from(["thesis", "consistent"])),
-        damping_model=draw(st.sampled_from(["modal", "elementwise"])),
-        damping_ratio=draw(st.floats(0, 1)),
-        source=draw(text),
-    )
-
-
-@st.composite
-def user_matrices(draw):
-    found = []
-    for _ in range(3):
-        root = np.array(draw(st.lists(small, min_size=36, max_size=36))).reshape(6, 6)
-        found.append(matrix(root @ root.T))
-    return MatrixVehicle(M=found[0], D=found[1], K=found[2], source=draw(text))
-
-
-satellites = st.builds(Satellite, body=inertials(), thrusters=st.booleans(), source=text)
-
-
-@st.composite
-def systems(draw):
-    dt = draw(st.floats(1e-5, 1e-2))
-    return System(
-        arm=draw(arms),
-        vehicle=draw(st.one_of(beams(), user_matrices(), satellites)),
-        drive=draw(st.sampled_from(DRIVES)),
-        integrator=draw(st.sampled_from(INTEGRATORS)),
-        physics_dt=dt,
-        control_dt=dt * draw(st.integers(1, 50)),
-    )
-
-
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(system=systems())
-def test_a_system_survives_plain_data_and_files(system, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("systems")
-    copies = [System.from_dict(system.to_dict())]
-    for suffix in ("toml", "json"):
-        system.save(folder / f"system.{suffix}")
-        copies.append(System.load(folder / f"system.{suffix}"))
-    for copy in copies:
-        assert copy == system
-        assert copy.hash == system.hash
-        assert hash(copy) == hash(system)
-    assert [p.name for p in sorted(folder.iterdir())] == ["system.json", "system.toml"]
-
-
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(system=systems())
-def test_the_canonical_text_is_strict_json(system):
+@pytest.mark.parametrize("system", SYSTEMS.values(), ids=SYSTEMS)
+def test_a_system_survives_plain_data_and_files(system, tmp_path):
     def no_constants(constant):
         raise AssertionError(constant)
 
-    table = json.loads(canonical_json(system), parse_constant=no_constants)
-    assert System.from_dict(table) == system
+    strict = json.loads(canonical_json(system), parse_constant=no_constants)
+    copies = [System.from_dict(system.to_dict()), System.from_dict(strict)]
+    for suffix in ("toml", "json"):
+        system.save(tmp_path / f"system.{suffix}")
+        copies.append(System.load(tmp_path / f"system.{suffix}"))
+    for copy in copies:
+        assert copy == system and copy.hash == system.hash and hash(copy) == hash(system)
+    assert [p.name for p in sorted(tmp_path.iterdir())] == ["system.json", "system.toml"]
 
 
 def test_the_hash_is_the_same_in_another_process():
@@ -363,13 +269,6 @@ def test_finite_takes_numbers_of_one_shape_only(value):
         finite(value, (3,), "com")
 
 
-def test_finite_gives_a_copy():
-    given_array = np.arange(3.0)
-    array = finite(given_array, (3,), "x")
-    array[0] = 9.0
-    assert given_array[0] == 0.0
-
-
 def test_symmetric_names_entries_and_eigenvalues():
     crooked = np.eye(6)
     crooked[1, 4] = 1e-3
@@ -442,11 +341,10 @@ def test_arms_are_read_from_files(tmp_path):
             assert read_arm(path) == arm
 
 
-@pytest.mark.parametrize("write", [write_text, lambda p, t: write_bytes(p, t.encode())])
-def test_writing_makes_folders_and_replaces(write, tmp_path):
+def test_writing_makes_folders_and_replaces(tmp_path):
     path = tmp_path / "a" / "b" / "c.txt"
-    write(path, "first")
-    write(path, "second ω")
+    for text in ("first", "second ω"):
+        write_text(path, text)
     assert path.read_text(encoding="utf-8") == "second ω"
     assert [p.name for p in path.parent.iterdir()] == ["c.txt"]
 
@@ -464,15 +362,6 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(call, tmp_path, mon
         write_text(path, "new")
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["kept.txt"]
-
-
-def test_a_text_that_cannot_be_encoded_leaves_the_old_file(tmp_path):
-    path = tmp_path / "kept.txt"
-    write_text(path, "old")
-    with pytest.raises(UnicodeEncodeError):
-        write_text(path, "\ud800")
-    assert path.read_text() == "old"
-    assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_written_files_follow_the_umask(tmp_path):
@@ -494,10 +383,3 @@ def test_lists_and_arrays_become_tuples_that_can_be_hashed():
     arm = dataclasses.replace(PUMA_560, links=list(PUMA_560.links))
     assert arm == PUMA_560
     assert hash(arm) == hash(PUMA_560)
-
-
-def test_tuples_are_left_as_they_are():
-    links = PUMA_560.links
-    assert params.nested_tuples(links) is links
-    mixed = ((1.0, [2.0]), np.zeros((1, 2)))
-    assert params.nested_tuples(mixed) == ((1.0, (2.0,)), ((0.0, 0.0),))

@@ -31,7 +31,9 @@ def test_what_lies_between_strata_is_not_sampled():
     assert loose.high - loose.low == pytest.approx(wide, rel=0.1)
 
 
-@pytest.mark.parametrize("name", ["mean", "median", "iqm"])
+@pytest.mark.parametrize(
+    "name", ["iqm", *(pytest.param(k, marks=pytest.mark.slow) for k in ("mean", "median"))]
+)
 def test_the_interval_holds_the_truth_as_often_as_it_says(name):
     """200 samples of 100 from a normal distribution, whose centre is 0 for all three.
 

@@ -41,16 +41,6 @@ def test_an_episode_is_drawn_with_all_its_groups():
     assert s.success(results([one] * 5)) == s.success(results(one))
 
 
-def test_the_interval_holds_the_truth():
-    """The IQM of N(0, 1) is 0: 200 samples of 60 episodes.
-
-    Tolerance: three standard errors of 200 trials at 95 %, and 1 % for the bootstrap.
-    """
-    rng = np.random.default_rng(11)
-    found = [s.score(results(rng.normal(size=60))) for _ in range(200)]
-    assert 0.89 <= np.mean([k.low <= 0 <= k.high for k in found]) <= 0.997
-
-
 def test_ranks_are_sure_where_the_difference_is():
     """Far apart: sure. The same level, other noise: not. Tied: both have the better rank."""
     some = [

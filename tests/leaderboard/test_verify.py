@@ -15,6 +15,7 @@ from ves_gym.baselines.registry import REFERENCES
 from ves_gym.leaderboard.entry import Code
 from ves_gym.leaderboard.files import ENTRY, RECORDING, unpack
 from ves_gym.leaderboard.run import make_entry
+from ves_gym.leaderboard.tracks import damping as gain_track
 from ves_gym.leaderboard.tracks import paths as path_track
 from ves_gym.leaderboard.tracks.base import require_settings
 from ves_gym.leaderboard.verify import add, verify
@@ -22,8 +23,8 @@ from ves_gym.planners.query import NoPlan
 from ves_gym.planners.registry import get_planner
 
 SALT = "a secret of the maintainer"
-REACH = ("tasks", "ves/PumaReach-v0-quick")
-
+LINES = ("paths", "bent-1s-quick")
+GAINS = ("damping", "gains-bent-quick")
 
 # ---------------------------------------------------------------------------- honest
 
@@ -54,12 +55,10 @@ def test_a_controller_of_ones_own_is_replayed(own):
 
 
 class Mute:
-    """A planner that answers every other query, with what `direct` finds."""
+    """A planner that answers every other query, with the straight line."""
 
     name, summary = "mute", "half of the time"
-
-    def __init__(self):
-        self.asked = 0
+    asked = 0
 
     def find(self, query, seed):
         self.asked += 1
@@ -68,19 +67,18 @@ class Mute:
         return get_planner("straight").find(query, seed)
 
 
-def test_a_planner_of_ones_own_is_replayed_and_its_failures_count(folder):
-    make_entry(folder / "mute", "paths", "bent-1s-quick", Mute())
-    entry = verify(folder / "mute")
+@pytest.fixture(scope="module")
+def mute(folder):
+    """Five straight lines as somebody's own, recorded, and five times nothing."""
+    make_entry(folder / "mute", *LINES, Mute())
+    return folder / "mute"
+
+
+def test_a_planner_of_ones_own_is_replayed_and_its_failures_count(mute):
+    entry = verify(mute)
     assert entry.level == "replayed"
     assert np.isfinite(entry.results["score"][0]).tolist() == [False, True] * 5
     assert entry.results["success"].tolist() == [[0.0, 1.0] * 5]
-
-
-def test_the_high_gains_score_one(folder):
-    make_entry(folder / "high", "damping", "gains-bent-quick", "high")
-    entry = verify(folder / "high")
-    assert entry.method.kind == "gains"
-    np.testing.assert_allclose(entry.results["score"], np.ones((1, 5)), rtol=1e-9)
 
 
 @pytest.mark.slow
@@ -94,7 +92,7 @@ def test_the_high_gains_score_one(folder):
         ),
         ("paths", "bent-2s-quick", "direct"),
         ("paths", "straight-horizontal-4s-obstacles-quick", "direct"),
-        ("damping", "gains-bent-quick", "strain"),
+        (*GAINS, "strain"),
     ],
 )
 def test_what_solves_a_problem_is_answered_again(track, problem, method, tmp_path):
@@ -113,8 +111,9 @@ def test_what_solves_a_problem_is_answered_again(track, problem, method, tmp_pat
 # ---------------------------------------------------------------------------- claims
 
 
-@pytest.mark.parametrize("which", ["own", "policy"])
-@pytest.mark.parametrize("name", ["score", "E_decay", "E_peak", "E_res"])
+@pytest.mark.parametrize(
+    ("which", "name"), [("own", "score"), ("own", "E_peak"), ("policy", "E_decay")]
+)
 def test_a_number_claimed_lower_than_it_is(which, name, request, refused):
     spoiled = Spoiled(request.getfixturevalue(which))
     values = spoiled.plain["results"][name][0]
@@ -136,13 +135,10 @@ def test_claims_change_nothing_of_what_comes_out(own, tmp_path):
 
 @pytest.mark.parametrize(
     ("which", "name", "value"),
-    [
-        ("own", "success", 1),
-        ("own", "E_mean", 0.0),  # the track has none
-        ("straight", "score", 0.5),
-    ],
+    [("own", "success", 1), ("own", "E_mean", 0.0), ("straight", "score", 0.5)],
 )
 def test_what_nobody_has_is_refused(which, name, value, request, refused):
+    """The track of `own` has no E_mean."""
     spoiled = Spoiled(request.getfixturevalue(which))
     spoiled.plain["results"][name] = [[value] * 10]
     assert refused(spoiled) is Code.SCORE_DIFFERS
@@ -151,8 +147,7 @@ def test_what_nobody_has_is_refused(which, name, value, request, refused):
 def test_another_method_under_a_name(straight, policy, refused):
     spoiled = Spoiled(straight)
     spoiled.plain["method"]["name"] = "shaped-zvd"  # does not do what the straight line does
-    results = spoiled.plain["results"]
-    results["score"] = [[0.2] * 10]
+    spoiled.plain["results"]["score"] = [[0.2] * 10]
     assert refused(spoiled) is Code.SCORE_DIFFERS
     for name in ("mine", "straight2", ""):
         spoiled.plain["method"]["name"] = name
@@ -167,56 +162,60 @@ def test_another_method_under_a_name(straight, policy, refused):
     [
         ("track", "paths", Code.UNKNOWN_PROBLEM),
         ("problem", "ves/PumaDamp-v99", Code.UNKNOWN_PROBLEM),
-        ("problem", "os.system", Code.UNKNOWN_PROBLEM),
         ("problem", "ves/PumaDamp-v0", Code.WRONG_LENGTH),  # the short one told as the whole
-        ("problem", "ves/PumaDampEmulated-v0-quick", Code.SCORE_DIFFERS),
     ],
 )
 def test_another_problem(key, value, code, own, refused):
     spoiled = Spoiled(own)
     spoiled.plain[key] = value
-    assert refused(spoiled) in (code, Code.WRONG_LENGTH)
+    assert refused(spoiled) is code
 
 
-def test_episodes_left_out_or_told_twice(own, policy, refused):
-    for path in (own, policy):
-        for change in (lambda g: g[:-1], lambda g: [*g, g[0]]):
-            spoiled = Spoiled(path)
-            results = spoiled.plain["results"]
-            spoiled.plain["results"] = {k: [change(g) for g in v] for k, v in results.items()}
-            assert refused(spoiled) is Code.WRONG_LENGTH
+@pytest.mark.parametrize("change", [lambda g: g[:-1], lambda g: [*g, g[0]]])
+def test_episodes_left_out_or_told_twice(change, own, refused):
+    spoiled = Spoiled(own)
+    results = spoiled.plain["results"]
+    spoiled.plain["results"] = {k: [change(g) for g in v] for k, v in results.items()}
+    assert refused(spoiled) is Code.WRONG_LENGTH
 
 
-# --------------------------------------------------------------------------- actions
+# --------------------------------------------------------------------------- answers
 
 
-def recording_of(folder, shape, groups=1, count=10):
-    data = (folder / RECORDING).read_bytes()
-    return [[a.copy() for a in group] for group in unpack(data, groups, count, shape)]
+def answers_of(place, shape, count=10):
+    """Recorded answers of the one group."""
+    data = (place / RECORDING).read_bytes()
+    return [answer.copy() for answer in unpack(data, 1, count, shape)[0]]
 
 
-def test_changed_actions(own, refused):
-    width = gym.make("ves/PumaDamp-v0").action_space.shape
+def with_answer(place, refused, shape, k, change):
+    """The code of an entry with the k-th answer changed."""
+    spoiled, group = Spoiled(place), answers_of(place, shape)
+    group[k] = change(group[k])
+    spoiled.record([group])
+    return refused(spoiled)
 
-    def with_(change):
-        spoiled = Spoiled(own)
-        (group,) = recording_of(own, width)
-        group[3] = change(group[3])
-        spoiled.record([group])
-        return refused(spoiled)
 
-    assert with_(lambda a: a) is None
-    assert with_(lambda a: a[:-1]) is Code.WRONG_LENGTH  # ended where it looks good
-    assert with_(lambda a: np.concatenate([a, a[:1]])) is Code.WRONG_LENGTH
-    assert with_(lambda a: 200 * a) is Code.BAD_RECORDING
-    assert with_(lambda a: np.nan * a) is Code.BAD_RECORDING
-    assert with_(lambda a: a[:, :-1]) is Code.BAD_RECORDING
-    assert with_(lambda a: -a) in (Code.SCORE_DIFFERS, None)
+JOINTS = (3,)
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (lambda a: a, None),
+        (lambda a: a[:-1], Code.WRONG_LENGTH),  # ended where it looks good
+        (lambda a: np.concatenate([a, a[:1]]), Code.WRONG_LENGTH),
+        (lambda a: 200 * a, Code.BAD_RECORDING),
+        (lambda a: np.nan * a, Code.BAD_RECORDING),
+        (lambda a: a[:, :-1], Code.BAD_RECORDING),
+    ],
+)
+def test_changed_actions(change, code, own, refused):
+    assert with_answer(own, refused, JOINTS, 3, change) is code
 
 
 def test_a_cheap_episode_in_the_place_of_a_dear_one(own, refused):
-    spoiled = Spoiled(own)
-    (group,) = recording_of(own, gym.make("ves/PumaDamp-v0").action_space.shape)
+    spoiled, group = Spoiled(own), answers_of(own, JOINTS)
     cheap, *_, dear = np.argsort(spoiled.plain["results"]["score"][0]).tolist()
     group[dear] = group[cheap]
     for values in spoiled.plain["results"].values():
@@ -225,72 +224,45 @@ def test_a_cheap_episode_in_the_place_of_a_dear_one(own, refused):
     assert refused(spoiled) in (Code.SCORE_DIFFERS, Code.WRONG_LENGTH)
 
 
-# --------------------------------------------------------------------------- motions
-
-
-@pytest.fixture(scope="module")
-def recorded_lines(folder):
-    """Ten straight lines as somebody's own, recorded."""
-
-    class Mine:
-        name, summary = "mine", "a line"
-
-        def find(self, query, seed):
-            return get_planner("straight").find(query, seed)
-
-    make_entry(folder / "lines", "paths", "bent-1s-quick", Mine())
-    return folder / "lines"
-
-
-def test_changed_motions(recorded_lines, refused):
-    def with_(change):
-        spoiled = Spoiled(recorded_lines)
-        (group,) = recording_of(recorded_lines, (3,))
-        group[4] = change(group[4])
-        spoiled.record([group])
-        return refused(spoiled)
-
-    def first_moved(points):
-        return points + np.eye(len(points))[:, :1] * 1e-3
-
-    assert with_(lambda p: p) is None
-    assert with_(first_moved) is Code.BAD_RECORDING  # no rest at the start
-    assert with_(lambda p: p + 1e-3) is Code.SCORE_DIFFERS  # joins other ends
-    assert with_(lambda p: p[:3]) is Code.BAD_RECORDING
-    assert with_(lambda p: p[:0]) is Code.SCORE_DIFFERS  # none, told as one
-    assert with_(lambda p: np.repeat(p, 200, axis=0)) is Code.BAD_RECORDING
-
-
-def test_energy_from_nowhere_is_refused(recorded_lines, monkeypatch):
-    """With a limit that no simulation can keep."""
-    monkeypatch.setattr(path_track, "LEDGER", 1e-14)
-    assert code_of(recorded_lines) is Code.LEDGER_RESIDUAL
-
-
-# ----------------------------------------------------------------------------- gains
-
-
 @pytest.mark.parametrize(
     ("change", "code"),
     [
-        (lambda g: g, None),
+        # no rest at the start
+        (lambda p: p + np.eye(len(p))[:, :1] * 1e-3, Code.BAD_RECORDING),
+        (lambda p: p + 1e-3, Code.SCORE_DIFFERS),  # joins other ends
+        (lambda p: p[:3], Code.BAD_RECORDING),
+        (lambda p: p[:0], Code.SCORE_DIFFERS),  # none, told as one
+        (lambda p: np.repeat(p, 200, axis=0), Code.BAD_RECORDING),
+    ],
+)
+def test_changed_motions(change, code, mute, refused):
+    assert with_answer(mute, refused, JOINTS, 5, change) is code
+
+
+def test_energy_from_nowhere_is_refused(mute, monkeypatch):
+    """With a limit that no simulation can keep."""
+    monkeypatch.setattr(path_track, "LEDGER", 1e-14)
+    assert code_of(mute) is Code.LEDGER_RESIDUAL
+
+
+def test_gains_of_ones_own(folder, refused, monkeypatch):
+    """Matrices that are none are refused; the high gains, recorded, score one."""
+    monkeypatch.setattr(gain_track, "SECONDS", 2.0)
+    place = folder / "gains"
+    make_entry(place, *GAINS, gain_track.tuner("high"), name="mine")
+    spoiled, group = Spoiled(place), answers_of(place, (3, 3), count=5)
+    for change, code in (
         (lambda g: g * np.nan, Code.BAD_RECORDING),
         (lambda g: -g, Code.BAD_RECORDING),
         (lambda g: 100 * g, Code.BAD_RECORDING),  # beyond the bounds
         (lambda g: g + np.triu(np.ones((3, 3)), 1), Code.BAD_RECORDING),
         (lambda g: g[:1], Code.WRONG_LENGTH),
-    ],
-)
-def test_gains_of_ones_own(change, code, folder, refused):
-    from ves_gym.leaderboard.tracks.damping import tuner
-
-    place = folder / "gains"
-    if not place.exists():
-        make_entry(place, "damping", "gains-bent-quick", tuner("thesis"), name="mine")
-    spoiled = Spoiled(place)
-    (group,) = recording_of(place, (3, 3), count=5)
-    spoiled.record([[change(g) for g in group]])
-    assert refused(spoiled) is code
+    ):
+        spoiled.record([[change(g) for g in group]])
+        assert refused(spoiled) is code
+    entry = verify(place)
+    assert entry.method.kind == "gains" and entry.level == "replayed"
+    np.testing.assert_allclose(entry.results["score"], np.ones((1, 5)), rtol=1e-9)
 
 
 # -------------------------------------------------------------------------- policies
@@ -306,12 +278,8 @@ def flipped(data):
     [
         ("policy-0.safetensors", flipped),
         ("policy-0.json", lambda data: data.replace(b'"tanh"', b'"eval"')),
-        ("policy-0.json", lambda data: data.replace(b"ves-policy/1", b"ves-policy/9")),
-        *(
-            (which, lambda data, junk=junk: junk)
-            for which in ("policy-0.json", "policy-0.safetensors")
-            for junk in (b"", b"\x80\x04\x95.", b"{}", b"[" * 2000)
-        ),
+        ("policy-0.json", lambda data: b"[" * 2000),
+        ("policy-0.safetensors", lambda data: b"\x80\x04\x95."),
     ],
 )
 def test_policies_that_are_changed_or_cannot_be_read(which, change, policy, refused):
@@ -331,11 +299,10 @@ def test_a_policy_that_is_not_there_or_fits_elsewhere(policy, refused):
     assert refused(spoiled) is Code.BAD_POLICY
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-6])
-def test_a_copy_of_a_policy_is_no_other_training(noise, tmp_path):
-    """To the last bit, or with a little noise on its weights."""
+def test_a_copy_of_a_policy_is_no_other_training(tmp_path):
+    """With a little noise on its weights."""
     files = [
-        save_random_policy(tmp_path / f"{k}.json", noise=n) for k, n in enumerate((0, noise))
+        save_random_policy(tmp_path / f"{k}.json", noise=n) for k, n in enumerate((0, 1e-6))
     ]
     with pytest.raises(ParameterError, match="count twice"):
         make_entry(tmp_path / "e", *DAMP, files)
@@ -362,10 +329,10 @@ def test_no_seed_can_be_picked(straight, tmp_path, refused):
     spoiled.plain["method"]["seeds"] = [7]
     assert refused(spoiled) is Code.WRONG_SEEDS
     with pytest.raises(ParameterError, match="in order"):
-        make_entry(tmp_path / "e", "paths", "bent-1s-quick", "straight", seeds=(1,))
+        make_entry(tmp_path / "e", *LINES, "straight", seeds=(1,))
 
 
-def test_official_seeds(folder, tmp_path, refused):
+def test_official_seeds(folder, refused):
     place = folder / "official"
     make_entry(place, *DAMP, "zero", salt=SALT)
     entry = verify(place, salt=SALT)
@@ -382,14 +349,10 @@ def test_official_seeds(folder, tmp_path, refused):
     "settings",
     [
         {"duration": 4.0},
-        {"system": {}},
         {"goal": 1},
         {"goal": True},
-        {"control": {"kind": "guided", "jerk": 1e300}},
         {"control": {"kind": "torque", "damping": [1e300] * 3}},
-        {"control": {"kind": "torque", "damping": [1.0]}},
         {"control": {"kind": "magic"}},
-        {"control": []},
         {"control": "module:Class"},
     ],
 )
@@ -435,8 +398,8 @@ def test_an_entry_goes_to_the_board_and_is_verified_there(straight, own, tmp_pat
     [
         (DAMP, "nonsense", None, "or one of zero, random"),
         (DAMP, ["a.json", "b.json"], None, r"a\.json"),
-        (("paths", "bent-1s-quick"), "nonsense", None, "planner must be"),
-        (("damping", "gains-bent-quick"), "nonsense", None, "gains must be"),
+        (LINES, "nonsense", None, "planner must be"),
+        (GAINS, "nonsense", None, "gains must be"),
         (DAMP, Gentle(), "Gentle One", "name must be of a-z"),
     ],
 )

@@ -13,7 +13,6 @@ import copy
 import json
 import os
 import warnings
-from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,16 +29,15 @@ from ves_gym._util.params import (
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.tables import table as text_table
 from ves_gym.experiments.spec import spec_from_plain, units_of
-from ves_gym.experiments.sweep import Report, finished, opened, run_units
+from ves_gym.experiments.sweep import Progress, do_units, opened
 from ves_gym.experiments.units import Unit, read_result
 
 SCHEMA = "ves-search/1"
 _SHOWN = 10  # trials printed
+_MOST = 1024  # processes
 SAMPLERS = ("tpe", "random")
 DIRECTIONS = ("minimize", "maximize")
 _WHY, _UNITS = "why", "units"  # what a trial remembers beside its parameters
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,7 +175,7 @@ def search(
     *,
     workers: int | Executor | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = lambda stage, done: None,
 ) -> SearchResult:
     """Run the file's number of trials.
 
@@ -193,15 +191,14 @@ def search(
     optuna = _optuna()
     plan, plain = read_search(path)
     spec = spec_from_plain(plain, str(path))
-    on_progress = progress or (lambda stage, done: None)
     study = optuna.create_study(direction=plan.direction)
-    with opened(workers, spec.seconds) as pool:
+    with opened(workers, spec.seconds, _MOST) as pool:
         for ended in range(0, plan.trials, plan.batch):
-            on_progress("search", ended / plan.trials)
+            progress("search", ended / plan.trials)
             study.sampler = _sampler(plan, seed, ended)
             trials = [study.ask() for _ in range(min(plan.batch, plan.trials - ended))]
             _batch(study, trials, plan, plain, Path(folder), Path(path).parent, pool)
-        on_progress("search", 1.0)
+        progress("search", 1.0)
     trials = [
         {
             "number": t.number,
@@ -237,8 +234,7 @@ def _batch(
         except ParameterError as error:  # settings that do not go together
             wrong[trial.number] = str(error)
     every = {unit.id: unit for named in units.values() for unit in named}
-    report = Report(root)
-    run_units(pool, [unit for unit in every.values() if not finished(root, unit)], report)
+    report = do_units(every.values(), root, workers=pool)
     for trial in trials:
         its_units = units.get(trial.number, [])
         trial.set_user_attr(_UNITS, [unit.id for unit in its_units])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -28,7 +29,7 @@ from ves_gym._util.params import (
 )
 from ves_gym._util.process_pool import Workers
 from ves_gym.experiments.spec import Spec, read_spec, units_of
-from ves_gym.experiments.units import Unit, read_result, run_unit, store
+from ves_gym.experiments.units import Unit, read_result, run_unit
 
 _LOOK = 0.05  # s between looks at what has ended
 _ORDER = ("kind", "where", "who", "seed", "unit")  # of the rows of a merged table
@@ -60,12 +61,7 @@ class Report:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
-        return {
-            "folder": str(self.folder),
-            "done": self.done,
-            "skipped": self.skipped,
-            "failed": self.failed,
-        }
+        return {**vars(self), "folder": str(self.folder)}
 
 
 def sweep(
@@ -75,7 +71,7 @@ def sweep(
     workers: int | Executor | None = None,
     resume: bool = True,
     part: tuple[int, int] = (1, 1),
-    progress: Progress | None = None,
+    progress: Progress = lambda stage, done: None,
 ) -> Report:
     """Do the units of a spec that have no result yet.
 
@@ -91,28 +87,26 @@ def sweep(
         part: (k, n) does every n-th unit from the k-th, for n machines.
         progress: called with what is done and the fraction of it.
     """
-    root, base = Path(folder), Path()
+    base = Path()
     if not isinstance(spec, Spec):
         base = Path(spec).parent
         spec = read_spec(spec)
-    return do_units(
-        _part(units_of(spec, base), part),
-        root,
-        workers=workers,
-        resume=resume,
-        seconds=spec.seconds,
-        progress=progress,
-    )
+    k, n = part
+    if not 1 <= k <= n:
+        raise ParameterError(f"part must be k of n with 1 <= k <= n, got {k} of {n}")
+    units = units_of(spec, base)[k - 1 :: n]
+    how: dict[str, Any] = {"workers": workers, "resume": resume, "progress": progress}
+    return do_units(units, folder, seconds=spec.seconds, **how)
 
 
 def do_units(
-    units: Sequence[Unit],
+    units: Iterable[Unit],
     folder: str | os.PathLike[str],
     *,
     workers: int | Executor | None = None,
     resume: bool = True,
     seconds: float | None = None,
-    progress: Progress | None = None,
+    progress: Progress = lambda stage, done: None,
     stage: str = "sweep",
 ) -> Report:
     """Do those of some units that have no result yet, see `sweep`.
@@ -126,27 +120,35 @@ def do_units(
         progress: called with `stage` and the fraction done.
         stage: name of what is done.
     """
-    report = Report(Path(folder))
-    report.skipped.extend(u.id for u in units if resume and finished(report.folder, u))
+    report, units = Report(Path(folder)), list(units)
+    report.skipped.extend(u.id for u in units if resume and _finished(report.folder, u))
     skipped = set(report.skipped)
     todo = [u for u in units if u.id not in skipped]
     if any(u.identity["kind"] == "train" for u in todo):
         require("training", "safetensors")
-    on_progress = progress or (lambda stage, done: None)
     if not todo:
-        on_progress(stage, 1.0)
+        progress(stage, 1.0)
         return report
+    report.folder.mkdir(parents=True, exist_ok=True)
     with opened(workers, seconds, len(todo)) as pool:
-        run_units(
-            pool, todo, report, lambda n: on_progress(stage, (len(skipped) + n) / len(units))
-        )
+        place = str(report.folder.resolve())
+        running = [(pool.submit(run_unit, unit, place), unit) for unit in todo]
+        while running:  # asked one by one: jobs of submitit are no standard futures
+            pending = []
+            for job, unit in running:
+                if job.done():
+                    _enter(job, unit, report)
+                    ended = len(skipped) + len(report.done) + len(report.failed)
+                    progress(stage, ended / len(units))
+                else:
+                    pending.append((job, unit))
+            running = pending
+            time.sleep(_LOOK if running else 0.0)
     return report
 
 
 @contextmanager
-def opened(
-    workers: int | Executor | None, seconds: float | None, most: int | None = None
-) -> Iterator[Any]:
+def opened(workers: int | Executor | None, seconds: float | None, most: int) -> Iterator[Any]:
     """Open processes of this machine, or use the executor that is given.
 
     Args:
@@ -156,7 +158,7 @@ def opened(
     """
     if workers is None or isinstance(workers, int):
         count = os.cpu_count() or 1 if workers is None else workers
-        with Workers(count if most is None else min(count, most), seconds=seconds) as pool:
+        with Workers(min(count, most), seconds=seconds) as pool:
             yield pool
     elif seconds is not None:
         raise ParameterError(
@@ -167,41 +169,10 @@ def opened(
         yield workers
 
 
-def run_units(
-    pool: Any,
-    units: Iterable[Unit],
-    report: Report,
-    on_progress: Callable[[int], None] = lambda count: None,
-) -> None:
-    """Do units, store their results and enter them in the report.
-
-    Args:
-        pool: where, see `sweep`.
-        units: what.
-        report: filled in.
-        on_progress: called with the number that have ended.
-    """
-    report.folder.mkdir(parents=True, exist_ok=True)
-    folder = str(report.folder.resolve())
-    running = [(pool.submit(run_unit, unit, folder), unit) for unit in units]
-    count = 0
-    while running:  # asked one by one: jobs of submitit are no futures of the standard library
-        pending = []
-        for job, unit in running:
-            if job.done():
-                _enter(job, unit, report)
-                count += 1
-                on_progress(count)
-            else:
-                pending.append((job, unit))
-        running = pending
-        time.sleep(_LOOK if running else 0.0)
-
-
 def _enter(job: Any, unit: Unit, report: Report) -> None:
     """Store what a unit came back with, or why it did not."""
     try:
-        outcome = job.result()
+        files = job.result()
     except ProcessExpired as error:
         why = f"its process died (exit code {error.exitcode})"
     except TimeoutError:
@@ -209,26 +180,16 @@ def _enter(job: Any, unit: Unit, report: Report) -> None:
     except Exception as error:
         why = f"{type(error).__name__}: {error}"
     else:
-        store(outcome, report.folder)
+        for name, data in files.items():
+            write_bytes(report.folder / name, data)
+        shutil.rmtree(report.folder / "work" / unit.id, ignore_errors=True)
         report.done.append(unit.id)
         return
     report.failed[unit.id] = f"{unit.label}: {why}"
 
 
-def _part(units: list[Unit], part: tuple[int, int]) -> list[Unit]:
-    k, n = part
-    if not 1 <= k <= n:
-        raise ParameterError(f"part must be k of n with 1 <= k <= n, got {k} of {n}")
-    return units[k - 1 :: n]
-
-
-def finished(folder: Path, unit: Unit) -> bool:
-    """Return True if a unit has a sound result; a damaged one is not, and a warning says so.
-
-    Args:
-        folder: of the sweep.
-        unit: asked about.
-    """
+def _finished(folder: Path, unit: Unit) -> bool:
+    """Return True if a unit has a sound result; a damaged one is not, and a warning says so."""
     path = folder / "results" / f"{unit.id}.json"
     if not path.exists():
         return False

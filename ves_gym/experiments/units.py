@@ -13,9 +13,9 @@ to the last bit: clocks and hosts go to a file beside it.
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import platform
-import shutil
 import tempfile
 import time
 from collections.abc import Callable, Mapping
@@ -25,20 +25,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
-
 from ves_gym._util.params import (
     ParameterError,
     canonical_json,
     content_hash,
     read_table,
-    write_bytes,
-    write_text,
 )
 from ves_gym._util.threads import on_one_thread
 from ves_gym._util.version import __version__
 from ves_gym.baselines.config import TrainConfig, config_from_plain
-from ves_gym.baselines.evaluate import STATISTICS, evaluate
+from ves_gym.baselines.evaluate import ENERGIES, STATISTICS, evaluate, spec_of
 from ves_gym.baselines.policy import load_policy, versions
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
 from ves_gym.envs.build import build_task
@@ -46,6 +42,11 @@ from ves_gym.planners.benchmark import run_query
 from ves_gym.planners.query import Query
 
 SCHEMA, RESULT, ABOUT = "ves-unit/1", "ves-result/1", "ves-about/1"
+_SUMMARY = {  # of an evaluation: measure -> statistic
+    "return": "iqm",
+    **dict.fromkeys(("success", "success_once", "failed"), "mean"),
+    **dict.fromkeys(ENERGIES, "median"),
+}
 _CLOCKED = ("seconds", "seconds_stepping", "plan_seconds")  # no part of a result
 
 
@@ -65,16 +66,6 @@ class Unit:
     def label(self) -> str:
         """For people: kind, where, who and seed."""
         return " ".join(str(self.identity[k]) for k in ("kind", "where", "who", "seed"))
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Texts and files of a finished unit, to be stored."""
-
-    id: str
-    result: str
-    about: str
-    files: Mapping[str, bytes] = field(default_factory=dict)
 
 
 # ---------------------------------------------------------------------- the three kinds
@@ -109,23 +100,13 @@ def plan_unit(suite: str, vehicle: str, query: Query, planner: str, seed: int) -
 
 
 def _identity(kind: str, where: str, who: str, seed: int, system: str) -> dict[str, Any]:
-    return {
-        "schema": SCHEMA,
-        "version": __version__,
-        "kind": kind,
-        "where": where,
-        "who": who,
-        "seed": seed,
-        "system": system,
-    }
+    parts = {"kind": kind, "where": where, "who": who, "seed": seed, "system": system}
+    return {"schema": SCHEMA, "version": __version__, **parts}
 
 
 def _task(env: str, settings: Mapping[str, Any]) -> str:
     """Hash of an environment's task, the system in it; nothing is simulated."""
-    try:
-        defaults = gym.spec(env).kwargs
-    except gym.error.Error as error:
-        raise ParameterError(str(error)) from None
+    defaults = spec_of(env).kwargs
     if "task" not in defaults:
         raise ParameterError(f"{env} is no environment of ves_gym")
     return content_hash(build_task(**{**defaults, **settings}))
@@ -146,13 +127,16 @@ def _weights(who: str) -> str | None:
 # -------------------------------------------------------------------------- running
 
 
-def run_unit(unit: Unit, folder: str | None = None) -> Outcome:
+def run_unit(unit: Unit, folder: str | None = None) -> dict[str, bytes]:
     """Do a unit's work, wherever.
 
     Args:
         unit: what to do.
         folder: of the sweep; where it is on this machine, too, a training run leaves its
             checkpoints there and goes on from them.
+
+    Returns:
+        Its files by their names in the folder, to be stored in this order, the result last.
     """
     root = None if folder is None else Path(folder)
     begun, begin, worked = datetime.now(UTC), time.perf_counter(), time.process_time()
@@ -166,7 +150,11 @@ def run_unit(unit: Unit, folder: str | None = None) -> Outcome:
         "unit": dict(unit.identity),
         "rows": answer.rows,
         "summary": answer.summary,
-        "files": {name: hashlib.sha256(data).hexdigest() for name, data in answer.digested},
+        "files": {  # those that are alike on every machine: of numbers only
+            name: hashlib.sha256(data).hexdigest()
+            for name, data in answer.files.items()
+            if name.endswith(".safetensors")
+        },
     }
     about = {
         "schema": ABOUT,
@@ -180,22 +168,12 @@ def run_unit(unit: Unit, folder: str | None = None) -> Outcome:
         "versions": versions("mujoco"),
         "clocked": answer.clocked,
     }
-    return Outcome(
-        unit.id,
-        canonical_json({**body, "digest": content_hash(body)}) + "\n",
-        canonical_json(about) + "\n",
-        answer.files,
-    )
-
-
-def store(outcome: Outcome, folder: str | os.PathLike[str]) -> None:
-    """Write an outcome's files, each completely or not at all, the result last."""
-    root = Path(folder)
-    for name, data in outcome.files.items():
-        write_bytes(root / "policies" / outcome.id / name, data)
-    write_text(root / "about" / f"{outcome.id}.json", outcome.about)
-    write_text(root / "results" / f"{outcome.id}.json", outcome.result)
-    shutil.rmtree(root / "work" / outcome.id, ignore_errors=True)
+    result = {**body, "digest": content_hash(body)}
+    texts = {"about": about, "results": result}
+    return {
+        **{f"policies/{unit.id}/{name}": data for name, data in answer.files.items()},
+        **{f"{k}/{unit.id}.json": f"{canonical_json(v)}\n".encode() for k, v in texts.items()},
+    }
 
 
 def read_result(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -223,11 +201,6 @@ class _Answer:
     clocked: Any = None
     files: dict[str, bytes] = field(default_factory=dict)
 
-    @property
-    def digested(self) -> list[tuple[str, bytes]]:
-        """Files that are alike on every machine: those of numbers only."""
-        return [(k, v) for k, v in self.files.items() if k.endswith(".safetensors")]
-
 
 def _evaluate(unit: Unit, work: Path) -> _Answer:
     identity, who = unit.identity, unit.source["who"]
@@ -244,18 +217,12 @@ def _evaluate(unit: Unit, work: Path) -> _Answer:
         threads=1,
         **identity["settings"],
     )
-    summary: dict[str, float | None] = {
-        "return": _number(_statistic(evaluation, "return", "iqm"))
+    summary = {
+        name: float(STATISTICS[kind](evaluation.values(name)[0]))
+        for name, kind in _SUMMARY.items()
     }
-    for name in ("success", "success_once", "failed"):
-        summary[name] = _statistic(evaluation, name, "mean")
-    for name in ("E_mean", "E_peak", "E_res", "E_int"):
-        summary[name] = _number(_statistic(evaluation, name, "median"))
-    return _Answer(evaluation.to_dict()["rows"], summary)
-
-
-def _statistic(evaluation: Any, measure: str, kind: str) -> float:
-    return float(STATISTICS[kind](evaluation.values(measure)[0]))
+    finite = {k: v if math.isfinite(v) else None for k, v in summary.items()}
+    return _Answer(evaluation.to_dict()["rows"], finite)
 
 
 def _train(unit: Unit, work: Path) -> _Answer:
@@ -278,7 +245,7 @@ def _plan(unit: Unit, work: Path) -> _Answer:
     )
     clocked = {k: row.pop(k) for k in _CLOCKED if k in row}
     clocked["curve"] = row["info"].pop("curve", None)  # of (seconds, evaluations, cost)
-    summary = {k: row[k] for k in ("E_mean", "E_peak", "E_res", "E_int", "predicted")}
+    summary = {k: row[k] for k in (*ENERGIES, "predicted")}
     return _Answer([row], summary | {"success": float(row["success"])}, clocked)
 
 
@@ -287,7 +254,3 @@ _RUN: dict[str, Callable[[Unit, Path], _Answer]] = {
     "train": _train,
     "plan": _plan,
 }
-
-
-def _number(value: float) -> float | None:
-    return value if abs(value) < float("inf") else None
