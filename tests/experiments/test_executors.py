@@ -1,69 +1,57 @@
 """Sweeps on executors of others: the same files, and what is lost is told."""
 
-import os
-import signal
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future
 
 import pytest
+from pebble import ProcessExpired
 
 from tests.experiments.sweeps import files, many, spec
 from ves_gym._util.params import ParameterError
-from ves_gym.experiments import sweep as module
 from ves_gym.experiments.sweep import sweep
-from ves_gym.experiments.units import run_unit
 
 
 class Lossy(Executor):
-    """Loses the first job, as a cluster does."""
+    """Loses the first job, as a cluster does, or one's own machine."""
 
-    lost = False
+    def __init__(self, error):
+        self.error = error
 
     def submit(self, function, /, *args):
-        future = Future()
-        if self.lost:
+        future, error = Future(), self.error
+        if error is None:
             future.set_result(function(*args))
         else:
-            self.lost = True
-            future.set_exception(RuntimeError("the cluster lost it"))
+            self.error = None
+            future.set_exception(error)
         return future
 
 
-def test_an_executor_of_the_standard_library_gives_the_same_files(swept, tmp_path):
-    with ThreadPoolExecutor(1) as pool:
-        report = sweep(spec(), tmp_path, workers=pool)
+def test_an_executor_of_the_standard_library_gives_the_same_files(swept, here, tmp_path):
+    report = sweep(spec(), tmp_path, workers=here)
     assert len(report.done) == 4
     assert files(tmp_path) == files(swept[0])
 
 
-def test_a_lost_job_costs_its_unit_and_is_done_next_time(tmp_path):
-    pool = Lossy()
+@pytest.mark.parametrize(
+    ("error", "why"),
+    [
+        (RuntimeError("the cluster lost it"), "RuntimeError: the cluster lost it"),
+        (ProcessExpired("killed", code=-9), "its process died (exit code -9)"),
+        (TimeoutError(), "took too long and was killed"),
+    ],
+)
+def test_a_lost_job_costs_its_unit_and_is_done_next_time(error, why, tmp_path):
+    pool = Lossy(error)
     report = sweep(many(3), tmp_path, workers=pool)
     assert len(report.done) == 2
-    assert list(report.failed.values()) == [
-        "evaluate ves/BeamLQR-v0 random 0: RuntimeError: the cluster lost it"
-    ]
+    assert list(report.failed.values()) == [f"evaluate ves/BeamLQR-v0 random 0: {why}"]
     again = sweep(many(3), tmp_path, workers=pool)
     assert len(again.done) == 1 and again.complete
 
 
-def dying(unit, folder):
-    if unit.identity["seed"] == 1:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return run_unit(unit, folder)
-
-
-@pytest.mark.skipif(os.name != "posix", reason="signals")
-def test_a_unit_that_kills_its_process_costs_itself(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "run_unit", dying)
-    report = sweep(many(3), tmp_path, workers=1)
-    assert len(report.done) == 2
-    (why,) = report.failed.values()
-    assert why.endswith("random 1: its process died (exit code -9)")
-
-
 def test_a_limit_is_not_kept_by_another_executor(tmp_path):
     with pytest.raises(ParameterError, match="seconds = 5 is kept by processes of this mach"):
-        sweep(spec(seconds=5.0), tmp_path, workers=Lossy())
+        sweep(spec(seconds=5.0), tmp_path, workers=Lossy(None))
 
 
 @pytest.mark.slow

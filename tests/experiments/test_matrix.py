@@ -59,9 +59,9 @@ def file(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def done(file, tmp_path_factory):
+def done(file, here, tmp_path_factory):
     folder = tmp_path_factory.mktemp("done")
-    report = run_matrix(read_matrix(file), folder, workers=1)
+    report = run_matrix(read_matrix(file), folder, workers=here)
     assert report.complete and len(report.done) == 2 + 4 * 2 * 2
     return folder
 
@@ -135,13 +135,13 @@ def test_of_a_part_of_a_matrix_the_complete_cells_are_told(file, done, tmp_path)
     assert "| optimum | " in (tmp_path / "part" / "matrix.md").read_text()
 
 
-def test_what_is_missing_is_done_again_with_the_same_bits(file, done, tmp_path):
+def test_what_is_missing_is_done_again_with_the_same_bits(file, done, here):
     """A finished matrix without some of its results, a trained policy's among them."""
     before, policies = files(done), {p.name for p in (done / "policies").iterdir()}
     lost = [*policies][:1] + [n.removesuffix(".json") for n in sorted(before)[::3]]
     for id in lost:
         (done / "results" / f"{id}.json").unlink(missing_ok=True)
-    report = run_matrix(read_matrix(file), done, workers=1)
+    report = run_matrix(read_matrix(file), done, workers=here)
     assert set(report.done) == set(lost) and files(done) == before
 
 

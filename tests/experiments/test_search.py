@@ -2,7 +2,6 @@
 
 import json
 import math
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -40,13 +39,6 @@ def file(tmp_path):
         return path
 
     return write
-
-
-@pytest.fixture
-def here():
-    """Runs jobs in this process: what is tested is not where they run."""
-    with ThreadPoolExecutor(1) as pool:
-        yield pool
 
 
 def params(result):
