@@ -119,7 +119,7 @@ def teleop(target: Path) -> None:
     """An operator's window on the emulated beam, keys as in `KEYS`."""
     from PIL import Image
 
-    from ves_gym.envs.rendering import Renderer
+    from ves_gym.envs.recording import Renderer
     from ves_gym.envs.teleop import Press, Teleop
 
     driven = Teleop(vg.System(mode="emulated"))

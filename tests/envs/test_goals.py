@@ -7,7 +7,7 @@ from gymnasium.utils.env_checker import check_env
 
 from tests.envs.walks import IDS, SHORT, actions
 from ves_gym.envs.env import VesEnv
-from ves_gym.envs.reach_goal import ReachGoal
+from ves_gym.envs.reach import ReachGoal
 
 GOALS = [name for name in IDS if "Goal" in name]
 FUNCTIONS = ("compute_reward", "compute_terminated", "compute_truncated")

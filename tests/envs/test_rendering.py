@@ -15,7 +15,7 @@ from gymnasium.utils.env_checker import check_env
 
 from tests.display import require_opengl, virtual_display
 from tests.envs.walks import IDS, actions, same, walk
-from ves_gym.envs.rendering import Renderer
+from ves_gym.envs.recording import Renderer
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.rendering import opengl as gl
 from ves_gym.rendering.opengl import Probe, RenderError

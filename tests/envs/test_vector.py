@@ -19,7 +19,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from tests.envs.walks import IDS, SHORT, actions, flat, part, same, walk
 from ves_gym._util.params import ParameterError
 from ves_gym.envs.batch import ActionError
-from ves_gym.envs.workers import AsyncVectorEnv, EnvWorkerDied
+from ves_gym.envs.vector import AsyncVectorEnv, EnvWorkerDied
 
 ROOT = Path(__file__).parents[2]
 STEPS = 12

@@ -16,12 +16,10 @@ import numpy.typing as npt
 from ves_gym._util.params import Array, Index, Mask, ParameterError, content_hash
 from ves_gym.engine.backends.kernel import KernelBackend
 from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
-from ves_gym.envs.beginnings import Beginnings
 from ves_gym.envs.compiled import Shape, carry_rows, plain_command
-from ves_gym.envs.compiled_step import CompiledStep, compiled_step
-from ves_gym.envs.corners import warn_of_unstable_corners
-from ves_gym.envs.dump import Recorder
+from ves_gym.envs.compiled_step import CompiledStep
 from ves_gym.envs.episode import (
+    Beginnings,
     Episodes,
     bounded,
     count,
@@ -32,6 +30,7 @@ from ves_gym.envs.episode import (
     scaled_observation,
 )
 from ves_gym.envs.randomize import Draws
+from ves_gym.envs.recording import Recorder
 from ves_gym.envs.tail import FreeDecay
 from ves_gym.envs.task import Scene, Start, Task
 from ves_gym.mechanics.servo import own_gains
@@ -98,6 +97,8 @@ class Batch:
             warn_at=None,
         )
         if task.randomize and self.system.mode == "emulated":
+            from ves_gym.envs.laboratories import warn_of_unstable_corners
+
             warn_of_unstable_corners(
                 task.system, task.randomize, control.servo_for(arm) if motor else None
             )
@@ -122,33 +123,37 @@ class Batch:
         follows = motor and control.level != "torque"
         hold = control.servo_for(arm) if follows else own_gains(arm)
         self._hold = np.asarray(hold.kp, float), np.asarray(hold.kd, float)
-        widths = {
+        self._sizes = {
             "q": joints, "v": joints, "y": 6, "yd": 6, "y_seen": 6, "yd_seen": 6, "tool": 3,
             "tool_seen": 3, "energies": 2, "goal": goals, "memory": task.memory,
             "table_values": table_values, "tau": joints,
         }  # fmt: skip
-        self.scene = Scene(
-            time=np.zeros(n), tail=np.zeros(n), ref=np.zeros((n, 3, joints)),
+        self.scene, self.episodes = self._blank(n)
+        self.drawn: dict[str, Array] = {r.label: np.zeros((n, r.size)) for r in task.randomize}
+
+        if compiled and CompiledStep.possible(self.sim, task):
+            parts = self._scene, self._scenes, self._torques
+            self._compiled = CompiledStep(self.sim, task, *parts)
+        # all that a beginning needs can be written where it belongs
+        fixed = not (self._emulated or task.randomize)
+        self._direct = self._compiled is not None and fixed
+        complete = self._first_rows if self._direct else self._first_states
+        self._beginnings = Beginnings(task, n, self._draws.size, complete)
+        self.recorder = None if dump is None else Recorder(self, dump)
+
+    def _blank(self, n: int) -> tuple[Scene, Episodes]:
+        """Scene and episodes of n simulations, zeros but for the gains that hold joints."""
+        scene = Scene(
+            time=np.zeros(n), tail=np.zeros(n), ref=np.zeros((n, 3, self.system.arm.n)),
             kp=np.tile(self._hold[0], (n, 1)), kd=np.tile(self._hold[1], (n, 1)),
-            **{name: np.zeros((n, width)) for name, width in widths.items()},
+            **{name: np.zeros((n, size)) for name, size in self._sizes.items()},
         )  # fmt: skip
-        self.episodes = Episodes(
+        episodes = Episodes(
             np.zeros(n, np.uint64), np.arange(n), np.full(n, -1),
             np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, bool),
             np.zeros(n), np.zeros((n, 2)), np.zeros((n, 2)),
         )  # fmt: skip
-        self.drawn: dict[str, Array] = {r.label: np.zeros((n, r.size)) for r in task.randomize}
-
-        if compiled:
-            parts = self._scene, self._scenes, self._torques
-            self._compiled = compiled_step(self.sim, task, *parts)
-        # all that a beginning needs can be written where it belongs
-        self._direct = (
-            self._compiled is not None and self._compiled.direct and not task.randomize
-        )
-        complete = self._first_rows if self._direct else self._first_states
-        self._beginnings = Beginnings(task, n, self._draws.size, complete)
-        self.recorder = None if dump is None else Recorder(self, dump)
+        return scene, episodes
 
     @property
     def shape(self) -> Shape | None:
@@ -208,7 +213,9 @@ class Batch:
         if self._direct:
             assert self._compiled is not None
             self._compiled.begin(ids, rows)
-            self._keep_rows(ids, rows["observation"])
+            if self._observation is None:
+                self._observation = np.zeros((self.n, self.observations), np.float32)
+            self._observation[ids] = rows["observation"]
         else:
             self._begin(ids, rows)
         if self.recorder is not None:
@@ -257,17 +264,12 @@ class Batch:
         modes = self._compiled.modes
         hidden = None if modes is None else (x[:, modes[0]], x[:, modes[1]])
         energies, tool, _ = self._scenes(q, v, y, yd, y, hidden)
-        zero = np.zeros(k)
-        s = Scene(
-            time=zero, q=q, v=v, y=y, yd=yd, y_seen=y, yd_seen=yd, tool=tool, tool_seen=tool,
-            energies=energies, ref=np.stack([q, v, np.zeros_like(q)], axis=1), goal=goal,
-            memory=np.zeros((k, self.task.memory)),
-            table_values=self.task.lookup(goal, np.zeros(k, np.intp)), tau=zero, tail=zero,
-            kp=np.tile(self._hold[0], (k, 1)), kd=np.tile(self._hold[1], (k, 1)),
-        )  # fmt: skip
+        s, e = self._blank(k)
+        s.q, s.v, s.y, s.yd, s.y_seen, s.yd_seen, s.goal = q, v, y, yd, y, yd, goal
+        s.tool, s.tool_seen, s.energies, e.peaks = tool, tool, energies, energies
+        s.ref = np.stack([q, v, np.zeros_like(q)], axis=1)
+        s.table_values = self.task.lookup(goal, np.zeros(k, np.intp))
         s.tau = self._command(s)
-        none = np.zeros(k, np.int64)
-        e = Episodes(none, none, none, none, none, none, zero, np.zeros((k, 2)), energies)  # type: ignore[arg-type]
         return {
             "x": x,
             "carry": carry_rows(shape, s, e),
@@ -309,6 +311,9 @@ class Batch:
         Returns:
             reward (n,), terminated (n,), truncated (n,), and what is known of the step.
         """
+        if self._compiled is not None and not self._compiled.fits:
+            _ = self.scene  # brought up to date: from here on in NumPy
+            self._compiled = self._observation = None
         if self._compiled is not None:
             out = self._compiled.step(actions, over, self.goals, lambda: self.free_decay)
             self._observation = out.observation
@@ -447,12 +452,6 @@ class Batch:
         context = [np.clip(r.context(values), -clip, clip) for r, values in pairs]
         return np.concatenate([observation, *(k.astype(np.float32) for k in context)], axis=1)
 
-    def _keep_rows(self, ids: Index, rows: Array) -> None:
-        """Take observations (k, observations) of episodes that begin."""
-        if self._observation is None:
-            self._observation = np.zeros((self.n, rows.shape[1]), np.float32)
-        self._observation[ids] = rows
-
     def begin_at(self, scene: Scene, episodes: Episodes) -> None:
         """Go on from where other episodes are: joints, base as measured, reference, sums.
 
@@ -480,14 +479,9 @@ class Batch:
 
     def get_state(self) -> Any:
         """Everything needed to continue exactly from here; picklable."""
-        episodes_state = (self.scene, self.episodes, self.drawn)
+        episodes_state = copy.deepcopy((self.scene, self.episodes, self.drawn))
         recorded = None if self.recorder is None else self.recorder.get_state()
-        return (
-            self.task,
-            copy.deepcopy(episodes_state),
-            self.sim.snapshot(),
-            recorded,
-        )
+        return self.task, episodes_state, self.sim.snapshot(), recorded
 
     def set_state(self, state: Any) -> None:
         """Return to a state handed out by `get_state` of a batch of the same task and n."""

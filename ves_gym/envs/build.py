@@ -23,7 +23,11 @@ from ves_gym.system.effect import Effect
 from ves_gym.system.system import System
 from ves_gym.system.system_library import get_system
 
-_FILES = tuple(entry.task for entry in IDS.values())  # of `ves_gym.envs`
+_KNOWN = tuple(entry.task for entry in IDS.values())
+_FILES = {
+    "reach_goal": "reach",
+    "seam": "track",
+}  # of `ves_gym.envs`, where not of the task's name
 
 
 class UnknownKeywordError(ParameterError, TypeError):
@@ -134,10 +138,10 @@ def get_task(task: str | type[Task]) -> type[Task]:
         except (ImportError, AttributeError) as error:
             raise ParameterError(f"task {task!r} cannot be imported: {error}") from error
         return get_task(cls)
-    if task in _FILES:
-        importlib.import_module(f"ves_gym.envs.{task}")
+    if task in _KNOWN:
+        importlib.import_module(f"ves_gym.envs.{_FILES.get(task, task)}")
     if task not in TASKS:
-        names = tuple(dict.fromkeys((*_FILES, *TASKS)))
+        names = tuple(dict.fromkeys((*_KNOWN, *TASKS)))
         raise ParameterError(
             f"task must be one of {', '.join(names)}, or module:Class, got {task!r}"
             f"{did_you_mean(task, names)}"

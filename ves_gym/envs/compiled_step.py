@@ -1,4 +1,7 @@
-"""A control period in compiled code: what `Batch` does in NumPy, to rounding."""
+"""A control period in compiled code: what `Batch` does in NumPy, to rounding.
+
+An emulated period is one program too: the loop's compiled halves around the engine.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +14,31 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask
 from ves_gym.engine.backends.kernel import KernelBackend
-from ves_gym.engine.kernel.compiled_function import Program, aligned, fill, numbers, unlane
+from ves_gym.engine.kernel.compiled_function import Piece, Program, aligned, fill, numbers, unlane
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
 from ves_gym.envs import compiled
 from ves_gym.envs.compiled import WIDEST, Shape, carry_rows, compiles, width
 from ves_gym.envs.episode import FAILURE, Episodes, ended_energies, outcome
-from ves_gym.envs.laboratory_programs import LaboratoryPrograms, signals_of
 from ves_gym.envs.tail import FreeDecay
 from ves_gym.envs.task import Scene, Task
 from ves_gym.simulation.simulator import Simulator
+
+# what is known here of the signals that come from outside the emulation loop
+_BEFORE = ("q", "kp", "kd", "y_engine", "yd_engine", "weight")
+_AFTER = ("wrench", "draws", "q")
+
+
+def signals_of(sim: Simulator) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
+    """Signals that the loop's halves read; None where they cannot be part of a program."""
+    loop = sim.emulation_loop
+    if loop is None or loop.code is None:
+        return None
+    external = set(loop.wiring.external)
+    if not external <= {*_BEFORE, *_AFTER} or "admittance.X" not in loop.memory:
+        return None
+    first, second = (tuple(k for k in names if k in external) for names in (_BEFORE, _AFTER))
+    return first, second
 
 
 class StepOutcome(NamedTuple):
@@ -34,10 +52,8 @@ class StepOutcome(NamedTuple):
     stopped: Mask | None  # (n,) platforms that stand still for good, in the laboratory
 
 
-def compiled_step(
-    sim: Simulator, task: Task, s: Scene, scenes: SceneMap, torques: TorqueMap
-) -> CompiledStep | None:
-    """The compiled period of a task; None where it stays in NumPy: no kernel, or no formulas.
+class CompiledStep:
+    """The rows of n simulations' episodes, and the programs that bring them on by a period.
 
     Args:
         sim: whose engine it steps.
@@ -48,114 +64,134 @@ def compiled_step(
     Raises:
         FormulaError: task or control say that they are formulas, and are not.
     """
-    kernel = isinstance(sim.backend, KernelBackend)
-    acts = sim.base_actuators is not None  # period by period
-    if acts or not (kernel and compiles(task)):
-        return None
-    return CompiledStep(sim, task, s, scenes, torques)
-
-
-class CompiledStep:
-    """The rows of n simulations' episodes, and the programs that bring them on by a period.
-
-    Args:
-        sim, task, s, scenes, torques: see `compiled_step`.
-
-    Raises:
-        FormulaError: what cannot be compiled.
-    """
 
     ahead = False  # the rows are later than scene and episodes
     _tailed: tuple[Index, Index] | None = None  # where energies after an end stand in the rows
+    _made_of: tuple[object, object] = (None, None)  # code of the loop, and its version
+
+    @classmethod
+    def possible(cls, sim: Simulator, task: Task) -> bool:
+        """Whether a period is a program: formulas, the kernel, nothing acts from Python."""
+        acts = sim.base_actuators is not None or sim.joint_delays is not None
+        known = sim.emulation_loop is None or signals_of(sim) is not None
+        return known and not acts and isinstance(sim.backend, KernelBackend) and compiles(task)
 
     def __init__(
         self, sim: Simulator, task: Task, s: Scene, scenes: SceneMap, torques: TorqueMap
     ) -> None:
         self.sim, self.task, self.system, self.n = sim, task, sim.system, sim.n
-        backend = sim.backend
+        backend, system = sim.backend, sim.system
         assert isinstance(backend, KernelBackend)
-        self.backend = backend
-        system = sim.system
+        self.backend, self._emulated = backend, system.mode == "emulated"
         goal = s.goal.shape[1] if s.goal.shape[1] <= WIDEST else 0
-        # the engine is in the program; else Python steps it between two programs
-        self.direct = sim.emulation_loop is None and sim.joint_delays is None
         terms, probe = self._probe(s)
-        self.shape = shape = Shape(
-            task,
-            system,
-            backend.coordinates,
-            goal,
-            s.table_values.shape[1],
-            terms,
-            signals_of(sim),
-        )
-        functions = compiled.functions(shape, probe)
-        blocks = backend.blocks
-        n = shape.joints
+        sizes = backend.coordinates, goal, s.table_values.shape[1]
+        self.shape = shape = Shape(task, system, *sizes, terms, signals_of(sim))
+        self._functions = functions = compiled.functions(shape, probe)
+        blocks, n, m = backend.blocks, shape.joints, system.base.hidden
+        at, outputs = shape.reference, shape.outputs
         rows = lambda k: aligned(blocks, k, LANES)  # noqa: E731
         self._carry, self._next = rows(width(shape.carry)), rows(width(shape.carry))
-        self._action, self._reference = (
-            rows(task.control.width(system.arm)),
-            rows(width(shape.reference)),
-        )
+        self._action, self._reference = rows(task.control.width(system.arm)), rows(width(at))
         self._goal, self._inputs = rows(goal), rows(width(shape.inputs))
-        self._outputs, self._tau, self._extra = rows(width(shape.outputs)), rows(n), rows(n)
-        self._scene_rows = rows(8)
-        self._nodes = rows(shape.nodes * (6 + n))
+        self._outputs, tau, extra = rows(width(outputs)), rows(n), rows(n)
+        self._scene_rows, self._modes = rows(8), rows(2 * m)
+        self._commands = rows(shape.nodes * (6 + n))
         self._waiting = False  # a simulation is marked as over
-        self._laboratory: LaboratoryPrograms | None = None
         self._stopped = np.flatnonzero(sim.diverged)  # these stay where they are
-        outputs = shape.outputs
         self._flags = slice(outputs["last"].start, outputs["event"].stop)
         self._observed, self._reward = outputs["observation"], outputs["reward"].start
         self._terms = [(f"reward/{name}", outputs[f"reward/{name}"].start) for name in terms]
         self._clipped = shape.carry["clipped"].start
-        self._emulated = system.mode == "emulated"
         self._alone = blocks == 1
         x, z, zd = backend.rows_of_state()
-        at = shape.reference
         before = self._carry[:, shape.carry["tau"]]
-        gains = rows(2 * n)
-        if (self.direct or shape.signals) and task.control.level == "gains":
-            gains = backend.rows_of_gains()
+        gains = backend.rows_of_gains() if task.control.level == "gains" else rows(2 * n)
         measured = self._inputs[:, shape.inputs["y_seen"]] if self._emulated else z[:, :6]
+        moved = z, zd, self._carry, self._goal, self._action, self._reference
         first = [
             functions["keep"].piece(self._next, self._carry),
-            functions["move"].piece(
-                z, zd, self._carry, self._goal, self._action, self._reference
-            ),
+            functions["move"].piece(*moved),
         ]
         if shape.feedforward:
-            first.append(torques.piece([self._reference[:, at["ref"]]], self._extra))
-        rows_in = [before, self._reference, self._extra]
-        first.append(functions["follow"].piece(*rows_in, self._nodes, self._tau, gains))
-        rows_in = [z, zd, x, self._carry, self._reference, self._tau, self._goal, self._inputs]
-        m, modes = system.base.hidden, []
-        self._modes = rows(2 * m)
+            first.append(torques.piece([self._reference[:, at["ref"]]], extra))
+        followed = before, self._reference, extra, self._commands, tau, gains
+        first.append(functions["follow"].piece(*followed))
         # columns of the engine's state that are the base's internal modes, and their rates
         hidden = 6 + n + len(system.actual.arm.geared) + system.actual.arm.bends
-        order = backend.coordinates
-        self.modes = None
-        if m:
-            self.modes = slice(hidden, hidden + m), slice(order + hidden, order + hidden + m)
-        if m:  # those that the base is described with; effects add theirs after them
-            modes = [self._modes[:, :m], self._modes[:, m:]]
-            if not self._emulated:
-                modes = [part[:, :m] for part in backend.rows_of_modes()]
+        second = backend.coordinates + hidden
+        self.modes = (slice(hidden, hidden + m), slice(second, second + m)) if m else None
+        modes = [self._modes[:, :m], self._modes[:, m:]] if m else []
+        if m and not self._emulated:  # effects add theirs after the base's own
+            modes = [part[:, :m] for part in backend.rows_of_modes()]
+        closed = z, zd, x, self._carry, self._reference, tau, self._goal, self._inputs
         last = [
             scenes.piece([z, zd, measured, *modes], self._scene_rows),
-            functions["close"].piece(*rows_in, self._scene_rows, self._outputs, self._next),
+            functions["close"].piece(*closed, self._scene_rows, self._outputs, self._next),
         ]
-        steps = system.substeps
-        self._before, self._after = Program(first), Program(last)
-        self._period_programs = [
-            Program([*first, piece, *last])
-            for piece in backend.pieces(self._nodes, shape.nodes, steps)
+        self._first, self._last, self._after = first, last, Program(last)
+        if not self._emulated:
+            pieces = backend.pieces(self._commands, shape.nodes, system.substeps)
+            self._period = [Program([*first, piece, *last]) for piece in pieces]
+            return
+        count = system.substeps + 1
+        self._nodes = rows(count * (6 + n))
+        self._wrenches, self._draws = rows(count * backend.outputs), rows(18)
+        self._lost, self._reading = rows(1), rows(6)  # 1: has diverged
+
+    @property
+    def fits(self) -> bool:
+        """The loop is still wired as the program has it."""
+        return not self._emulated or signals_of(self.sim) == self.shape.signals
+
+    def _programs(self) -> list[Program]:
+        """Programs of a period, built anew when the loop's code or memory are others."""
+        loop = self.sim.emulation_loop
+        if loop is None:
+            return self._period
+        code, functions, backend = loop.code, self._functions, self.backend
+        assert code is not None
+        if code is self._made_of[0] and code.version is self._made_of[1]:
+            return self._period
+        self._made_of = code, code.version
+        shape, inputs, substeps = self.shape, self.shape.inputs, self.system.substeps
+        assert shape.signals is not None
+        _, z, zd = backend.rows_of_state()
+        first, second = ([code.rows(k) for k in names] for names in shape.signals)
+        seen = self._inputs[:, inputs["y_seen"].start : inputs["stopped"].stop]
+        before = [
+            *self._first,
+            functions["lab_before"].piece(z, zd, backend.rows_of_gains(), *first),
+            *code.pieces("before"),
+            functions["lab_nodes"].piece(
+                code.rows("acceleration"), self._commands, self._nodes
+            ),
         ]
-        if shape.signals is not None:
-            rows_between = self._nodes, self._inputs, self._modes
-            made_of = (sim, shape, functions, first, last, rows_between)
-            self._laboratory = LaboratoryPrograms(*made_of)
+        read = self._wrenches, z, self._draws, code.rows("reading")
+        at = [code.rows(k) for k in ("y_measured", "admittance.X", "frozen")]
+        after = [
+            functions["lab_after"].piece(*read, *second, self._reading),
+            *code.pieces("after"),
+            functions["lab_seen"].piece(*at, self._lost, seen),
+            *self._modes_piece(),
+            *self._last,
+        ]
+        physics = backend.pieces(self._nodes, substeps + 1, substeps, self._wrenches)
+        self._period = [Program([*before, piece, *after]) for piece in physics]
+        return self._period
+
+    def _modes_piece(self) -> list[Piece]:
+        """Return what sets the base's internal modes on the platform, if it has any."""
+        loop, m = self.sim.emulation_loop, self.system.base.m
+        if not m:
+            return []
+        assert loop is not None and loop.code is not None
+        block: Any = loop.wiring.block("admittance")
+        coupled = loop.code.rows("admittance.coupled")
+        pair = [coupled[:, k.start : k.start + m] for k in block.oscillators]
+        _, z, zd = self.backend.rows_of_state()
+        model = [loop.code.rows(k) for k in ("admittance.X", "command_sent", "frozen")]
+        return [self._functions["lab_modes"].piece(*pair, z, zd, *model, self._modes)]
 
     def _probe(self, s: Scene) -> tuple[tuple[str, ...], bytes]:
         """Names of the reward's terms, and numbers that tell tasks' formulas apart."""
@@ -244,7 +280,7 @@ class CompiledStep:
             goals: (n, g) of the episodes.
             decay: makes what closes episodes; asked where there is one to close.
         """
-        sim, backend = self.sim, self.backend
+        sim, backend, loop = self.sim, self.backend, self.sim.emulation_loop
         if self._alone:
             self._action[0, :, : self.n] = actions.T  # what `fill` does, in one go
         else:
@@ -254,49 +290,25 @@ class CompiledStep:
             block, lane = self._tailed
             self._inputs[block, self.shape.inputs["tail"].start, lane] = 0.0
             self._tailed = None
-        stopped: Mask | None = None
-        in_program = False
-        if self.direct:
-            if self.shape.table_values:
-                self._look_up(self._next, goals)
-            backend.run_program(self._period_programs, self.system.substeps, self._stopped)
-            sim.stepped_elsewhere()
-        elif self._laboratory is not None and self._run_laboratory(goals):
-            in_program = True
-            sim.stepped_elsewhere()
-        else:
-            self._before(0, backend.blocks)
-            end = unlane(self._tau, self.n)
-            control = self.task.control
-            if control.level == "gains":
-                at = self.shape.reference
-                rows = unlane(self._reference, self.n)
-                sim.set_gains(rows[:, at["kp"]], rows[:, at["kd"]])
-            if control.held:
-                sim.step(end)
-            else:
-                start = unlane(self._carry[:, self.shape.carry["tau"]], self.n)
-                sim.step(start, until=end)
-            if self.shape.table_values:
-                self._look_up(self._carry, goals)
-            if self._emulated:
-                stopped = self._measure()
-            self._after(0, backend.blocks)
+        if self.shape.table_values:
+            self._look_up(goals)
+        if loop is not None:
+            fill(self._draws, loop.draws())
+        backend.run_program(self._programs(), self.system.substeps, self._stopped)
+        sim.stepped_elsewhere()
+        self.ahead = True
         rows = numbers(self._outputs, self.n)
         flags = rows[self._flags] != 0
         info: dict[str, Any] = {}
-        if np.count_nonzero(flags[5]):
-            self.ahead = True
-            if flags[4].any():
-                sim.note_divergence()
-                self._note_diverged()
-            if in_program:
-                stopped = self._laboratory_stops(some=True)
+        some, stopped = bool(np.count_nonzero(flags[5])), None
+        if some and flags[4].any():
+            sim.note_divergence()
+            self._note_diverged()
+        if loop is not None:
+            loop.ran_elsewhere(unlane(self._reading, self.n) if some else None)
+            stopped = loop.frozen
+        if some:
             rows, flags, info = self._end(rows, flags, decay)
-        else:
-            self.ahead = True
-            if in_program:
-                stopped = self._laboratory_stops(some=False)
         for key, at in self._terms:
             info[key] = rows[at]
         last, failed, info["success"], info["success_once"] = flags[:4]
@@ -308,21 +320,9 @@ class CompiledStep:
     def _note_diverged(self) -> None:
         """Those that have diverged stay where they are, and have failed."""
         self._stopped = np.flatnonzero(self.sim.diverged)
-        marks = self._inputs[:, self.shape.inputs["stopped"]]
-        if self._laboratory is not None:
-            marks = self._laboratory.lost
+        marks = self._lost if self._emulated else self._inputs[:, self.shape.inputs["stopped"]]
         marks[:] = 0.0
         marks[self._stopped // LANES, 0, self._stopped % LANES] = 1.0
-
-    def _run_laboratory(self, goals: Array) -> bool:
-        if self.shape.table_values:
-            self._look_up(self._next, goals)
-        assert self._laboratory is not None
-        return self._laboratory.run(self._stopped)
-
-    def _laboratory_stops(self, some: bool) -> Mask:
-        assert self._laboratory is not None
-        return self._laboratory.stops(some)
 
     def _mark(self, over: Mask | None) -> None:
         at = self.shape.inputs["over"]
@@ -332,25 +332,10 @@ class CompiledStep:
             self._inputs[:, at] = 0.0
         self._waiting = over is not None
 
-    def _look_up(self, carry: Array, goals: Array) -> None:
-        at = self.shape.carry["steps"].start
-        step = carry[:, at].reshape(-1)[: self.n].astype(np.intp) + 1
-        table_values = self.task.lookup(goals, step)
+    def _look_up(self, goals: Array) -> None:
+        step = self._next[:, self.shape.carry["steps"].start].reshape(-1)[: self.n]
+        table_values = self.task.lookup(goals, step.astype(np.intp) + 1)
         fill(self._inputs[:, self.shape.inputs["table_values"]], table_values)
-
-    def _measure(self) -> Mask:
-        """Take in what the laboratory measures and emulates; (n,) platforms that stand."""
-        loop = self.sim.emulation_loop
-        assert loop is not None
-        y, yd, stopped = loop.y_measured, loop.vehicle_state[:, 6:], loop.frozen
-        inputs = self.shape.inputs
-        lost = stopped | self.sim.diverged
-        parts = np.concatenate([y, yd, lost[:, None]], axis=1)
-        fill(self._inputs[:, inputs["y_seen"].start : inputs["stopped"].stop], parts)
-        m = self.system.base.hidden
-        if m and (modes := self.sim.base_modes) is not None:
-            fill(self._modes, np.concatenate([part[:, -m:] for part in modes], axis=1))
-        return stopped
 
     def _end(
         self, rows: Array, flags: npt.NDArray[np.bool_], decay: Callable[[], FreeDecay]
@@ -372,21 +357,10 @@ class CompiledStep:
             rows[:, ids] = self._outputs[block, :, lane].T
             flags = rows[self._flags] != 0
         first, last = shape.carry["energies"].start, shape.carry["steps"].stop
-        E, _, total, strained, peak, strain_peak, _, _, steps = numbers(
-            self._next[:, first:last], self.n
-        )
-        return (
-            rows,
-            flags,
-            ended_energies(
-                (total + tail) / (steps * self.system.control_dt + task.tail),
-                E,
-                peak,
-                strain_peak,
-                strained + strain,
-                ended,
-            ),
-        )
+        rest = numbers(self._next[:, first:last], self.n)
+        E, _, total, strained, peak, strain_peak, _, _, steps = rest
+        mean = (total + tail) / (steps * self.system.control_dt + task.tail)
+        return rows, flags, ended_energies(mean, E, peak, strain_peak, strained + strain, ended)
 
     def _tails(self, block: Index, lane: Index, decay: FreeDecay) -> tuple[Array, Array]:
         """Energies that bases keep after the end, see `FreeDecay`.
@@ -395,16 +369,11 @@ class CompiledStep:
             block, lane: (k,) where the simulations are.
             decay: what tells them.
         """
-        at, n = self.shape.reference, self.shape.joints
-        x, reference = (
-            self.backend.rows_of_state()[0][block, :, lane],
-            self._reference[block, :, lane],
-        )
-        order = self.shape.coordinates
-        y, q, yd, v = (
-            x[:, a:b]
-            for a, b in ((0, 6), (6, 6 + n), (order, order + 6), (order + 6, order + 6 + n))
-        )
+        at, n, order = self.shape.reference, self.shape.joints, self.shape.coordinates
+        x = self.backend.rows_of_state()[0][block, :, lane]
+        reference = self._reference[block, :, lane]
+        y, q = x[:, :6], x[:, 6 : 6 + n]
+        yd, v = x[:, order : order + 6], x[:, order + 6 : order + 6 + n]
         if self._emulated:
             u, ud = np.split(self._modes[block, :, lane], 2, axis=1)
         else:

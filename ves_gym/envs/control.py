@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -27,27 +27,14 @@ from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo, own_gains
 from ves_gym.system.system import System
 
 if TYPE_CHECKING:
+    from types import SimpleNamespace
+
+    from ves_gym.envs.task import Scene
     from ves_gym.simulation.simulator import Simulator
 
+    Moving: TypeAlias = Scene | SimpleNamespace  # a plan has less
+
 CONTROLS: dict[str, type[Control]] = {}
-
-
-class Moving(Protocol):
-    """Reference state that a control reads and moves on: part of `Scene`."""
-
-    time: Array
-    q: Array
-    v: Array
-    ref: Array
-    goal: Array
-
-
-class Driven(Moving, Protocol):
-    """Measured and reference state that a control drives with: part of `Scene`."""
-
-    tau: Array
-    kp: Array
-    kd: Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +85,7 @@ class Control:
     def drive(
         self,
         sim: Simulator,
-        s: Driven,
+        s: Moving,
         action: Array,
         remaining: Array,
         follow: Callable[[], Array],
@@ -120,7 +107,7 @@ class Control:
 
     def command(
         self,
-        s: Driven,
+        s: Moving,
         action: Array,
         arm: Arm,
         dt: float,
@@ -138,10 +125,11 @@ class Control:
             follow: drive command (n, joints) that follows the reference as it is then.
         """
         self.advance(s, action, arm, dt, remaining)
-        s.tau = follow()
+        if self.level != "torque":
+            s.tau = follow()
 
     def advance(self, s: Moving, action: Array, arm: Arm, dt: float, remaining: Array) -> None:
-        """Move the reference on by one period."""
+        """Move the reference on by one period, or set gains or torque."""
 
     def coasting(self, s: Moving, arm: Arm, dt: float) -> Array:
         """Return the action (n, width) that leaves the reference to itself: zero, mostly.
@@ -188,7 +176,6 @@ class Guided(Control):
         require_positive(self, "jerk")
 
     def advance(self, s: Moving, action: Array, arm: Arm, dt: float, remaining: Array) -> None:
-        """See `Control`."""
         left = np.floor(remaining / dt + 0.5)  # whole periods
         moved = _guided(s.ref, s.goal[:, : arm.n], np.maximum(left, 1.0) * dt, dt)
         free = np.where(left > 2.5, self.jerk, 0.0)[:, None] * action
@@ -270,7 +257,6 @@ class SmoothReference(Control):
         raise NotImplementedError
 
     def advance(self, s: Moving, action: Array, arm: Arm, dt: float, remaining: Array) -> None:
-        """See `Control`."""
         most = self.limits(arm)
         q, v, a = s.ref.swapaxes(0, 1)
         # Angle and rate if the acceleration ran to zero within this period. Whatever the
@@ -295,7 +281,6 @@ class Acceleration(SmoothReference):
     compiled: ClassVar[bool] = True
 
     def asked(self, s: Moving, action: Array, arm: Arm, dt: float, rate: Array) -> Array:
-        """See `SmoothReference`."""
         out: Array = rate + action * self.limits(arm) * dt
         return out
 
@@ -313,7 +298,6 @@ class JointVelocity(SmoothReference):
         require_positive(self, "speed")
 
     def asked(self, s: Moving, action: Array, arm: Arm, dt: float, rate: Array) -> Array:
-        """See `SmoothReference`."""
         out: Array = action * (self.speed * arm.column("v_max"))
         return out
 
@@ -347,7 +331,6 @@ class ToolVelocity(SmoothReference):
         return 3
 
     def asked(self, s: Moving, action: Array, arm: Arm, dt: float, rate: Array) -> Array:
-        """See `SmoothReference`."""
         J = tool_jacobian(arm, s.ref[:, 0])
         across = np.swapaxes(J, -1, -2)
         load = np.linalg.solve(
@@ -409,21 +392,11 @@ class Torque(Control):
         return JointServo(kp=(0.0,) * len(self.damping), kd=self.damping, feedforward=False)
 
     def servo_for(self, arm: Arm) -> JointServo:
-        """See `Control`."""
         if self.damping is None:
             return JointServo(kp=(0.0,) * arm.n, kd=(0.0,) * arm.n, feedforward=False)
         return self.servo.for_arm(arm)
 
-    def command(
-        self,
-        s: Driven,
-        action: Array,
-        arm: Arm,
-        dt: float,
-        remaining: Array,
-        follow: Callable[[], Array],
-    ) -> None:
-        """See `Control`."""
+    def advance(self, s: Moving, action: Array, arm: Arm, dt: float, remaining: Array) -> None:
         s.tau = self.torque(action, arm)
 
     def torque(self, action: Array, arm: Arm) -> Array:
@@ -457,18 +430,8 @@ class Gains(Control):
         """Numbers in an action."""
         return 2 * arm.n
 
-    def command(
-        self,
-        s: Driven,
-        action: Array,
-        arm: Arm,
-        dt: float,
-        remaining: Array,
-        follow: Callable[[], Array],
-    ) -> None:
-        """See `Control`."""
+    def advance(self, s: Moving, action: Array, arm: Arm, dt: float, remaining: Array) -> None:
         s.kp, s.kd = self.gains(action)
-        s.tau = follow()
 
     def gains(self, action: Array) -> tuple[Array, Array]:
         """kp, kd (n, joints)."""

@@ -9,19 +9,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ves_gym._util.params import Array, Mask, ParameterError, Vector, require_positive, unit
+from ves_gym._util.params import Array, Mask, ParameterError, Vector, unit
+from ves_gym.envs.arm_task import ArmTask, directions, home_of, rate_fields, rates, wide
 from ves_gym.envs.control import Control, Torque
-from ves_gym.envs.joints import (
-    drawn_joints,
-    home_of,
-    joint_box,
-    rate_fields,
-    rates,
-    require_control,
-    wide,
-)
 from ves_gym.envs.scales import released_energy
-from ves_gym.envs.task import Field, Scene, Start, Task, register_task
+from ves_gym.envs.task import Field, Scene, Start, register_task
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.servo import PPED_GAINS
@@ -30,7 +22,7 @@ from ves_gym.mechanics.spatial import quadratic
 
 @register_task("damp")
 @dataclass(frozen=True, kw_only=True)
-class Damp(Task):
+class Damp(ArmTask):
     """The base is displaced and released, the arm at rest; damp it by moving the arm.
 
     Thesis 4.3.2, where Y(0) is 0.1 m along x, y and z, 82 J in the bent beam's springs. Here
@@ -63,6 +55,11 @@ class Damp(Task):
     ends: ClassVar[str] = "truncated"
     options: ClassVar[tuple[str, ...]] = ("q", "y")
     compiled: ClassVar[bool] = True
+    rows: ClassVar[int] = 1
+    more: ClassVar[int] = 2
+    controls: ClassVar[tuple[str, ...]] = ("torque", "pd_gains", "acceleration")
+    positive: ClassVar[tuple[str, ...]] = ("energy", "saving")
+    not_negative: ClassVar[tuple[str, ...]] = ("astray",)
     memory: ClassVar[int] = 1  # J s, integral of the strain energy
     control: Control = Torque(fraction=0.5, damping=PPED_GAINS.kd)
     duration: float = unit("s", default=8.0)
@@ -74,23 +71,14 @@ class Damp(Task):
     astray: float = unit("1/(rad s)", default=0.2)
     saving: float = unit("1", default=0.65)  # most of the locked arm's integral
 
-    @property
-    def draws(self) -> int:  # type: ignore[override]
-        """See `Task`."""
-        return 2 + drawn_joints(self.system.arm)
-
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_control(self, "torque", "pd_gains", "acceleration")
-        require_positive(self, "energy", "saving")
-        require_positive(self, "astray", zero=True)
         softest = float(np.linalg.eigvalsh(self._stiffness)[0])
         if softest <= 0:
             raise ParameterError(
                 f"damp needs a vehicle with a positive definite stiffness, got"
                 f" {type(self.system.vehicle).__name__} with an eigenvalue {softest:.3g}"
             )
-        joint_box(self, self.home, self.span)
 
     @cached_property
     def _stiffness(self) -> Array:
@@ -127,28 +115,23 @@ class Damp(Task):
         integral of the strain energy with the joints locked [J s].
         """
         n = self.system.arm.n
-        low, high = joint_box(self, self.home, self.span)
+        low, high = self.box
         q = options.get("q", low + (high - low) * u[:, 2 : 2 + n])
         y = options.get("y", self._released(u[:, :2]))
         locked = released_energy(self.system.ideal(), q, y, self.duration)
         return Start(q, np.column_stack([q, quadratic(self._stiffness, y), locked]), y=y)
 
     def remember(self, s: Scene, dt: float) -> None:
-        """See `Task`."""
         s.memory[:, 0] += dt * s.strain
 
     def _released(self, u: Array) -> Array:
         """(k, 6) displacements that hold `energy`, directions uniform over the sphere."""
-        up, turn = 2 * u[:, 0] - 1, 2 * np.pi * u[:, 1]
-        flat = np.sqrt(1 - up**2)
-        y = np.zeros((len(u), 6))
-        y[:, :3] = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), up])
+        y = np.concatenate([directions(u), np.zeros((len(u), 3))], axis=1)
         return np.asarray(
             y * np.sqrt(self.energy / quadratic(self._stiffness, y))[:, None], dtype=np.float64
         )
 
     def fields(self) -> tuple[Field, ...]:
-        """See `Task`."""
         root, energies = np.full(6, np.sqrt(self.energy)), np.full(6, self.energy)
         parts = (
             Field("joint_angle", "rad", self._room, "joint angles less `home`"),
@@ -162,7 +145,6 @@ class Damp(Task):
         return *parts, Field("stretch", "rad", self._room / 6, "joint angles less where held")
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
-        """See `Task`."""
         to_shift, to_rate = self._modes
         # row by row: in the product of all rows at once BLAS rounds by their number
         shift, rate = (s.y_seen[:, None] @ to_shift)[:, 0], (s.yd_seen[:, None] @ to_rate)[:, 0]
@@ -178,7 +160,6 @@ class Damp(Task):
         return *parts, s.q - s.goal[:, : self.system.arm.n]
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        """See `Task`."""
         beyond = np.maximum(np.abs(s.q - self._middle) - self._room, 0.0).sum(axis=1)
         return {
             "energy": -s.strain * dt / s.goal[:, self.system.arm.n],

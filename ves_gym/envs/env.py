@@ -1,7 +1,11 @@
-"""`VesEnv`: one episode at a time through Gymnasium's interface; a batch of one."""
+"""`VesEnv`: one episode at a time through Gymnasium's interface; a batch of one.
+
+`Episodic` is what it shares with `VesVectorEnv`.
+"""
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -14,11 +18,11 @@ from gymnasium.envs.registration import EnvSpec
 from ves_gym._util.params import ParameterError
 from ves_gym.envs.batch import Batch, checked
 from ves_gym.envs.build import build_task, require_keywords
-from ves_gym.envs.deadline import DeadlineSpec, with_deadline
-from ves_gym.envs.goals import GoalFunctions
 from ves_gym.envs.objectives import WEIGHTS, Signals
-from ves_gym.envs.rendering import Renderer, render_modes, require_display
+from ves_gym.envs.recording import Renderer, render_modes, require_display
+from ves_gym.envs.registration import DeadlineSpec, with_deadline
 from ves_gym.envs.spaces import (
+    GoalFunctions,
     goal_space,
     observation_space,
     require_index,
@@ -30,7 +34,88 @@ from ves_gym.envs.task import Task
 _ONE = np.zeros(1, np.intp)
 
 
-class VesEnv(gym.Env[Any, Any]):
+class Episodic:
+    """Task, batch, spaces, copies and pictures of an environment, single or vector."""
+
+    _spec: DeadlineSpec | None = None
+    _over: Any
+    _renderer: Renderer | None = None
+    num_envs = 1
+
+    def _set_up(
+        self,
+        task: str | Task,
+        settings: Mapping[str, Any],
+        render_mode: str | None,
+        goal: bool,
+        reward: str,
+        cost: Mapping[str, float] | bool | None,
+        **engine: Any,
+    ) -> tuple[gym.spaces.Box, gym.spaces.Space[Any]]:
+        """Make task and batch; spaces of an action and of an observation of one environment.
+
+        Args:
+            task, settings: see `build_task`.
+            render_mode, goal, reward, cost: see `VesEnv`.
+            engine: backend, threads and dump of the `Batch`.
+        """
+        require_keywords(type(self), task, settings)
+        self.task, self.goal, self.render_mode = build_task(task, **settings), goal, render_mode
+        self._signals = Signals(reward, cost, goal)
+        if self._signals.vector:
+            self.reward_space, self.reward_weights = self._signals.space, np.array(WEIGHTS)
+        self._engine = engine
+        self.batch = self._batch()
+        self._ready = False
+        space = observation_space(self.task)
+        actions = gym.spaces.Box(-1.0, 1.0, (self.batch.width,), np.float32)
+        return actions, goal_space(self.task, space) if goal else space
+
+    def _batch(self) -> Batch:
+        return Batch(self.task, self.num_envs, **self._engine)
+
+    def _observed(self, rows: npt.NDArray[np.float32]) -> Any:
+        return split_goals(self.task, rows) if self.goal else rows
+
+    @property
+    def spec(self) -> DeadlineSpec | None:
+        """Specification with the steps of an episode of these settings."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = None if spec is None else with_deadline(spec, self.task.steps)
+
+    def snapshot(self) -> Any:
+        """The complete state, random generators included; picklable."""
+        return self.batch.get_state(), self._ready, copy.copy(self._over)
+
+    def restore(self, snapshot: Any) -> None:
+        """Return to a snapshot of an environment of the same settings."""
+        state, self._ready, over = snapshot
+        self._over = copy.copy(over)
+        self.batch.set_state(state)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_renderer": None, "batch": self.batch.get_state()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.batch = self._batch()
+        self.batch.set_state(state["batch"])
+
+    def _pictures(self) -> Renderer:
+        if self._renderer is None:
+            self._renderer = Renderer(self.task, str(self.render_mode))
+        return self._renderer
+
+    def _end_pictures(self) -> None:
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+
+class VesEnv(Episodic, gym.Env[Any, Any]):  # type: ignore[misc]
     """An episode of a task.
 
     Args:
@@ -44,7 +129,6 @@ class VesEnv(gym.Env[Any, Any]):
         settings: see `build_task`: mode, vehicle, effects, control, randomize, ...
     """
 
-    _spec: DeadlineSpec | None = None
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 80}
 
     def __init__(
@@ -63,24 +147,15 @@ class VesEnv(gym.Env[Any, Any]):
             raise ValueError(
                 f"render_mode must be None, human or rgb_array, got {render_mode!r}"
             )
-        require_keywords(type(self), task, settings)
-        self.task = build_task(task, **settings)
-        self.render_mode, self.backend, self.goal = render_mode, backend, goal
-        self._dump = dump
-        self._signals = Signals(reward, cost, goal)
-        if self._signals.vector:
-            self.reward_space, self.reward_weights = self._signals.space, np.array(WEIGHTS)
-        self.batch = self._batch()
+        form = render_mode, goal, reward, cost
+        self.action_space, self.observation_space = self._set_up(
+            task, settings, *form, backend=backend, threads=1, dump=dump
+        )
         fps = 1 / self.task.system.control_dt  # real time
         self.metadata = {"render_modes": render_modes(), "render_fps": fps}
         if render_mode == "human":
             require_display()
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (self.batch.width,), np.float32)
-        space = observation_space(self.task)
-        self.observation_space = goal_space(self.task, space) if goal else space
-        self._ready = False
         self._over = False
-        self._renderer: Any = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -136,21 +211,8 @@ class VesEnv(gym.Env[Any, Any]):
             flat,
         )
 
-    def _batch(self) -> Batch:
-        return Batch(self.task, 1, backend=self.backend, threads=1, dump=self._dump)
-
     def _observation(self) -> Any:
-        row = self.batch.observe()[0]
-        return split_goals(self.task, row) if self.goal else row
-
-    @property
-    def spec(self) -> DeadlineSpec | None:  # type: ignore[override]
-        """Specification with the steps of an episode of these settings."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = None if spec is None else with_deadline(spec, self.task.steps)
+        return self._observed(self.batch.observe()[0])
 
     @property
     def episode_id(self) -> npt.NDArray[np.uint64]:
@@ -177,40 +239,14 @@ class VesEnv(gym.Env[Any, Any]):
             raise AttributeError(f"{self.task.kind} without goals computes nothing of them")
         return GoalFunctions(self.task)
 
-    # ---------------------------------------------------------------- snapshot
-
-    def snapshot(self) -> Any:
-        """The complete state, random generators included; picklable."""
-        return self.batch.get_state(), self._ready, self._over
-
-    def restore(self, snapshot: Any) -> None:
-        """Return to a snapshot of an environment of the same settings."""
-        state, self._ready, self._over = snapshot
-        self.batch.set_state(state)
-
-    def __getstate__(self) -> dict[str, Any]:
-        state = self.__dict__.copy()
-        state["_renderer"] = None
-        state["batch"] = self.batch.get_state()
-        return state
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self.batch = self._batch()
-        self.batch.set_state(state["batch"])
-
     # --------------------------------------------------------------- rendering
 
     def render(self) -> Any:
         """The present frame (rgb_array), or the window brought up to date (human)."""
         if self.render_mode is None:
             return None
-        if self._renderer is None:
-            self._renderer = Renderer(self.task, self.render_mode)
-        return self._renderer.frame(self.batch)
+        return self._pictures().frame(self.batch)
 
     def close(self) -> None:
         """Close window and engine; may be called again."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
+        self._end_pictures()

@@ -8,21 +8,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ves_gym._util.params import Array, Mask, ParameterError, Vector, require_positive, unit
+from ves_gym._util.params import Array, Mask, Vector, unit
+from ves_gym.envs.arm_task import REFERENCES, ArmTask, home_of
 from ves_gym.envs.control import Acceleration, Control
-from ves_gym.envs.joints import (
-    REFERENCES,
-    drawn_joints,
-    home_of,
-    joint_box,
-    rate_fields,
-    rates,
-    require_control,
-)
-from ves_gym.envs.task import Field, Scene, Start, Task, register_task
+from ves_gym.envs.task import Field, Scene, Start, register_task
 from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.spatial import matvec, rotation
-from ves_gym.mechanics.tool_pose import joints_for
 from ves_gym.mechanics.vehicle import FREE_FLOATING
 from ves_gym.system.system import System
 
@@ -31,7 +22,7 @@ _TRIES = 6  # candidate targets per episode; the first that is far enough counts
 
 @register_task("free_flyer")
 @dataclass(frozen=True, kw_only=True)
-class FreeFlyerReach(Task):
+class FreeFlyerReach(ArmTask):
     """Bring the tool to a point fixed in space, the satellite turning as little as it can.
 
     Nothing holds the base, so its momentum stays zero and it turns and shifts as the arm
@@ -55,6 +46,10 @@ class FreeFlyerReach(Task):
     options: ClassVar[tuple[str, ...]] = ("q", "target")
     memory: ClassVar[int] = 2  # m from tool to target; s at rest on the target without a break
     compiled: ClassVar[bool] = True
+    rows: ClassVar[int] = 1 + _TRIES
+    controls: ClassVar[tuple[str, ...]] = (*REFERENCES, "torque")
+    positive: ClassVar[tuple[str, ...]] = ("tolerance", "rest", "hold", "tumble", "far")
+    not_negative: ClassVar[tuple[str, ...]] = ("away", "energy", "turn")
     system: System = System(vehicle=FREE_FLOATING, physics_dt=2.5e-3)
     control: Control = Acceleration(a_max=(6.0, 6.0, 12.0))
     duration: float = unit("s", default=5.0)
@@ -70,50 +65,28 @@ class FreeFlyerReach(Task):
     energy: float = unit("1/J", default=2.0)
     turn: float = unit("1/rad", default=3.0)
 
-    @property
-    def draws(self) -> int:  # type: ignore[override]
-        """See `Task`."""
-        return drawn_joints(self.system.arm) * (1 + _TRIES)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_control(self, *REFERENCES, "torque")
-        require_positive(self, "tolerance", "rest", "hold", "tumble", "far")
-        require_positive(self, "away", "energy", "turn", zero=True)
-        joint_box(self, self.home, self.span)
-
     def check_options(
         self, options: Mapping[str, Any] | None, extra: tuple[str, ...], rows: int | None = None
     ) -> dict[str, Any]:
         """See `Task`. The target must be within the arm's reach, base at rest."""
         out = super().check_options(options, extra, rows)
         if "target" in out:
-            points = np.atleast_2d(out["target"])
-            middle = np.tile(home_of(self.system.arm, self.home), (len(points), 1))
-            _, miss = joints_for(self.system.arm, points, middle)
-            worst = int(miss.argmax())
-            if miss[worst] > self.tolerance:
-                raise ParameterError(
-                    "options['target'] must be a point in space within the tool's reach, got"
-                    f" {points[worst].tolist()} m, which is {miss[worst]:.3g} m beyond"
-                )
+            middle = home_of(self.system.arm, self.home)
+            self.require_reachable(out["target"], middle, self.tolerance)
         return out
 
     def start(self, u: Array, **options: Array) -> Start:
         """See `Task`. Goal: the target."""
-        n, k = self.system.arm.n, len(u)
-        low, high = joint_box(self, self.home, self.span)
-        drawn = low + (high - low) * u.reshape(k, 1 + _TRIES, -1)[..., :n]
+        drawn = self.angles(u)
         q = options.get("q", drawn[:, 0])
         tool = joint_positions(self.system.arm, q)[:, -1]
         points = joint_positions(self.system.arm, drawn[:, 1:])[..., -1, :]
         distance = np.linalg.norm(points - tool[:, None], axis=2)
         far = distance >= self.away
         pick = np.where(far.any(axis=1), far.argmax(axis=1), distance.argmax(axis=1))
-        return Start(q, options.get("target", points[np.arange(k), pick]))
+        return Start(q, options.get("target", points[np.arange(len(u)), pick]))
 
     def remember(self, s: Scene, dt: float) -> None:
-        """See `Task`."""
         distance = np.linalg.norm(s.goal - s.tool, axis=1)
         there = (distance <= self.tolerance) & (np.abs(s.v) <= self.rest).all(axis=1)
         s.memory[:, 0] = distance
@@ -125,31 +98,22 @@ class FreeFlyerReach(Task):
         return settled
 
     def fields(self) -> tuple[Field, ...]:
-        """See `Task`."""
-        arm = self.system.arm
+        near = np.full(6, 0.1)
         return (
-            Field("joint_angle", "rad", np.full(arm.n, np.pi / 2), "joint angles"),
-            *rate_fields(self.control, arm),
-            Field("base_pose", "m, rad", np.full(6, 0.1), "pose of the base as measured"),
-            Field("base_rate", "m/s, rad/s", np.full(6, 0.1), "rate of the base as measured"),
+            *self.sensed(np.pi / 2, (near, near)),
             Field("to_target", "m", np.full(3, 0.5), "target less tool, in the base's axes"),
-            Field("time_left", "s", np.array([self.duration]), "until the deadline"),
+            self.time_left,
         )
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
-        """See `Task`."""
         to_base = np.swapaxes(rotation(s.y_seen), -1, -2)
         return (
-            s.q,
-            *rates(self.control, s),
-            s.y_seen,
-            s.yd_seen,
+            *self.sense(s),
             matvec(to_base, s.goal - s.tool_seen),
-            (self.duration - s.time)[:, None],
+            self.left(s),
         )
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        """See `Task`."""
         distance, share = s.memory[:, 0], dt / self.duration
         return {
             "distance": -share * distance / self.far,

@@ -8,11 +8,11 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from ves_gym._util.params import Array, Mask, ParameterError, Vector, require_positive, unit
+from ves_gym._util.params import Array, Mask, ParameterError, Vector, unit
 from ves_gym.engine.linear import linearise_ideal
+from ves_gym.envs.arm_task import ArmTask, home_of
 from ves_gym.envs.control import Control, Torque
-from ves_gym.envs.joints import drawn_joints, home_of, joint_box, require_control
-from ves_gym.envs.task import Field, Scene, Start, Task, register_task
+from ves_gym.envs.task import Field, Scene, Start, register_task
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.servo import PPED_GAINS
 from ves_gym.mechanics.spatial import quadratic
@@ -34,7 +34,7 @@ class Optimum(NamedTuple):
 
 @register_task("lqr")
 @dataclass(frozen=True, kw_only=True)
-class Lqr(Task):
+class Lqr(ArmTask):
     """The base sways by millimetres; calm it at least cost, which is known in closed form.
 
     Starts are uniform in a box: the base displaced by up to `shift` and `tilt`, the joints by
@@ -63,6 +63,11 @@ class Lqr(Task):
 
     options: ClassVar[tuple[str, ...]] = ("q", "v", "y", "yd")
     compiled: ClassVar[bool] = True
+    rows: ClassVar[int] = 2
+    more: ClassVar[int] = 12
+    controls: ClassVar[tuple[str, ...]] = ("torque",)
+    positive: ClassVar[tuple[str, ...]] = ("effort", "slack")
+    not_negative: ClassVar[tuple[str, ...]] = ("shift", "tilt", "bend", "pace", "stray")
     energetic: ClassVar[tuple[str, ...]] = ("state",)
     memory: ClassVar[int] = 3  # J s, cost so far; this period's of the state, of the effort
     # its optimum takes a state that is measured, and internal modes are not
@@ -79,22 +84,21 @@ class Lqr(Task):
     effort: float = unit("J/(N m)^2", default=2e-4)  # cost of torque, per second
     slack: float = unit("1", default=0.1)  # share above the least cost that counts as solved
 
-    @property
-    def draws(self) -> int:  # type: ignore[override]
-        """See `Task`."""
-        return 2 * (6 + drawn_joints(self.system.arm))
-
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_control(self, "torque")
-        require_positive(self, "effort", "slack")
-        require_positive(self, "shift", "tilt", "bend", "pace", "stray", zero=True)
-        joint_box(self, self.home, (self.bend,))
         modes = self.system.base.m
         if modes:
             raise ParameterError(
                 f"lqr knows its optimum of a base without internal modes, got {modes} of them"
             )
+
+    @cached_property
+    def _middle(self) -> Array:
+        return home_of(self.system.arm, self.home)
+
+    def half_widths(self) -> Vector:
+        """See `ArmTask`."""
+        return (self.bend,)
 
     # -------------------------------------------------------------- closed form
 
@@ -104,7 +108,7 @@ class Lqr(Task):
 
         Of the machine as described: its effects are what a controller does not know of.
         """
-        home = home_of(self.system.arm, self.home)
+        home = self._middle
         described = self.system.replace(effects=()).ideal()
         linear = linearise_ideal(described, home, servo=self.control.servo_for(described.arm))
         return linear.discretise(self.system.control_dt)
@@ -114,7 +118,7 @@ class Lqr(Task):
         """Q (2 s, 2 s) and R (joints, joints) [s times the cost per second]."""
         n, base = self.system.arm.n, self.system.ideal().base
         Q = np.zeros((2, 6 + n, 2, 6 + n))
-        body = inertia(self.system.arm, home_of(self.system.arm, self.home))[:6, :6]
+        body = inertia(self.system.arm, self._middle)[:6, :6]
         Q[0, :6, 0, :6] = base.K / 2
         Q[1, :6, 1, :6] = (base.mass_matrix + body) / 2
         Q[0, 6:, 0, 6:] = self.stray * np.eye(n)
@@ -140,7 +144,6 @@ class Lqr(Task):
         return float((np.diag(self.optimum.cost) * self._spread**2).sum() / 3)
 
     def remember(self, s: Scene, dt: float) -> None:
-        """See `Task`."""
         Q, R = self.weights
         s.memory[:, 1] = 2 * quadratic(Q, self.deviation(s))
         s.memory[:, 2] = 2 * quadratic(R, s.tau)
@@ -148,9 +151,7 @@ class Lqr(Task):
 
     def deviation(self, s: Scene) -> Array:
         """x (n, 2 s) of the true state."""
-        return np.concatenate(
-            [s.y, s.q - home_of(self.system.arm, self.home), s.yd, s.v], axis=1
-        )
+        return np.concatenate([s.y, s.q - self._middle, s.yd, s.v], axis=1)
 
     @cached_property
     def _spread(self) -> Array:
@@ -165,14 +166,13 @@ class Lqr(Task):
         """See `Task`. Goal: the least cost from the start."""
         n = self.system.arm.n
         x = self._spread * (2 * u[:, : 2 * (6 + n)] - 1)
-        home = home_of(self.system.arm, self.home)
+        home = self._middle
         y, yd = options.get("y", x[:, :6]), options.get("yd", x[:, 6 + n : 12 + n])
         q, v = options.get("q", home + x[:, 6 : 6 + n]), options.get("v", x[:, 12 + n :])
         x = np.concatenate([y, q - home, yd, v], axis=1)
         return Start(q, 2 * quadratic(self.optimum.cost, x)[:, None], y, yd, v)
 
     def fields(self) -> tuple[Field, ...]:
-        """See `Task`."""
         n = self.system.arm.n
         still = 2 * self._spread[: 6 + n]
         moving = _BRISK * still
@@ -181,16 +181,14 @@ class Lqr(Task):
             Field("joint_angle", "rad", still[6:], "joint angles less `home`"),
             Field("base_rate", "m/s, rad/s", moving[:6], "rate of the base as measured"),
             Field("joint_rate", "rad/s", moving[6:], "joint rates"),
-            Field("time_left", "s", np.array([self.duration]), "until the deadline"),
+            self.time_left,
         )
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
-        """See `Task`."""
-        away = s.q - home_of(self.system.arm, self.home)
-        return s.y_seen, away, s.yd_seen, s.v, (self.duration - s.time)[:, None]
+        away = s.q - self._middle
+        return s.y_seen, away, s.yd_seen, s.v, self.left(s)
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        """See `Task`."""
         return {
             "state": -s.memory[:, 1] / self.unit_cost,
             "effort": -s.memory[:, 2] / self.unit_cost,

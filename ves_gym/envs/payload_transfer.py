@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -15,21 +14,12 @@ from ves_gym._util.params import (
     ParameterError,
     Vector,
     finite,
-    require_positive,
     unit,
 )
+from ves_gym.envs.arm_task import ArmTask
 from ves_gym.envs.control import Acceleration, Control
-from ves_gym.envs.joints import (
-    REFERENCES,
-    drawn_joints,
-    joint_box,
-    rate_fields,
-    rates,
-    require_control,
-)
 from ves_gym.envs.reach import reachable
-from ves_gym.envs.scales import least_scale, straight_energy, straight_motion
-from ves_gym.envs.task import Field, Scene, Start, Task, register_task
+from ves_gym.envs.task import Field, Scene, Start, register_task
 from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.attitude import to_matrix
 from ves_gym.mechanics.kinematics import joint_positions
@@ -41,9 +31,7 @@ from ves_gym.system.system import System
 if TYPE_CHECKING:
     from ves_gym.simulation.simulator import Simulator
 
-_TRIES = (
-    16  # candidates for either place per episode; the first that is near and dexterous counts
-)
+_TRIES = 16  # candidates per place and episode; the first that is near and dexterous counts
 _LEG = 0.35  # share of an episode that a straight motion of either leg takes
 
 # Columns of the memory
@@ -61,7 +49,7 @@ BOX = Payload(
 
 @register_task("payload_transfer")
 @dataclass(frozen=True, kw_only=True)
-class PayloadTransfer(Task):
+class PayloadTransfer(ArmTask):
     """Fetch a floating payload of unknown mass and berth it at rest, on a base that sways.
 
     The payload floats at rest in space. The latch closes by itself once the tool is within
@@ -90,6 +78,13 @@ class PayloadTransfer(Task):
     options: ClassVar[tuple[str, ...]] = ("q",)
     memory: ClassVar[int] = 7
     interacts: ClassVar[bool] = True
+    rows: ClassVar[int] = 1 + 2 * _TRIES
+    more: ClassVar[int] = 4
+    positive: ClassVar[tuple[str, ...]] = (
+        "dexterous", "catch", "tolerance", "rest", "hold", "far", "off_centre", "away",
+    )  # fmt: skip
+    not_negative: ClassVar[tuple[str, ...]] = ("thrift", "arrival")
+    leg: ClassVar[float] = _LEG
     system: System = System(vehicle=BENT_THESIS, physics_dt=2.5e-3, payload=BOX)
     control: Control = Acceleration()
     duration: float = unit("s", default=10.0)
@@ -107,19 +102,8 @@ class PayloadTransfer(Task):
     thrift: float = unit("1", default=0.2)
     arrival: float = unit("1", default=2.0)
 
-    @property
-    def draws(self) -> int:  # type: ignore[override]
-        """See `Task`."""
-        return drawn_joints(self.system.arm) * (1 + 2 * _TRIES) + 4
-
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_control(self, *REFERENCES, "pd_target", "torque")
-        require_positive(
-            self, "dexterous", "catch", "tolerance", "rest", "hold", "far", "off_centre", "away"
-        )
-        require_positive(self, "thrift", "arrival", zero=True)
-        joint_box(self, (0.0,), self.span)
         low, high = finite(self.mass, (2,), "PayloadTransfer.mass")
         if not 0 < low <= high:
             raise ParameterError(f"{self.kind}.mass must be 0 < from <= to, got {self.mass} kg")
@@ -129,18 +113,6 @@ class PayloadTransfer(Task):
                 "ves_gym.envs.payload_transfer.BOX), got one without"
             )
 
-    @cached_property
-    def _straight(self) -> straight_energy:
-        return straight_motion(self, _LEG * self.duration)
-
-    @cached_property
-    def _least(self) -> float:
-        """J, the smallest energy that counts as one."""
-        return least_scale(lambda u: self._expected(*self._places(u)), self.draws)
-
-    def _expected(self, q: Array, pick: Array, berth: Array) -> Array:
-        return self._straight(q, pick) + self._straight(pick, berth)
-
     # ------------------------------------------------------------------ episodes
 
     def start(self, u: Array, **options: Array) -> Start:
@@ -149,34 +121,24 @@ class PayloadTransfer(Task):
         Goal: fixture and berth (3, 3) [m], mass [kg], centre of mass (3) [m], scale [J].
         """
         arm, drawn = self.system.arm, u[:, -4:]
-        q, pick, berth = self._places(u, options.get("q"))
+        q, pick, berth = self.places(u, options.get("q"))
         low, high = self.mass
-        energy = np.maximum(self._expected(q, pick, berth), self._least)
-        return Start(
-            q,
-            np.column_stack(
-                [
-                    joint_positions(arm, pick)[:, -1],
-                    joint_positions(arm, berth)[:, -1],
-                    low * (high / low) ** drawn[:, 0],
-                    self.off_centre * (2 * drawn[:, 1:] - 1),
-                    energy,
-                ]
-            ),
-        )
+        goal = [
+            joint_positions(arm, pick)[:, -1],
+            joint_positions(arm, berth)[:, -1],
+            low * (high / low) ** drawn[:, 0],
+            self.off_centre * (2 * drawn[:, 1:] - 1),
+            self.scale_of(q, pick, berth),
+        ]
+        return Start(q, np.column_stack(goal))
 
-    def _places(self, u: Array, q: Array | None = None) -> tuple[Array, Array, Array]:
+    def places(self, u: Array, q: Array | None = None) -> tuple[Array, ...]:
         """Joint angles (k, joints) at the start, at the payload and at the berth [rad]."""
-        arm = self.system.arm
-        low, high = joint_box(self, (0.0,), self.span)
-        share = u[:, :-4].reshape(len(u), 1 + 2 * _TRIES, -1)[..., : arm.n]
-        angles = low + (high - low) * share
+        arm, angles, leg = self.system.arm, self.angles(u), _LEG * self.duration
         q = angles[:, 0] if q is None else q
-        leg = _LEG * self.duration
         limits = self.dexterous, self.away
         pick = reachable(arm, q, angles[:, 1 : 1 + _TRIES], leg, *limits)
-        berth = reachable(arm, pick, angles[:, 1 + _TRIES :], leg, *limits)
-        return q, pick, berth
+        return q, pick, reachable(arm, pick, angles[:, 1 + _TRIES :], leg, *limits)
 
     def on_reset(self, sim: Simulator, ids: Index, goal: Array) -> None:
         """See `Task`. The payload floats with its fixture at the goal's first point."""
@@ -222,7 +184,6 @@ class PayloadTransfer(Task):
         return bool(len(caught))
 
     def remember(self, s: Scene, dt: float) -> None:
-        """See `Task`."""
         memory = s.memory
         tool = np.linalg.norm(memory[:, _FIXTURE] - s.tool, axis=1)
         berth = np.linalg.norm(s.goal[:, 3:6] - memory[:, _FIXTURE], axis=1)
@@ -237,45 +198,33 @@ class PayloadTransfer(Task):
     # --------------------------------------------------------------- observation
 
     def fields(self) -> tuple[Field, ...]:
-        """See `Task`."""
-        arm, (sway, swaying) = self.system.arm, self.sway
         reach = np.full(3, self.far / 2)
         return (
-            Field("joint_angle", "rad", np.full(arm.n, np.pi), "joint angles"),
-            *rate_fields(self.control, arm),
-            Field("base_pose", "m, rad", sway, "pose of the base as measured"),
-            Field("base_rate", "m/s, rad/s", swaying, "rate of the base as measured"),
+            *self.sensed(),
             Field("to_payload", "m", reach, "fixture less tool, in the base's axes"),
             Field("to_berth", "m", reach, "berth less fixture, in space"),
-            Field("time_left", "s", np.array([self.duration]), "until the deadline"),
+            self.time_left,
         )
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
-        """See `Task`."""
         to_base = np.swapaxes(rotation(s.y_seen), -1, -2)
         fixture = s.memory[:, _FIXTURE]
         return (
-            s.q,
-            *rates(self.control, s),
-            s.y_seen,
-            s.yd_seen,
+            *self.sense(s),
             matvec(to_base, fixture - s.tool_seen),
             s.goal[:, 3:6] - fixture,
-            (self.duration - s.time)[:, None],
+            self.left(s),
         )
 
     # -------------------------------------------------------------------- reward
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        """See `Task`."""
-        scale = s.goal[:, 10] * (self.duration + self.tail) / self.thrift
         # the count of the hold is back at zero a period after the berth took the payload
         taken = (s.memory[:, _BERTHED] > 0) & (s.memory[:, _HELD] > 0)
         return {
             "arrival": np.where(taken, self.arrival, 0.0),
             "distance": -s.memory[:, _DISTANCE] * (dt / self.duration / self.far),
-            "energy": -s.energy * dt / scale,
-            "tail": -s.tail / scale,
+            **self.energy_terms(s, dt, s.goal[:, 10]),
         }
 
     def marker(self, s: Scene) -> Array:

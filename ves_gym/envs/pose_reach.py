@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,22 +13,12 @@ from ves_gym._util.params import (
     Mask,
     ParameterError,
     Vector,
-    require_positive,
     unit,
 )
+from ves_gym.envs.arm_task import ArmTask, straight_pace
 from ves_gym.envs.control import Acceleration, Control
-from ves_gym.envs.joints import (
-    REFERENCES,
-    drawn_joints,
-    joint_box,
-    rate_fields,
-    rates,
-    require_control,
-    straight_pace,
-)
 from ves_gym.envs.reach import reachable
-from ves_gym.envs.scales import least_scale, straight_energy, straight_motion
-from ves_gym.envs.task import Field, Scene, Start, Task, register_task
+from ves_gym.envs.task import Field, Scene, Start, register_task
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.kinematics import ToolPose, pose_dexterity, tool_frame, tool_speeds
@@ -46,7 +35,7 @@ _PLACE, _TURN, _ENERGY = slice(0, 3), slice(3, 12), 12  # columns of the goal
 
 @register_task("pose_reach")
 @dataclass(frozen=True, kw_only=True)
-class PoseReach(Task):
+class PoseReach(ArmTask):
     """Bring the tool to a pose in space, place and orientation, and hold it there at rest.
 
     For arms of six joints or more (`arm=`; here the PUMA 560 with its wrist); a seventh joint
@@ -73,6 +62,11 @@ class PoseReach(Task):
     options: ClassVar[tuple[str, ...]] = ("q", "pose")
     memory: ClassVar[int] = 3  # m to the place; sine of half the angle; s there at rest
     compiled: ClassVar[bool] = True
+    rows: ClassVar[int] = 1 + _TRIES
+    positive: ClassVar[tuple[str, ...]] = (
+        "dexterous", "tolerance", "turned", "hold", "far", "rest", "turning",
+    )  # fmt: skip
+    not_negative: ClassVar[tuple[str, ...]] = ("attitude", "thrift")
     system: System = System(
         arm=get_arm("puma560-wrist"), vehicle=BENT_THESIS, physics_dt=2.5e-3
     )
@@ -91,11 +85,6 @@ class PoseReach(Task):
     attitude: float = unit("1", default=0.5)
     thrift: float = unit("1", default=0.2)
 
-    @property
-    def draws(self) -> int:  # type: ignore[override]
-        """See `Task`."""
-        return drawn_joints(self.system.arm) * (1 + _TRIES)
-
     def __post_init__(self) -> None:
         super().__post_init__()
         arm = self.system.arm
@@ -104,20 +93,6 @@ class PoseReach(Task):
                 f"pose_reach needs an arm of {_JOINTS} joints or more to choose place and"
                 f" orientation, got {arm.name} with {arm.n} (task reach asks for places)"
             )
-        require_control(self, *REFERENCES, "pd_target", "torque")
-        require_positive(self, "dexterous", "tolerance", "turned", "hold", "far")
-        require_positive(self, "rest", "turning")
-        require_positive(self, "attitude", "thrift", zero=True)
-        joint_box(self, (0.0,), self.span)
-
-    @cached_property
-    def _straight(self) -> straight_energy:
-        return straight_motion(self, self.duration / 2)
-
-    @cached_property
-    def _least(self) -> float:
-        """J, the smallest energy that counts as one."""
-        return least_scale(lambda u: self._straight(*self._ends(u)), self.draws)
 
     # ------------------------------------------------------------------ episodes
 
@@ -138,7 +113,7 @@ class PoseReach(Task):
     def start(self, u: Array, **options: Array) -> Start:
         """See `Task`. Goal: the place [m], the rotation by rows, the energy that is one [J]."""
         arm = self.system.arm
-        q, end = self._ends(u, options.get("q"))
+        q, end = self.places(u, options.get("q"))
         if "pose" in options:
             found = [
                 configurations_at(arm, _pose(row), near=near)[0]
@@ -146,22 +121,16 @@ class PoseReach(Task):
             ]
             end = np.array(found)
         place, turn = tool_frame(arm, end)
-        energy = np.maximum(self._straight(q, end), self._least)
-        return Start(q, np.column_stack([place, turn.reshape(-1, 9), energy]))
+        return Start(q, np.column_stack([place, turn.reshape(-1, 9), self.scale_of(q, end)]))
 
-    def _ends(self, u: Array, q: Array | None = None) -> tuple[Array, Array]:
-        """Joint angles (k, joints) at the start (q, if given) and at the pose [rad]."""
-        arm, half = self.system.arm, self.duration / 2
-        low, high = joint_box(self, (0.0,), self.span)
-        share = u.reshape(len(u), 1 + _TRIES, -1)[..., : arm.n]
-        drawn = low + (high - low) * share
+    def places(self, u: Array, q: Array | None = None) -> tuple[Array, ...]:
+        arm, half, drawn = self.system.arm, self.duration / 2, self.angles(u)
         q = drawn[:, 0] if q is None else q
         end = reachable(arm, q, drawn[:, 1:], half, self.dexterous, measure=_dexterity)
         nearer = 1 / np.maximum(straight_pace(arm, end - q, half), 1.0)
         return q, q + nearer[:, None] * (end - q)
 
     def remember(self, s: Scene, dt: float) -> None:
-        """See `Task`."""
         missing = s.goal[:, _TURN] - _turn(self, s, s.y).reshape(-1, 9)
         distance = np.sqrt(((s.goal[:, _PLACE] - s.tool) ** 2).sum(axis=1))
         # two rotations an angle apart differ by 2 sqrt(2) sin(angle / 2) in Frobenius's norm
@@ -181,14 +150,9 @@ class PoseReach(Task):
     # --------------------------------------------------------------- observation
 
     def fields(self) -> tuple[Field, ...]:
-        """See `Task`."""
-        arm, (sway, swaying) = self.system.arm, self.sway
         return (
-            Field("joint_angle", "rad", np.full(arm.n, np.pi), "joint angles"),
-            *rate_fields(self.control, arm),
-            Field("base_pose", "m, rad", sway, "pose of the base as measured"),
-            Field("base_rate", "m/s, rad/s", swaying, "rate of the base as measured"),
-            Field("time_left", "s", np.array([self.duration]), "until the deadline"),
+            *self.sensed(),
+            self.time_left,
             Field("to_target", "m", np.full(3, self.far / 2), "target less tool as measured"),
             Field(
                 "to_turn", "1", np.ones(3), "axis of the turn that is missing, times its sine"
@@ -198,18 +162,14 @@ class PoseReach(Task):
         )
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
-        """See `Task`."""
         goal = s.goal[:, _TURN].reshape(-1, 3, 3)
         turn = goal @ np.swapaxes(_turn(self, s, s.y_seen), -1, -2)
         pairs = ((2, 1), (0, 2), (1, 0))
         sine = np.stack([turn[:, i, j] - turn[:, j, i] for i, j in pairs], axis=1) / 2
         cosine = (turn[:, 0, 0] + turn[:, 1, 1] + turn[:, 2, 2] - 1) / 2
         return (
-            s.q,
-            *rates(self.control, s),
-            s.y_seen,
-            s.yd_seen,
-            (self.duration - s.time)[:, None],
+            *self.sense(s),
+            self.left(s),
             s.goal[:, _PLACE] - s.tool_seen,
             sine,
             cosine[:, None],
@@ -219,14 +179,11 @@ class PoseReach(Task):
     # -------------------------------------------------------------------- reward
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        """See `Task`."""
-        scale = s.goal[:, _ENERGY] * (self.duration + self.tail) / self.thrift
         share = dt / self.duration
         return {
             "distance": -s.memory[:, 0] * (share / self.far),
             "turn": -s.memory[:, 1] * (share * self.attitude),
-            "energy": -s.energy * dt / scale,
-            "tail": -s.tail / scale,
+            **self.energy_terms(s, dt, s.goal[:, _ENERGY]),
         }
 
     def marker(self, s: Scene) -> Array:

@@ -12,28 +12,18 @@ import numpy as np
 from ves_gym._util.params import (
     Array,
     Mask,
-    ParameterError,
     Vector,
-    require_positive,
     unit,
 )
+from ves_gym.envs.arm_task import REFERENCES, ArmTask, straight_pace
 from ves_gym.envs.control import Acceleration, Control
-from ves_gym.envs.joints import (
-    REFERENCES,
-    drawn_joints,
-    joint_box,
-    rate_fields,
-    rates,
-    require_control,
-    straight_pace,
-)
-from ves_gym.envs.scales import least_scale, straight_energy, straight_motion
-from ves_gym.envs.task import Field, Scene, Start, Task, register_task
+from ves_gym.envs.task import Field, Scene, Start, register_task
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.kinematics import dexterity, joint_positions
 from ves_gym.mechanics.tool_pose import joints_for
 
 _TRIES = 16  # candidate targets per episode; the first that is near and dexterous counts
+_GOAL_SCALE = np.ones(3)  # m: of tool and target as goals
 _MISS = 1e-4  # m by which a chosen target may be out of reach
 
 
@@ -76,7 +66,7 @@ def reachable(
 
 @register_task("reach")
 @dataclass(frozen=True, kw_only=True)
-class Reach(Task):
+class Reach(ArmTask):
     """Bring the tool to a point fixed in space and keep it there until the deadline.
 
     The arm's own motion sways the base by centimetres, so the joints must take back what the
@@ -99,6 +89,9 @@ class Reach(Task):
     options: ClassVar[tuple[str, ...]] = ("q", "target")
     memory: ClassVar[int] = 2  # m from tool to target; s at the target without a break
     compiled: ClassVar[bool] = True
+    rows: ClassVar[int] = 1 + _TRIES
+    positive: ClassVar[tuple[str, ...]] = ("dexterous", "tolerance", "hold", "far", "near")
+    not_negative: ClassVar[tuple[str, ...]] = ("thrift", "arrival")
     control: Control = Acceleration()
     duration: float = unit("s", default=4.0)
     span: Vector = unit("rad", default=tuple(np.deg2rad([120.0, 60.0, 120.0]).tolist()))
@@ -110,70 +103,38 @@ class Reach(Task):
     arrival: float = unit("1", default=1.0)  # weight of being at the target
     near: float = unit("m", default=0.02)  # where that is worth half
 
-    @property
-    def draws(self) -> int:  # type: ignore[override]
-        """See `Task`."""
-        return drawn_joints(self.system.arm) * (1 + _TRIES)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_control(self, *REFERENCES, "pd_target", "torque")
-        require_positive(self, "dexterous", "tolerance", "hold", "far", "near")
-        require_positive(self, "thrift", "arrival", zero=True)
-        joint_box(self, (0.0,), self.span)
-
-    @cached_property
-    def _straight(self) -> straight_energy:
-        return straight_motion(self, self.duration / 2)
-
-    @cached_property
-    def _least(self) -> float:
-        """J, the smallest energy that counts as one."""
-        return least_scale(lambda u: self._straight(*self._ends(u)), self.draws)
-
     # ------------------------------------------------------------------ episodes
 
     def check_options(
         self, options: Mapping[str, Any] | None, extra: tuple[str, ...], rows: int | None = None
     ) -> dict[str, Any]:
         """See `Task`. The target must be within reach."""
-        out, arm = super().check_options(options, extra, rows), self.system.arm
+        out = super().check_options(options, extra, rows)
         if "target" in out:
-            points = np.atleast_2d(out["target"])
-            _, miss = joints_for(arm, points, self._middle(len(points)))
-            worst = int(miss.argmax())
-            if miss[worst] > _MISS:
-                raise ParameterError(
-                    "options['target'] must be a point in space that the tool reaches, got"
-                    f" {points[worst].tolist()} m, which it misses by {miss[worst]:.3g} m"
-                )
+            self.require_reachable(out["target"], self._middle, _MISS)
         return out
 
-    def _middle(self, rows: int) -> Array:
+    @cached_property
+    def _middle(self) -> Array:
         arm = self.system.arm
-        return np.tile((arm.column("q_min") + arm.column("q_max")) / 2, (rows, 1))
+        return (arm.column("q_min") + arm.column("q_max")) / 2
 
     def start(self, u: Array, **options: Array) -> Start:
         """See `Task`. Goal: the target (3) [m], then the energy that counts as one [J]."""
         arm = self.system.arm
-        q, end = self._ends(u, options.get("q"))
+        q, end = self.places(u, options.get("q"))
         if "target" in options:
-            end, _ = joints_for(arm, options["target"], self._middle(len(u)))
+            middle = np.tile(self._middle, (len(u), 1))
+            end, _ = joints_for(arm, options["target"], middle)
         target = joint_positions(arm, end)[:, -1]
-        energy = np.maximum(self._straight(q, end), self._least)
-        return Start(q, np.column_stack([target, energy]))
+        return Start(q, np.column_stack([target, self.scale_of(q, end)]))
 
-    def _ends(self, u: Array, q: Array | None = None) -> tuple[Array, Array]:
-        """Joint angles (k, joints) at the start (q, if given) and at the target [rad]."""
-        arm = self.system.arm
-        low, high = joint_box(self, (0.0,), self.span)
-        share = u.reshape(len(u), 1 + _TRIES, -1)[..., : arm.n]
-        drawn = low + (high - low) * share
+    def places(self, u: Array, q: Array | None = None) -> tuple[Array, ...]:
+        arm, drawn = self.system.arm, self.angles(u)
         q = drawn[:, 0] if q is None else q
         return q, reachable(arm, q, drawn[:, 1:], self.duration / 2, self.dexterous)
 
     def remember(self, s: Scene, dt: float) -> None:
-        """See `Task`."""
         distance = np.sqrt(((s.goal[:, :3] - s.tool) ** 2).sum(axis=1))
         s.memory[:, 1] = np.where(distance <= self.tolerance, s.memory[:, 1] + dt, 0.0)
         s.memory[:, 0] = distance
@@ -186,44 +147,78 @@ class Reach(Task):
     # --------------------------------------------------------------- observation
 
     def fields(self) -> tuple[Field, ...]:
-        """See `Task`."""
         return (
-            *self._sensed(),
+            *self.sensed(),
+            self.time_left,
             Field("to_target", "m", np.full(3, self.far / 2), "target less tool as measured"),
             Field("energy_scale", "1", np.array([2.0]), "decimal logarithm of the scale in J"),
         )
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
-        """See `Task`."""
-        return (*self._sense(s), s.goal[:, :3] - s.tool_seen, np.log10(s.goal[:, 3:]))
-
-    def _sensed(self) -> tuple[Field, ...]:
-        arm, (sway, swaying) = self.system.arm, self.sway
         return (
-            Field("joint_angle", "rad", np.full(arm.n, np.pi), "joint angles"),
-            *rate_fields(self.control, arm),
-            Field("base_pose", "m, rad", sway, "pose of the base as measured"),
-            Field("base_rate", "m/s, rad/s", swaying, "rate of the base as measured"),
-            Field("time_left", "s", np.array([self.duration]), "until the deadline"),
+            *self.sense(s),
+            self.left(s),
+            s.goal[:, :3] - s.tool_seen,
+            np.log10(s.goal[:, 3:]),
         )
-
-    def _sense(self, s: Scene) -> tuple[Array, ...]:
-        remaining = (self.duration - s.time)[:, None]
-        return s.q, *rates(self.control, s), s.y_seen, s.yd_seen, remaining
 
     # -------------------------------------------------------------------- reward
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        """See `Task`."""
-        scale = s.goal[:, 3] * (self.duration + self.tail) / self.thrift
         close = 1 / (1 + (s.memory[:, 0] / self.near) ** 2)
         return {
             "distance": -s.memory[:, 0] * (dt / self.duration / self.far),
-            "energy": -s.energy * dt / scale,
-            "tail": -s.tail / scale,
+            **self.energy_terms(s, dt, s.goal[:, 3]),
             "arrival": close * (self.arrival * dt / self.duration),
         }
 
     def marker(self, s: Scene) -> Array:
         """The target."""
         return s.goal[:, None, :3]
+
+
+@register_task("reach_goal")
+@dataclass(frozen=True, kw_only=True)
+class ReachGoal(Reach):
+    """`Reach`, goal-conditioned: the tool as measured is achieved, the target desired.
+
+    Reward: 0 within `tolerance` of the target, -1 elsewhere, computed from the observation,
+    so that it is `compute_reward` of what `step` returned, bit for bit. The base's energy is
+    told in `info` only. No joint limit ends an episode, for no function of the goals could
+    tell and ending early would pay; the controls that are left keep the reference within.
+    """
+
+    goal_fields: ClassVar[tuple[str, str] | None] = ("tool", "target")
+    compiled: ClassVar[bool] = True
+    controls: ClassVar[tuple[str, ...]] = (*REFERENCES, "pd_target")
+
+    def fields(self) -> tuple[Field, ...]:
+        return (
+            *self.sensed(),
+            self.time_left,
+            Field("tool", "m", _GOAL_SCALE, "tool in space as measured"),
+            Field("target", "m", _GOAL_SCALE, "where it is to be"),
+        )
+
+    def observe(self, s: Scene) -> tuple[Array, ...]:
+        return *self.sense(s), self.left(s), s.tool_seen, s.goal[:, :3]
+
+    def failed(self, s: Scene) -> Mask:
+        """Never."""
+        return np.zeros(len(s.q), bool)
+
+    def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+        achieved, desired = self._goal_of(s.tool_seen), self._goal_of(s.goal[:, :3])
+        return {"reached": self._reached(achieved - desired)}
+
+    def _goal_of(self, place: Array) -> Array:
+        """(n, 3) a place as the observation gives it, in float64."""
+        rounded = np.clip(place / _GOAL_SCALE, -self.CLIP, self.CLIP).astype(np.float32)
+        return rounded.astype(np.float64)
+
+    def goal_reward(self, achieved: Array, desired: Array) -> Array:
+        """(...,) reward of goals (..., 3) in the units of the observation."""
+        return self._reached(np.asarray(achieved, float) - np.asarray(desired, float))
+
+    def _reached(self, gap: Array) -> Array:
+        return np.where(((gap * _GOAL_SCALE) ** 2).sum(axis=-1) <= self.tolerance**2, 0.0, -1.0)

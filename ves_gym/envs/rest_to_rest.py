@@ -9,8 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from ves_gym._util.params import Array, Mask, Vector, require_positive, unit
+from ves_gym.envs.arm_task import middle_and_half, straight_pace
 from ves_gym.envs.control import Control, Guided
-from ves_gym.envs.joints import drawn_joints, middle_and_half, straight_pace
 from ves_gym.envs.scales import straight_energy, straight_motion
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.kinematics import joint_positions
@@ -49,8 +49,7 @@ class RestToRest(Task):
 
     @property
     def draws(self) -> int:  # type: ignore[override]
-        """See `Task`."""
-        return 2 * _TRIES * drawn_joints(self.system.arm, 3)
+        return 2 * _TRIES * max(3, self.system.arm.n)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -81,11 +80,9 @@ class RestToRest(Task):
         return Start(q, np.column_stack([goal, scale]))
 
     def remember(self, s: Scene, dt: float) -> None:
-        """See `Task`."""
         s.memory[:, 0] += dt * s.energy
 
     def fields(self) -> tuple[Field, ...]:
-        """See `Task`."""
         arm = self.system.arm
         sway, swaying = self.sway
         fast = arm.column("v_max")
@@ -103,7 +100,6 @@ class RestToRest(Task):
         )
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
-        """See `Task`."""
         n = self.system.arm.n
         return (
             s.q,
@@ -117,7 +113,6 @@ class RestToRest(Task):
         )
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        """See `Task`."""
         n = self.system.arm.n
         scale = self._scale(s)
         distance = np.abs(s.goal[:, :n] - s.q).sum(axis=1)

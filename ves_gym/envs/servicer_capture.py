@@ -16,13 +16,12 @@ from ves_gym._util.params import (
     ParameterError,
     Vector,
     finite,
-    require_positive,
     unit,
 )
+from ves_gym.envs.arm_task import ArmTask, directions
 from ves_gym.envs.base_control import BaseControl
 from ves_gym.envs.control import Acceleration, Control
-from ves_gym.envs.joints import drawn_joints, joint_box, rate_fields, rates, require_control
-from ves_gym.envs.task import Field, Scene, Start, Task, register_task
+from ves_gym.envs.task import Field, Scene, Start, register_task
 from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.attitude import from_matrix, rotate, to_matrix, torque_free_step
@@ -74,7 +73,7 @@ SERVICER = replace(
 
 @register_task("servicer_capture")
 @dataclass(frozen=True, kw_only=True)
-class ServicerCapture(Task):
+class ServicerCapture(ArmTask):
     """Catch a tumbling satellite with a free-flying servicer, and bring both to rest.
 
     The target is a rigid body of its own that nothing acts on: its centre of mass rests, and
@@ -119,6 +118,16 @@ class ServicerCapture(Task):
 
     options: ClassVar[tuple[str, ...]] = ("q",)
     interacts: ClassVar[bool] = True
+    rows: ClassVar[int] = 1 + _TRIES
+    more: ClassVar[int] = _MORE
+    controls: ClassVar[tuple[str, ...]] = (
+        "acceleration", "joint_velocity", "pd_target", "torque",
+    )  # fmt: skip
+    positive: ClassVar[tuple[str, ...]] = (
+        "dexterous", "away", "catch", "catch_turn", "rest", "settled", "pointing", "full",
+        "hold", "tumbled", "far",
+    )  # fmt: skip
+    not_negative: ClassVar[tuple[str, ...]] = ("tumble", "turn", "energy", "fuel")
     system: System = System(
         arm=get_arm("puma560-wrist"),
         vehicle=SERVICER,
@@ -154,17 +163,11 @@ class ServicerCapture(Task):
 
     @property
     def memory(self) -> int:  # type: ignore[override]
-        """See `Task`."""
         return _WHEELS + self._wheels
 
     @property
     def _wheels(self) -> int:
         return len(getattr(self.system.vehicle, "wheels", None) or ())
-
-    @property
-    def draws(self) -> int:  # type: ignore[override]
-        """See `Task`."""
-        return drawn_joints(self.system.arm) * (1 + _TRIES) + _MORE
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -188,13 +191,6 @@ class ServicerCapture(Task):
                 f"{self.kind} needs an arm of {_JOINTS} joints or more, which can follow a"
                 f" fixture that turns, got {system.arm.name} with {system.arm.n}"
             )
-        require_control(self, "acceleration", "joint_velocity", "pd_target", "torque")
-        require_positive(
-            self, "dexterous", "away", "catch", "catch_turn", "rest", "settled", "pointing",
-            "full", "hold", "tumbled", "far",
-        )  # fmt: skip
-        require_positive(self, "tumble", "turn", "energy", "fuel", zero=True)
-        joint_box(self, (0.0,), self.span)
         for name in ("meet", "mass", "spin"):
             low, high = finite(getattr(self, name), (2,), f"{type(self).__name__}.{name}")
             if not 0 < low <= high:
@@ -215,13 +211,10 @@ class ServicerCapture(Task):
         clock = self.meet[0] + (self.meet[1] - self.meet[0]) * drawn[:, 0]
         mass = self.mass[0] * (self.mass[1] / self.mass[0]) ** drawn[:, 1]
         fast = self.spin[0] + (self.spin[1] - self.spin[0]) * drawn[:, 2]
-        up, round_ = 2 * drawn[:, 3] - 1, 2 * np.pi * drawn[:, 4]
-        flat = np.sqrt(1 - up * up)
-        axis = np.stack([flat * np.cos(round_), flat * np.sin(round_), up], axis=1)
         place, turn = tool_frame(self.system.arm, meeting)
         grip, centre = self._fixture
         turn = turn @ grip.T
-        attitude, spin = from_matrix(turn), fast[:, None] * axis
+        attitude, spin = from_matrix(turn), fast[:, None] * directions(drawn[:, 3:])
         inertia = np.tile(self._shape, (k, 1, 1))
         for _ in range(_FLIGHT):
             back = -clock / _FLIGHT
@@ -249,9 +242,7 @@ class ServicerCapture(Task):
         """Joint angles (k, joints) at the start (q, if given) and at the meeting [rad]."""
         arm, payload, rows = self.system.arm, self.system.payload, np.arange(len(u))
         assert payload is not None
-        low, high = joint_box(self, (0.0,), self.span)
-        share = u[:, :-_MORE].reshape(len(u), 1 + _TRIES, -1)[..., : arm.n]
-        angles = low + (high - low) * share
+        angles = self.angles(u)
         q, ends = angles[:, 0] if q is None else q, angles[:, 1:]
         place, turn = tool_frame(arm, ends)
         grip, to_centre = self._fixture
@@ -345,7 +336,6 @@ class ServicerCapture(Task):
             memory[ids, _WHEELS:] = sim.wheel_speed[ids] / speeds
 
     def remember(self, s: Scene, dt: float) -> None:
-        """See `Task`."""
         memory = s.memory
         still = (memory[:, _CARRIED] > 0) & (np.abs(s.v) <= self.settled).all(axis=1)
         still &= np.linalg.norm(memory[:, _SPIN], axis=1) <= self.rest
@@ -364,7 +354,6 @@ class ServicerCapture(Task):
         return super().failed(s) | (_angle(s) > self.tumbled)
 
     def step_info(self, sim: Simulator, s: Scene, ended: Mask) -> dict[str, Any]:
-        """See `Task`."""
         cargo = sim.payload
         assert cargo is not None
         told: dict[str, Any] = {"capture/carried": cargo.carried.copy()}
@@ -381,16 +370,12 @@ class ServicerCapture(Task):
     # --------------------------------------------------------------- observation
 
     def fields(self) -> tuple[Field, ...]:
-        """See `Task`."""
-        arm, w = self.system.arm, self._wheels
+        w = self._wheels
         wheels = [Field("wheels", "1", np.ones(w), "speed of each wheel in its largest")] * (
             w > 0
         )
         return (
-            Field("joint_angle", "rad", np.full(arm.n, np.pi), "joint angles"),
-            *rate_fields(self.control, arm),
-            Field("base_pose", "m, rad", np.full(6, 0.2), "pose of the base as measured"),
-            Field("base_rate", "m/s, rad/s", np.full(6, 0.02), "its rate as measured"),
+            *self.sensed(base=(np.full(6, 0.2), np.full(6, 0.02))),
             *wheels,
             Field("to_fixture", "m", np.full(3, self.far / 2), "fixture less tool"),
             Field("to_turn", "rad", np.full(3, np.pi), "rotation from the tool to the fixture"),
@@ -398,7 +383,7 @@ class ServicerCapture(Task):
             Field("turning", "rad/s", np.full(3, 0.2), "of the tool against the fixture"),
             Field("target_spin", "rad/s", np.full(3, self.spin[1]), "of the target"),
             Field("centre", "m", np.full(3, 0.5), "from the fixture to the target's centre"),
-            Field("time_left", "s", np.array([self.duration]), "until the deadline"),
+            self.time_left,
         )
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
@@ -415,19 +400,15 @@ class ServicerCapture(Task):
             memory[:, _CENTRE],
         )
         return (
-            s.q,
-            *rates(self.control, s),
-            s.y_seen,
-            s.yd_seen,
+            *self.sense(s),
             *wheels,
             *(matvec(to_base, part) for part in vectors),
-            (self.duration - s.time)[:, None],
+            self.left(s),
         )
 
     # -------------------------------------------------------------------- reward
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        """See `Task`."""
         memory, share = s.memory, dt / self.duration
         missing = memory[:, _DISTANCE] / self.far + memory[:, _TURN]
         spin = np.linalg.norm(memory[:, _SPIN], axis=1) / self.spin[1]

@@ -19,8 +19,7 @@ import numpy.typing as npt
 from ves_gym._util.params import Array, Mask, ParameterError, Vector, unit
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.control import Acceleration
-from ves_gym.envs.dump import Recorder
-from ves_gym.envs.rendering import Renderer
+from ves_gym.envs.recording import Recorder, Renderer
 from ves_gym.envs.task import Field, Scene, Start, Task
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System

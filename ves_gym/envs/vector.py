@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,22 +10,18 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from ves_gym._util.params import Mask, ParameterError
+from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym.envs.batch import Batch
-from ves_gym.envs.build import build_task, require_keywords
-from ves_gym.envs.deadline import Deadline, DeadlineSpec, with_deadline
-from ves_gym.envs.fan_out import fan_out
-from ves_gym.envs.objectives import WEIGHTS, Signals
-from ves_gym.envs.rendering import Renderer
-from ves_gym.envs.spaces import goal_space, observation_space, require_seed, split_goals
+from ves_gym.envs.env import Episodic
+from ves_gym.envs.registration import Deadline
+from ves_gym.envs.spaces import require_seed
 from ves_gym.envs.task import Task
 
 
-class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
+class VesVectorEnv(Episodic, gym.vector.VectorEnv[Any, Any, Any]):  # type: ignore[misc]
     """n episodes of a task.
 
     Args:
@@ -44,7 +41,6 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
     episode has its mask beside it (`energy/E_mean`, `_energy/E_mean`), as in Gymnasium.
     """
 
-    _spec: DeadlineSpec | None = None
     metadata: dict[str, Any] = {
         "render_modes": ["rgb_array"],
         "render_fps": 80,
@@ -67,34 +63,25 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         cost: Mapping[str, float] | bool | None = None,
         **settings: Any,
     ) -> None:
-        require_keywords(type(self), task, settings)
         self._limit = _step_limit(max_episode_steps)
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(
                 f"render_mode of a vector must be None or rgb_array, got {render_mode!r}"
             )
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.task = build_task(task, **settings)
+        self.num_envs = num_envs
+        form = render_mode, goal, reward, cost
+        self.single_action_space, self.single_observation_space = self._set_up(
+            task, settings, *form, backend=backend, threads=threads, dump=dump
+        )
         self.metadata = {
             **self.metadata,
             "render_fps": 1 / self.task.system.control_dt,  # real time
             "autoreset_mode": self.autoreset_mode,
         }
-        self.render_mode = render_mode
-        self._renderer: Renderer | None = None
-        self.num_envs, self.goal = num_envs, goal
-        self._signals = Signals(reward, cost, goal)
-        if self._signals.vector:
-            self.reward_space, self.reward_weights = self._signals.space, np.array(WEIGHTS)
-        self._engine: dict[str, Any] = {"backend": backend, "threads": threads, "dump": dump}
-        self.batch = Batch(self.task, num_envs, **self._engine)
-        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (self.batch.width,), np.float32)
-        space = observation_space(self.task)
-        self.single_observation_space = goal_space(self.task, space) if goal else space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._over = np.zeros(num_envs, bool)
-        self._ready = False
         self._everyone = np.arange(num_envs)
 
     def reset(
@@ -180,27 +167,7 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         return self.batch.episode_ids()
 
     def _observation(self) -> Any:
-        rows = self.batch.observe()
-        return split_goals(self.task, rows) if self.goal else rows
-
-    @property
-    def spec(self) -> DeadlineSpec | None:  # type: ignore[override]
-        """Specification with the steps of an episode of these settings."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = None if spec is None else with_deadline(spec, self.task.steps)
-
-    def snapshot(self) -> Any:
-        """The complete state, random generators included; picklable."""
-        return self.batch.get_state(), self._ready, self._over.copy()
-
-    def restore(self, snapshot: Any) -> None:
-        """Return to a snapshot of an environment of the same settings."""
-        state, self._ready, over = snapshot
-        self._over = over.copy()
-        self.batch.set_state(state)
+        return self._observed(self.batch.observe())
 
     def fan_out(self, source: VesVectorEnv, index: int = 0) -> Any:
         """Put every environment of this one where one of another is, to step it as a model.
@@ -224,30 +191,15 @@ class VesVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self._over, self._ready = np.repeat(over, self.num_envs), source._ready
         return self._observation()
 
-    def __getstate__(self) -> dict[str, Any]:
-        state = self.__dict__.copy()
-        state["_renderer"] = None
-        state["batch"] = self.batch.get_state()
-        return state
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self.batch = Batch(self.task, self.num_envs, **self._engine)
-        self.batch.set_state(state["batch"])
-
     def render(self) -> tuple[Any, ...] | None:
         """Frames (height, width, 3) of all environments, or None without a render mode."""
         if self.render_mode is None:
             return None
-        if self._renderer is None:
-            self._renderer = Renderer(self.task, self.render_mode)
-        return self._renderer.frames(self.batch)
+        return self._pictures().frames(self.batch)
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the drawing process, where there is one."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
+        self._end_pictures()
 
 
 def _step_limit(limit: Any) -> int | None:
@@ -269,3 +221,60 @@ def _mask(raw_mask: Any, n: int) -> Mask:
     if mask.shape != (n,) or mask.dtype != bool:
         raise gym.error.Error(f"reset_mask must be {n} truth values, got {raw_mask!r}")
     return mask
+
+
+def fan_out(model: Batch, source: Batch, i: int) -> None:
+    """Put every simulation of `model` where simulation i of `source` is.
+
+    A model of the same task takes over everything, what was drawn and the random generator
+    included: it goes on as the source would. A model of another description
+    (mode, vehicle, effects, errors) takes over what a controller can know: joints, reference,
+    goal, sums of the episode, and the base as it is *measured*; internal modes are carried
+    along by the base, and the sensors and the platform of an emulated model start anew.
+
+    Args:
+        model: of any number of simulations; written.
+        source: read.
+        i: which of its simulations.
+
+    Raises:
+        ParameterError: no such simulation, or a model of another kind of task, control,
+            duration, control period or number of joints; the model is as it was then.
+    """
+    if not 0 <= i < source.n:
+        raise ParameterError(f"fan_out needs an environment of 0 to {source.n - 1}, got {i}")
+    if model.task == source.task:
+        task, kept, snapshot, _ = source.get_state()
+        scene, episodes, drawn = kept
+        parts = _rows(scene, i, model.n), _rows(episodes, i, model.n), _rows(drawn, i, model.n)
+        recorded = None if model.recorder is None else model.recorder.get_state()
+        model.set_state((task, parts, snapshot.fanned_out(i, model.n), recorded))
+        return
+    for name, ours, theirs in (
+        ("task", model.task.kind, source.task.kind),
+        ("control", model.task.control, source.task.control),
+        ("duration", model.task.duration, source.task.duration),
+        ("control period", model.dt, source.dt),
+        ("joints", model.system.arm.n, source.system.arm.n),
+    ):
+        if ours != theirs:
+            raise ParameterError(
+                f"fan_out needs a model of the same {name}, {theirs!r}, got {ours!r}"
+            )
+    scene, episodes = (_rows(k, i, model.n) for k in (source.scene, source.episodes))
+    model.begin_at(scene, episodes)
+
+
+def _rows(part: Any, i: int, n: int) -> Any:
+    """Row i of every array of a dataclass or dictionary, n times."""
+    if isinstance(part, dict):
+        return {name: _repeated(k, i, n) for name, k in part.items()}
+    fields = (f.name for f in dataclasses.fields(part))
+    return dataclasses.replace(
+        part, **{name: _repeated(getattr(part, name), i, n) for name in fields}
+    )
+
+
+def _repeated(array: Any, i: int, n: int) -> Array:
+    out: Array = np.repeat(array[i : i + 1], n, axis=0)
+    return out
