@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ves_gym._util.params import ParameterError
-from ves_gym.baselines.resolved import Resolved
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
 from ves_gym.envs.control import (
@@ -22,11 +21,10 @@ from ves_gym.envs.control import (
     Torque,
     get_control,
 )
-from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
+from ves_gym.mechanics.servo import PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.query import Query
@@ -57,7 +55,7 @@ def at_rest(q):
 # -------------------------------------------------------------------------- guided
 
 
-@pytest.mark.parametrize("duration", [0.5, 2.0, 4.0])
+@pytest.mark.parametrize("duration", [0.5, 2.0])
 def test_guided_zero_is_the_straight_motion(duration):
     """Reference against `Motion.straight`, angle, rate and acceleration at every period."""
     batch = begun(duration=duration)
@@ -71,7 +69,7 @@ def test_guided_zero_is_the_straight_motion(duration):
             batch.step(np.zeros((8, 3)))
 
 
-@pytest.mark.parametrize("vehicle", ["bent-thesis", "bent"])
+@pytest.mark.parametrize("vehicle", ["bent"])
 def test_guided_zero_leaves_the_energy_of_the_planning_benchmark(vehicle):
     """E_mean and E_peak of the same queries in reach100's own code, within 1 %."""
     batch = begun(vehicle=vehicle)
@@ -101,7 +99,7 @@ def test_guided_zero_leaves_the_energy_of_the_planning_benchmark(vehicle):
         assert error.max() <= 0.01
 
 
-@pytest.mark.parametrize("duration", [0.025, 0.05, 0.5, 2.0])
+@pytest.mark.parametrize("duration", [0.025, 0.05, 0.5])
 @pytest.mark.parametrize("kind", ["uniform", "bang-bang", "always"])
 def test_guided_arrives_whatever_the_actions(kind, duration):
     batch = begun(duration=duration)
@@ -128,7 +126,7 @@ def test_guided_jerk_adds_to_the_way():
 # -------------------------------------------------------------------- acceleration
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     where=arrays(float, (1, 3), elements=st.floats(0, 1)),
     pushes=arrays(float, st.tuples(st.integers(1, 6), st.just(3)), elements=st.floats(-1, 1)),
@@ -184,29 +182,17 @@ def test_target_moves_no_faster_than_told():
 
 
 def test_torque_reaches_the_motors():
-    """A fraction of their limits, held over the period."""
-    batch = begun(1, control={"kind": "torque", "fraction": 0.5})
-    action = np.array([[1.0, -0.5, 0.0]])
-    batch.step(action)
-    expected = 0.5 * PUMA_560.column("tau_max") * action
-    np.testing.assert_allclose(batch.scene.tau, expected, rtol=1e-12)
-    np.testing.assert_allclose(batch.sim.evaluate(batch.scene.tau)[0], expected, rtol=1e-9)
-
-
-def test_torque_is_limited_by_the_motors():
-    batch = begun(1, control={"kind": "torque", "fraction": 3.0})
-    batch.step(np.ones((1, 3)))
-    torque, _ = batch.sim.evaluate(batch.scene.tau)
-    np.testing.assert_allclose(torque[0], PUMA_560.column("tau_max"), rtol=1e-9)
-
-
-def test_torque_may_have_damped_joints():
-    batch = begun(1, control={"kind": "torque", "damping": list(PPED_GAINS.kd)})
-    for _ in range(3):
-        batch.step(np.full((1, 3), 0.2))
-    torque, _ = batch.sim.evaluate(batch.scene.tau)
-    expected = batch.scene.tau - np.asarray(PPED_GAINS.kd) * batch.scene.v
-    np.testing.assert_allclose(torque, expected, rtol=1e-9)
+    """A fraction of their limits, held over the period and cut off there; joints damped."""
+    most, action = PUMA_560.column("tau_max"), np.array([[1.0, -0.5, 0.0]])
+    for fraction, damping in ((0.5, (0.0,) * 3), (0.1, PPED_GAINS.kd), (3.0, (0.0,) * 3)):
+        control = {"kind": "torque", "fraction": fraction, "damping": list(damping)}
+        batch = begun(1, control=control)
+        batch.step(action)
+        s = batch.scene
+        np.testing.assert_allclose(s.tau, fraction * most * action, rtol=1e-12)
+        expected = np.clip(s.tau - np.asarray(damping) * s.v, -most, most)
+        torque = batch.sim.evaluate(s.tau)[0]
+        np.testing.assert_allclose(torque, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_gains_span_their_ranges():
@@ -233,6 +219,8 @@ def test_gains_span_their_ranges():
         (lambda: get_control("magic"), "control must be one of guided, acceleration"),
         (lambda: Guided(jerk=0.0), "Guided.jerk must be > 0"),
         (lambda: Target(speed=-1.0), "Target.speed must be > 0"),
+        (lambda: JointVelocity(speed=0.0), "JointVelocity.speed must be > 0"),
+        (lambda: ToolVelocity(speed=0.0), "ToolVelocity.speed must be > 0"),
         (lambda: Torque(fraction=float("nan")), "Torque.fraction must be > 0"),
         (lambda: Gains(kp=(5.0, 5.0)), "Gains.kp must be 0 < low < high"),
         (lambda: build_task("rest_to_rest", control={"kind": "guided", "jolt": 1.0}), "jolt"),
@@ -250,21 +238,16 @@ def test_bad_settings_are_refused(make, said):
         make()
 
 
-def test_prescribed_joints_follow_the_reference():
-    batch = begun(4, system=PRESCRIBED, saving=None)
-    for _ in range(batch.task.steps):
-        *_, info = batch.step(np.zeros((4, 3)))
+@pytest.mark.parametrize(
     # the acceleration runs linearly through a period, the guiding quintic's nearly so
-    np.testing.assert_allclose(batch.scene.q, batch.scene.ref[:, 0], atol=1e-3)
-    assert info["success"].all()
-
-
-def test_motors_follow_the_reference():
-    batch = begun(4, saving=None)
-    assert batch.sim.servo == HIGH_GAINS
+    ("settings", "off"),
+    [({"system": PRESCRIBED}, 1e-3), ({}, np.deg2rad(1))],
+)
+def test_joints_follow_the_reference(settings, off):
+    batch = begun(4, saving=None, **settings)
     for _ in range(batch.task.steps):
         *_, info = batch.step(np.zeros((4, 3)))
-    assert np.abs(batch.scene.q - batch.scene.ref[:, 0]).max() < np.deg2rad(1)
+    np.testing.assert_allclose(batch.scene.q, batch.scene.ref[:, 0], atol=off)
     assert info["success"].all()
 
 
@@ -302,20 +285,3 @@ def test_tool_velocity_moves_the_tool_that_way():
         control.advance(s, action, PUMA_560, DT, np.full(1, 9.0))
     after = joint_positions(PUMA_560, s.ref[:, 0])[:, -1]
     np.testing.assert_allclose((after - before) / DT, 0.2 * action, rtol=2e-2)
-
-
-def test_a_plan_of_joints_is_not_followed_by_the_tool():
-    with pytest.raises(ParameterError, match="a number per joint, got control tool_velocity"):
-        env = VesVectorEnv(1, "reach", control="tool_velocity")
-        env.reset(seed=0)
-        controller = Resolved()
-        controller.reset(env, np.arange(1))
-        controller.act(env, None)
-
-
-@pytest.mark.parametrize("control", [JointVelocity, ToolVelocity])
-def test_velocity_controls_name_bad_settings(control):
-    with pytest.raises(ParameterError, match="speed must be > 0"):
-        control(speed=0.0)
-    with pytest.raises(ParameterError, match=f"{control.__name__}.a_max must be > 0"):
-        build_task("reach", control=control(a_max=(1.0, -1.0, 1.0)))

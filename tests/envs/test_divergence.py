@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from tests.envs.walks import IDS, actions, flat, part, same, walk
+from tests.envs.walks import actions, each_kind, flat, part, same, walk
 from ves_gym.envs.batch import Batch
 
-each_id = pytest.mark.parametrize("name", IDS)
 WILD = 3e9  # rad/s; a millionth of a second later no number is left
 
 
@@ -18,7 +17,7 @@ def derail(batch: Batch, i: int) -> None:
     batch.sim.reset(q=s.q[i], v=WILD, y=s.y[i], ids=[i])
 
 
-@each_id
+@each_kind
 def test_divergence_ends_the_episode_as_a_failure(name):
     env = gym.make(name).unwrapped
     env.reset(seed=0)
@@ -36,7 +35,7 @@ def test_divergence_ends_the_episode_as_a_failure(name):
         env.step(env.action_space.sample())
 
 
-@each_id
+@each_kind
 def test_the_next_reset_is_clean(name):
     """The episode after a divergence is the one that would have come anyway."""
     env, calm = gym.make(name).unwrapped, gym.make(name).unwrapped
@@ -49,7 +48,7 @@ def test_the_next_reset_is_clean(name):
     assert same(walk(env, 20, 1), walk(calm, 20, 1))
 
 
-@each_id
+@each_kind
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_neighbours_notice_nothing(name, mode):
     """In a vector, in every autoreset mode; the diverged one joins in again."""
@@ -79,20 +78,6 @@ def test_neighbours_notice_nothing(name, mode):
         return
     assert not ours[4]["diverged"].any()
     assert np.isfinite(env.batch.sim.state.y).all()
-
-
-@each_id
-def test_copies_of_the_diverged_are_over_too(name):
-    env = gym.make(name).unwrapped
-    env.reset(seed=0)
-    derail(env.batch, 0)
-    env.step(env.action_space.sample())
-    mark = env.snapshot()
-    first = env.reset()
-    env.restore(mark)
-    with pytest.raises(gym.error.ResetNeeded):
-        env.step(env.action_space.sample())
-    assert same(env.reset(), first)
 
 
 def test_a_safety_stop_ends_the_episode_as_a_failure():

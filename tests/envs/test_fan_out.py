@@ -66,17 +66,6 @@ def test_a_model_of_the_same_settings_goes_on_as_the_source(
         np.testing.assert_array_equal(values, np.repeat(drawn[label][2:3], 5, 0))
 
 
-def test_the_source_stays_where_it_is() -> None:
-    """Claim: to step a model changes nothing in the environment that it was made from."""
-    source, model = _started(LABORATORY, 3), _started(LABORATORY, 4)
-    before = source.batch.scene.q.copy(), source.batch.scene.y_seen.copy()
-    model.fan_out(source, 1)
-    _drive(model, np.full((10, *model.action_space.shape), 0.2))
-    np.testing.assert_array_equal(before[0], source.batch.scene.q)
-    np.testing.assert_array_equal(before[1], source.batch.scene.y_seen)
-    assert source.batch.episodes.steps.tolist() == [0, 0, 0]
-
-
 def test_a_model_of_another_description_takes_over_what_is_measured() -> None:
     """Claim: an ideal model of a simulation in space goes on as that does, from any moment.
 

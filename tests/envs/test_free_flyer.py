@@ -3,7 +3,6 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 from tests.envs.runs import EMULATED, controlled, unscaled
 from ves_gym._util.params import ParameterError
@@ -45,23 +44,6 @@ class Pull:
 # ------------------------------------------------------------------------- contract
 
 
-@pytest.mark.parametrize("settings", [{}, EMULATED, {"control": "torque"}])
-def test_check_env_has_nothing_to_say(settings):
-    env = gym.make("ves/FreeFlyerReach-v0", duration=0.5, **settings)
-    check_env(env.unwrapped, skip_render_check=True)
-
-
-@pytest.mark.parametrize("control", ["acceleration", "torque"])
-def test_observation_varies_within_bounds(control):
-    env = VesVectorEnv(16, "free_flyer", control=control, duration=1.0)
-    rows = [env.reset(seed=0)[0]]
-    noise = np.random.default_rng(0)
-    rows += [env.step(noise.uniform(-0.2, 0.2, (16, 3)))[0] for _ in range(80)]
-    table = np.concatenate(rows)
-    assert (np.ptp(table, axis=0) > 0.01).all()
-    assert np.abs(table).max() < env.task.CLIP
-
-
 def test_observation_shows_the_target_as_the_base_sees_it():
     env = VesVectorEnv(4, "free_flyer", **EMULATED)
     env.reset(seed=0)
@@ -100,25 +82,12 @@ def test_options_choose_start_and_target():
     np.testing.assert_array_equal(s.goal[0], target)
     np.testing.assert_array_equal(env.task.marker(s), [[target]])
     for options, why in (
-        ({"target": [2.0, 0, 0]}, "within the tool's reach"),
+        ({"target": [2.0, 0, 0]}, "that the tool reaches"),
         ({"q": [3.0, 0, 0]}, "joint 1 must be within"),
         ({"y": np.zeros(6)}, "unknown option 'y'; known: index, q, target"),
     ):
         with pytest.raises(ParameterError, match=why):
             env.reset(options=options)
-
-
-def test_what_does_not_fit_is_refused():
-    for settings, why in (
-        (
-            {"control": "pd_gains"},
-            "control must be acceleration or joint_velocity or tool_velocity or",
-        ),
-        ({"span": [3.0, 0, 0]}, "must start within the joint limits"),
-        ({"tolerance": 0.0}, "tolerance"),
-    ):
-        with pytest.raises(ParameterError, match=why):
-            build_task("free_flyer", **settings)
 
 
 def test_momentum_stays_zero():

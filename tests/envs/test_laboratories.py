@@ -71,6 +71,8 @@ def test_a_laboratory_needs_an_emulation_that_subtracts_the_weight():
         build_task("rest_to_rest", mode="emulated", laboratory="labb")
     with pytest.raises(ParameterError, match=r"needs mode emulated, .*, got ideal"):
         build_task("rest_to_rest", laboratory="lab")
+    with pytest.raises(ParameterError, match="context shows what randomize draws"):
+        build_task("rest_to_rest", context=True)
 
 
 def test_context_shows_what_was_drawn_and_only_then():
@@ -91,11 +93,6 @@ def test_context_shows_what_was_drawn_and_only_then():
     low, high = 0.0, 0.025
     drawn = shown.drawn["gravity/delay.delay"][:, 0]
     np.testing.assert_allclose(context[:, at], (2 * drawn - high) / (high - low), atol=1e-6)
-
-
-def test_context_needs_something_drawn():
-    with pytest.raises(ParameterError, match="context shows what randomize draws"):
-        build_task("rest_to_rest", context=True)
 
 
 def test_an_unstable_corner_is_warned_of_once_per_task():

@@ -3,15 +3,11 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
-from tests.envs.walks import IDS, SHORT, actions, part, same
+from tests.envs.walks import SHORT, actions, each_kind, part, same
 from ves_gym._util.params import ParameterError
 from ves_gym.baselines.registry import get_controller
 from ves_gym.envs.objectives import OBJECTIVES, CostBounds
-from ves_gym.envs.registration import IDS as NAMES
-
-SCALAR = [name for name in IDS if "Goal" not in name]  # the others' reward is of their goals
 
 
 def pair(name, **settings):
@@ -19,7 +15,7 @@ def pair(name, **settings):
     return [gym.make(name, **{**SHORT, **settings}, reward=k) for k in ("vector", "scalar")]
 
 
-@pytest.mark.parametrize("name", SCALAR)
+@each_kind
 def test_the_weighted_sum_is_the_scalar_reward(name):
     """In every period of an episode, the last with its tail included, to 1e-12."""
     vector, scalar = pair(name)
@@ -149,21 +145,10 @@ def test_nothing_is_told_unless_asked_and_nonsense_is_refused():
     ).unwrapped._signals.bounds == (CostBounds(displacement=0.1))
 
 
-@pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")
-@pytest.mark.parametrize("name", ["PumaReach", "BeamLQR"])
-def test_check_env_has_nothing_to_say_of_the_weighted_sum(name):
-    env = gym.make(f"ves/{name}-v0", reward="vector", cost=True)
-    check_env(
-        gym.wrappers.TransformReward(env, lambda reward: float(reward.sum())),
-        skip_render_check=True,
-    )
-
-
-@pytest.mark.parametrize("name", [name for name in NAMES if "Goal" not in name])
-def test_mo_gymnasium_makes_the_scalar_reward_again(name):
+def test_mo_gymnasium_makes_the_scalar_reward_again():
     """By its wrapper LinearReward."""
     wrappers = pytest.importorskip("mo_gymnasium").wrappers
-    vector, scalar = pair(f"ves/{name}-v0")
+    vector, scalar = pair("ves/PumaReach-v0")
     linear = wrappers.LinearReward(vector, weight=vector.unwrapped.reward_weights)
     for env in (linear, scalar):
         env.reset(seed=3)
@@ -174,20 +159,3 @@ def test_mo_gymnasium_makes_the_scalar_reward_again(name):
         assert info["vector_reward"].shape == (3,) and part(terms, "reward")
         if over:
             break
-
-
-def test_mo_gymnasiums_vectors_take_them():
-    wrappers = pytest.importorskip("mo_gymnasium").wrappers
-    settings = {"reward": "vector", "duration": 0.1}
-    make = lambda: gym.make("ves/PumaReach-v0", **settings)  # noqa: E731
-    theirs = wrappers.vector.MOSyncVectorEnv([make, make])
-    native = gym.make_vec("ves/PumaReach-v0", num_envs=2, **settings)
-    ours = wrappers.vector.MORecordEpisodeStatistics(native)
-    seeds = [1, 2]
-    for env in (theirs, ours):
-        env.reset(seed=seeds)
-    for _ in range(8):
-        action = np.full((2, 3), 0.3, np.float32)
-        (_, a, *_), (_, b, *_, info) = theirs.step(action), ours.step(action)
-        np.testing.assert_allclose(a, b, rtol=1e-6)
-    assert info["episode"]["r"].shape == (2, 3)

@@ -2,7 +2,6 @@
 
 import gc
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -75,30 +74,12 @@ def test_a_picture_shows_an_arm_that_moves_and_its_energy(name, make):
     assert drawn[0] < 5 and drawn[1] > 200  # columns that the curve has reached
 
 
-def test_a_new_episode_starts_the_strip_again(make):
-    env = make(control=GENTLE)
-    env.reset(seed=1)
-    env.render()
-    walk(env, 60, 0)
-    assert pixels(env.render()[HEIGHT - STRIP :], ENERGY).any(axis=0).sum() > 100
-    env.reset()
-    assert pixels(env.render()[HEIGHT - STRIP :], ENERGY).any(axis=0).sum() < 5
-
-
 def test_the_target_is_marked(make):
     env = make()
     env.reset(seed=1)
     points = env.task.marker(env.batch.scene)
     assert points.shape == (1, 4, 3)  # from the tool at the goal down to the base
     assert pixels(env.render()[: HEIGHT - STRIP, :390], TARGET, 40).sum() > 20
-
-
-@pytest.mark.parametrize("vehicle", ["decoupled", "free-floating", "bent"])
-def test_vehicles_of_every_kind_are_drawn(make, vehicle):
-    env = make(vehicle=vehicle)
-    env.reset(seed=1)
-    env.step(env.action_space.sample())
-    assert len(np.unique(env.render().reshape(-1, 3), axis=0)) > 50
 
 
 def test_a_diverged_episode_shows_its_last_meaningful_state(make):
@@ -140,19 +121,6 @@ def test_a_vector_shows_every_environment_as_it_would_be_alone(make):
     assert plain.render() is None
     with pytest.raises(ValueError, match=r"must be None or rgb_array, got 'human'"):
         VesVectorEnv(2, render_mode="human")
-
-
-def test_a_vector_keeps_its_frames_in_a_copy(make):
-    many = gym.make_vec(IDEAL, num_envs=2, render_mode="rgb_array")
-    try:
-        many.reset(seed=5)
-        many.step(np.zeros((2, 3), np.float32))
-        first = many.render()
-        twin = pickle.loads(pickle.dumps(many.unwrapped))
-        assert same(twin.render(), first)
-        twin.close()
-    finally:
-        many.close()
 
 
 _SOME = ("ves/PumaReachGoal-v0", "ves/MacroMicro-v0", "ves/PayloadTransferEmulated-v0")
@@ -207,14 +175,6 @@ def test_drawing_changes_nothing(name, backend, make):
         assert same(walk(drawn, 5, k), walk(plain, 5, k))
 
 
-def test_pictures_come_in_real_time(make):
-    """`render_fps` is the number of control periods per second."""
-    env = make()
-    assert env.metadata["render_fps"] == 80
-    slow = {"system": env.task.system.replace(control_dt=0.025).to_dict()}
-    assert make(**slow).metadata["render_fps"] == 40
-
-
 @pytest.mark.parametrize("name", [IDEAL, EMULATED])
 def test_check_env_has_nothing_to_say_about_pictures(name, monkeypatch, make):
     """Without a display there is one mode to check."""
@@ -237,18 +197,6 @@ def test_physics_draws_nothing():
 
 
 # --------------------------------------------------------------- ends and failures
-
-
-def test_closing_ends_the_process_and_may_be_repeated(make):
-    env = make()
-    env.reset(seed=0)
-    env.render()
-    process = drawing_process(env)
-    env.close()
-    env.close()
-    assert process.returncode is not None
-    env.render()  # a new one
-    assert drawing_process(env) is not process
 
 
 def test_a_forgotten_environment_leaves_no_process():

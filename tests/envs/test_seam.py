@@ -1,10 +1,8 @@
 """The task seam: a line or an arc in space, on a boom that sways."""
 
-import gymnasium as gym
 import numpy as np
 import pinocchio as pin
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 from tests.envs.runs import EMULATED, Blind, controlled
 from ves_gym._util.params import ParameterError
@@ -19,12 +17,6 @@ from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.spatial import quadratic
 from ves_gym.mechanics.tool_pose import joints_for
 from ves_gym.mechanics.vehicle import VEHICLES
-
-
-@pytest.mark.parametrize("settings", [{}, EMULATED])
-def test_check_env_has_nothing_to_say(settings):
-    env = gym.make("ves/MacroMicro-v0", duration=1.0, pace=2.0, **settings)
-    check_env(env.unwrapped, skip_render_check=True)
 
 
 @pytest.fixture(scope="module")

@@ -253,10 +253,3 @@ def test_no_laboratory_has_it():
 def test_refused(settings, message):
     with pytest.raises(ParameterError, match=message):
         build_task(TASK, **settings)
-
-
-def test_the_controller_refuses_other_tasks():
-    env = VesVectorEnv(1, "free_flyer")
-    env.reset(seed=0)
-    with pytest.raises(ParameterError, match="servicer acts on task servicer_capture"):
-        get_controller("servicer").reset(env, np.arange(1))

@@ -109,26 +109,6 @@ def test_a_million_random_steps():
     assert growth[1] <= 0 and growth[2] <= 0, seen
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="no /proc")
-def test_making_and_closing_leaves_nothing_behind():
-    """300 environments after another, single and vector, with renders never asked for."""
-    seen = []
-    for k in range(300):
-        name = IDS[k % len(IDS)]
-        env = gym.make(name, **SHORT) if k % 2 else gym.make_vec(name, num_envs=160, **SHORT)
-        env.reset(seed=k)
-        env.step(env.action_space.sample())
-        env.close()
-        del env
-        if k in (150, 299):
-            seen.append(usage())
-    print("MiB, threads, descriptors:", seen)
-    growth = seen[1] - seen[0]
-    assert growth[0] < 10, seen
-    assert growth[1] <= 0 and growth[2] <= 0, seen
-
-
 def test_random_effects_are_what_environments_take():
     """The recipe of the soak itself: some of each mode, none refused."""
     noise = np.random.default_rng(1)

@@ -41,11 +41,6 @@ def test_a_key_moves_its_joint_while_it_is_held(key, joint, way):
     assert np.abs(log.q - log.q_cmd).max() < np.deg2rad(0.5)
 
 
-def test_opposite_keys_cancel():
-    log = driven([Press(0.1, "q", 1.0), Press(0.1, "a", 1.0)], 1.0).log()
-    assert np.ptp(log.q_cmd, axis=0).max() == 0
-
-
 def test_speed_goes_in_steps_with_an_end():
     teleop = Teleop(System(vehicle=BENT_THESIS))
     for _ in range(20):
@@ -117,15 +112,6 @@ def test_the_panic_button_freezes_until_the_start():
     assert teleop.log().t[0] == 0  # the record began again, too
 
 
-def test_space_has_no_platform_to_freeze():
-    teleop = Teleop(System(vehicle=BENT_THESIS))
-    assert {"z", "p"}.isdisjoint(teleop.keys())
-    teleop.press("p")
-    teleop.press("z")
-    with pytest.raises(ParameterError, match="freeze needs mode emulated"):
-        teleop.batch.sim.freeze()
-
-
 # ------------------------------------------------------------------------------ scripts
 
 
@@ -134,11 +120,6 @@ def test_a_script_does_the_same_every_time():
     first, again = (driven(SWING, 1.0, LABORATORY, seed=3).log() for _ in range(2))
     assert first.digest == again.digest
     assert driven(SWING, 1.0, LABORATORY, seed=4).log().digest != first.digest
-
-
-def test_quitting_ends_a_script():
-    teleop = driven([*SWING, Press(0.5, "escape")], 5.0)
-    assert teleop.done and teleop.batch.scene.time[0] == pytest.approx(0.5)
 
 
 def test_a_log_survives_the_disk(tmp_path):

@@ -3,7 +3,6 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 from tests.envs.runs import EMULATED, Blind, controlled, unscaled
 from ves_gym._util.params import ParameterError
@@ -11,23 +10,6 @@ from ves_gym.baselines.resolved import Resolved
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.tool_pose import joints_for
-
-
-@pytest.mark.parametrize("settings", [{}, EMULATED])
-def test_check_env_has_nothing_to_say(settings):
-    env = gym.make("ves/PumaTrack-v0", duration=1.0, rounds=1, **settings)
-    check_env(env.unwrapped, skip_render_check=True)
-
-
-@pytest.mark.parametrize("control", ["acceleration", "pd_target", "torque"])
-def test_no_entry_of_the_observation_is_constant(control):
-    env = VesVectorEnv(8, "track", control=control, duration=0.5, rounds=1)
-    rows = [env.reset(seed=0)[0]]
-    noise = np.random.default_rng(0)
-    rows += [env.step(noise.uniform(-1, 1, (8, 3)))[0] for _ in range(60)]
-    assert (np.ptp(np.concatenate(rows), axis=0) > 0).all()
-    assert np.abs(np.concatenate(rows)).max() <= env.task.CLIP
-
 
 # ----------------------------------------------------------------------------- paths
 
@@ -61,18 +43,6 @@ def test_the_energy_scale_is_that_of_the_motion():
     ratio = info["energy/E_mean"] / env.batch.scene.goal[:, 0]
     print(f"median {np.median(ratio):.2f}, {ratio.min():.2f} to {ratio.max():.2f}")
     assert (np.abs(np.log(ratio)) < np.log(2.5)).mean() >= 0.95
-
-
-def test_marker_runs_along_what_is_left():
-    env = VesVectorEnv(2, "track")
-    env.reset(seed=0)
-    for _ in range(5):
-        env.step(np.zeros((2, 3)))
-    task, scene = env.task, env.batch.scene
-    marker = task.marker(scene)
-    np.testing.assert_array_equal(marker[:, :-5], task.path(scene)[:, 5:])
-    np.testing.assert_array_equal(marker[:, 0], task.target(scene))
-    np.testing.assert_array_equal(marker[:, -1], task.path(scene)[:, -1])
 
 
 # ----------------------------------------------------------------------- observation

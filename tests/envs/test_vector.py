@@ -3,12 +3,8 @@
 import copy
 import os
 import pickle
-import re
-import signal
 import subprocess
 import sys
-import time
-from multiprocessing import active_children
 from pathlib import Path
 
 import gymnasium as gym
@@ -16,10 +12,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from tests.envs.walks import IDS, SHORT, actions, flat, part, same, walk
-from ves_gym._util.params import ParameterError
-from ves_gym.envs.batch import ActionError
-from ves_gym.envs.vector import AsyncVectorEnv, EnvWorkerDied
+from tests.envs.walks import IDS, SHORT, actions, flat, same, walk
 
 ROOT = Path(__file__).parents[2]
 STEPS = 12
@@ -39,40 +32,7 @@ def singles(name, n, mode=AutoresetMode.NEXT_STEP, **settings):
     return SyncVectorEnv([lambda: gym.make(name, **settings)] * n, autoreset_mode=mode)
 
 
-def row(value, i):
-    """What a batch of outcomes says of environment i."""
-    if isinstance(value, dict):
-        return {k: row(v, i) for k, v in value.items()}
-    return value[i]
-
-
 # ------------------------------------------------------------------- batch equals single
-
-
-@each_id
-def test_batch_equals_single(name):
-    """Environment i after reset(seed) is the single one after reset(seed, index i)."""
-    n = 3
-    env = vector(name, n)
-    observation, info = env.reset(seed=6)
-    ids = env.episode_id
-    moves = actions(env, STEPS, 0)
-    outcomes = [env.step(a) for a in moves]
-    for i in range(n):
-        alone = gym.make(name)
-        first, told = alone.reset(seed=6, options={"index": i})
-        assert same(row(observation, i), first)
-        assert same(ids[i], alone.unwrapped.episode_id)
-        assert same(row(info, i), told)
-        for (obs, reward, *flags, info_n), a in zip(outcomes, moves, strict=True):
-            o, r, terminated, truncated, info_1 = alone.step(a[i])
-            assert same(row(obs, i), o)
-            assert same(float(reward[i]), r)
-            assert [bool(f[i]) for f in flags] == [terminated, truncated]
-            for term, value in part(info_1, "reward").items():
-                assert same(info_n[f"reward/{term}"][i], value)
-            if terminated or truncated:
-                break
 
 
 @both
@@ -91,16 +51,6 @@ def test_size_and_threads_do_not_matter(name):
         assert same(seen, expected[0][:, :n].copy()), (n, threads)
         assert same(rewards, expected[1][:n].copy()), (n, threads)
         assert all(same(info[k], expected[2][k][:n].copy()) for k in info)
-
-
-@both
-def test_backend_mujoco_is_a_batch_of_singles_too(name):
-    env = vector(name, 3, backend="mujoco")
-    alone = gym.make(name, backend="mujoco")
-    first = env.reset(seed=2)[0]
-    assert same(first[2], alone.reset(seed=2, options={"index": 2})[0])
-    for a in actions(env, STEPS, 1):
-        assert same(env.step(a)[0][2], alone.step(a[2])[0])
 
 
 # --------------------------------------------------------------- against SyncVectorEnv
@@ -148,19 +98,6 @@ def test_autoreset_is_gymnasiums(name, mode):
             agree(*(e.reset(options={"reset_mask": mask.copy()}) for e in (ours, theirs)))
 
 
-@each_id
-def test_autoreset_of_every_task(name):
-    """To the end of an episode and into the next, as Gymnasium's loop."""
-    ours, theirs = vector(name, 2, **SHORT), singles(name, 2, **SHORT)
-    agree(ours.reset(seed=[5, 6]), theirs.reset(seed=[5, 6]))
-    ends = 0
-    for a in actions(ours, ours.unwrapped.task.steps + 5, 3):
-        outcome = ours.step(a)
-        agree(outcome, theirs.step(a))
-        ends += int((outcome[2] | outcome[3]).sum())
-    assert ends >= 2
-
-
 def test_same_step_keeps_the_last_observation():
     """The observation is the next episode's first; the last one is in `final_obs`."""
     env = vector(IDEAL, 2, autoreset_mode=AutoresetMode.SAME_STEP, **SHORT)
@@ -195,13 +132,6 @@ def test_disabled_waits_for_a_reset():
         agree(ours.step(a), theirs.step(a))
 
 
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
-def test_autoreset_modes_go_by_their_names(mode):
-    assert vector(IDEAL, 1, autoreset_mode=mode).autoreset_mode is AutoresetMode(mode)
-    with pytest.raises(ValueError, match="NEXT_STEP"):
-        vector(IDEAL, 1, autoreset_mode="NEXT_STEP")
-
-
 # ------------------------------------------------------------------------ partial resets
 
 
@@ -219,91 +149,6 @@ def test_a_partial_reset_leaves_the_others_alone(name):
     alone = gym.make(name)
     alone.reset(seed=1, options={"index": 1})
     assert same(observation[1], alone.reset()[0])
-
-
-def test_a_partial_reset_may_bring_seeds():
-    env = vector(IDEAL, 3)
-    env.reset(seed=1)
-    mask = np.array([True, False, True])
-    before = env.snapshot()[0]
-    observation, _info = env.reset(seed=[7, 8, None], options={"reset_mask": mask})
-    assert env.episode_id.tolist() == [[7, 0, 0], [1, 1, 0], [1, 2, 1]]
-    assert same(observation[0], gym.make(IDEAL).reset(seed=7)[0])
-    assert same(env.snapshot()[0][1][0].q[1], before[1][0].q[1])
-
-
-@pytest.mark.parametrize(
-    "mask", [np.array([True]), np.ones(3), [1, 0, 1], None, np.ones((3, 1), bool), "all"]
-)
-def test_a_bad_mask_is_refused(mask):
-    env = vector(IDEAL, 3)
-    env.reset(seed=0)
-    before = env.snapshot()
-    with pytest.raises(gym.error.Error, match="reset_mask must be 3 truth values"):
-        env.reset(seed=1, options={"reset_mask": mask})
-    assert same(env.snapshot(), before)
-
-
-def test_the_first_reset_is_for_everyone():
-    env = vector(IDEAL, 2)
-    with pytest.raises(gym.error.ResetNeeded):
-        env.step(np.zeros((2, 3)))
-    with pytest.raises(gym.error.ResetNeeded, match="every environment"):
-        env.reset(options={"reset_mask": np.array([True, False])})
-
-
-# -------------------------------------------------------------------- what is refused
-
-
-@each_id
-def test_bad_actions_are_refused_and_change_nothing(name):
-    env = vector(name, 3)
-    env.reset(seed=0)
-    walk(env, 3, 0)
-    before = env.snapshot()
-    good = np.zeros(env.action_space.shape)
-    wrong = good.copy()
-    wrong[2, 1] = np.nan
-    for action in (wrong, good[:2], good[:, :-1], good[0], 0.0, None, "x", good > 1):
-        with pytest.raises(ActionError, match="finite numbers of shape"):
-            env.step(action)
-        assert same(env.snapshot(), before)
-    with pytest.raises(ActionError, match=r"nan at \[2, 1\]"):
-        env.step(wrong)
-
-
-@both
-def test_clipped_actions_are_counted_one_by_one(name):
-    env = vector(name, 3)
-    env.reset(seed=0)
-    action = np.zeros((3, 3))
-    action[1] = 2.0
-    for k in (1, 2, 3):
-        assert env.step(action)[4]["clipped"].tolist() == [0, k, 0]
-
-
-@pytest.mark.parametrize("seed", [-1, 1.5, "x", True, 2**64, [0, 1], [0, 1, -1], [0, "x", 1]])
-def test_bad_seeds_are_refused(seed):
-    env = vector(IDEAL, 3)
-    env.reset(seed=0)
-    before = env.snapshot()
-    with pytest.raises(gym.error.Error, match="seed must be"):
-        env.reset(seed=seed)
-    assert same(env.snapshot(), before)
-
-
-def test_unknown_options_are_refused():
-    env = vector(IDEAL, 2)
-    with pytest.raises(ParameterError, match="'colour'; known: reset_mask, q, goal"):
-        env.reset(options={"colour": 1})
-    with pytest.raises(ParameterError, match=r"options\['q'\] must have shape \(2, 3\)"):
-        env.reset(options={"q": np.zeros(3)})
-
-
-@pytest.mark.parametrize("n", [0, -1, 1.5, "x", None, True])
-def test_a_bad_number_of_environments_is_refused(n):
-    with pytest.raises(ParameterError, match=r"n must be a whole number >= 1"):
-        vector(IDEAL, n)
 
 
 # ----------------------------------------------------------------------- seeds, copies
@@ -357,43 +202,6 @@ def test_copies_continue_identically(name, how):
     assert same(runs[0], runs[2])
 
 
-def test_snapshots_lead_back():
-    env = vector(EMULATED, 3, **SHORT)
-    env.reset(seed=0)
-    walk(env, 20, 0)
-    mark = env.snapshot()
-    first = walk(env, 30, 1)
-    env.restore(mark)
-    assert same(walk(env, 30, 1), first)
-    other = vector(EMULATED, 2, **SHORT)
-    other.reset(seed=0)
-    with pytest.raises(ParameterError, match="snapshot is of"):
-        other.restore(mark)
-
-
-def test_what_is_handed_out_stays_the_callers():
-    env = vector(EMULATED, 2, **SHORT)
-    kept = [env.reset(seed=0), *walk(env, 19, 0)]
-    copies = copy.deepcopy(kept)
-    before = env.snapshot()
-    walk(env, 5, 1)
-    assert same(kept, copies)
-    env.restore(before)
-    for outcome in kept:
-        outcome[0][:] = 7.0
-        for value in outcome[-1].values():
-            if isinstance(value, np.ndarray):
-                value[:] = 1
-    assert same(env.snapshot(), before)
-
-
-def test_close_may_be_called_again():
-    env = vector(IDEAL, 2)
-    env.reset()
-    env.close()
-    env.close()
-
-
 # ------------------------------------------------------------------------------- memory
 
 
@@ -423,61 +231,3 @@ def test_4096_environments_fit_in_2_GB(name):
     used = float(done.stdout)  # MiB, of the whole process
     print(f"4,096 x {name}: {used:.0f} MiB")
     assert used < 2000
-
-
-# ----------------------------------------------------------------------- worker processes
-
-
-@pytest.mark.parametrize(
-    "when", ["step", *(pytest.param(k, marks=pytest.mark.slow) for k in ("reset", "call"))]
-)
-def test_a_killed_worker_is_named_and_leaves_no_process(when):
-    env = AsyncVectorEnv([lambda: gym.make(f"ves_gym:{IDEAL}")] * 2, context="spawn")
-    env.reset(seed=0)
-    env.step(env.action_space.sample())
-    processes = list(env.processes)
-    os.kill(processes[1].pid, signal.SIGKILL)
-    work = {
-        "step": lambda: env.step(env.action_space.sample()),
-        "reset": lambda: env.reset(seed=0),
-        "call": lambda: env.get_attr("spec"),
-    }[when]
-    said = rf"worker 1 \(process {processes[1].pid}\) ended with -9\."
-    with pytest.raises(EnvWorkerDied, match=said):
-        work()
-    assert not any(p.is_alive() for p in processes)
-    assert not set(processes) & set(active_children())
-    with pytest.raises(gym.error.ClosedEnvironmentError):
-        work()
-    env.close()
-
-
-def test_a_worker_killed_while_it_works_is_named():
-    """The parent already waits for its answer."""
-    env = AsyncVectorEnv([lambda: gym.make(f"ves_gym:{IDEAL}")] * 2, context="spawn")
-    env.reset(seed=0)
-    processes = list(env.processes)
-    os.kill(processes[0].pid, signal.SIGSTOP)
-    env.step_async(np.zeros((2, 3), np.float32))
-    os.kill(processes[0].pid, signal.SIGKILL)
-    begin = time.monotonic()
-    with pytest.raises(EnvWorkerDied, match=r"worker 0 .* ended with -9"):
-        env.step_wait()
-    assert time.monotonic() - begin < 20  # no hang
-    assert not any(p.is_alive() for p in processes)
-
-
-def test_living_workers_are_gymnasiums():
-    env = AsyncVectorEnv([lambda: gym.make(f"ves_gym:{IDEAL}")] * 2, context="spawn")
-    sync = singles(IDEAL, 2)
-    agree(env.reset(seed=[1, 2]), sync.reset(seed=[1, 2]))
-    for a in actions(env, 3, 0):
-        agree(env.step(a), sync.step(a))
-    with (
-        pytest.warns(UserWarning),  # Gymnasium's log of it
-        pytest.raises(ActionError, match=re.escape("got nan at [1]")),
-    ):
-        env.step(np.array([[0, 0, 0], [0, np.nan, 0]], np.float32))
-    processes = list(env.processes)
-    env.close()
-    assert not any(p.is_alive() for p in processes)

@@ -7,10 +7,20 @@ from collections.abc import Mapping
 
 import gymnasium as gym
 import numpy as np
+import pytest
 
 import ves_gym  # noqa: F401  files the ids
 
 IDS = sorted(id for id in gym.registry if id.startswith("ves/"))
+# compiled in space and in the laboratory, by goals, truncated, in NumPy with payload or wheels
+KINDS = (
+    "ves/PumaRestToRest-v0", "ves/PumaTrackEmulated-v0", "ves/PumaReachGoal-v0",
+    "ves/PumaDamp-v0", "ves/PayloadTransferEmulated-v0", "ves/ServicerCapture-v0",
+)  # fmt: skip
+every_id = pytest.mark.parametrize("name", IDS)
+each_kind = pytest.mark.parametrize(
+    "name", [k if k in KINDS else pytest.param(k, marks=pytest.mark.slow) for k in IDS]
+)
 SHORT = {"duration": 0.25}  # 20 periods: to the end of an episode in little time
 
 
