@@ -12,14 +12,7 @@ from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
 import numpy as np
 
-from ves_gym._util.params import (
-    Array,
-    ParameterError,
-    Vector,
-    finite,
-    require_positive,
-    unit,
-)
+from ves_gym._util.params import Array, ParameterError, Vector, finite, require_positive, unit
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.kinematics import tool_jacobian

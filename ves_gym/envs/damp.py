@@ -148,13 +148,7 @@ class Damp(ArmTask):
         to_shift, to_rate = self._modes
         # row by row: in the product of all rows at once BLAS rounds by their number
         shift, rate = (s.y_seen[:, None] @ to_shift)[:, 0], (s.yd_seen[:, None] @ to_rate)[:, 0]
-        parts = (
-            s.q - self._middle,
-            *rates(self.control, s),
-            shift,
-            rate,
-            shift**2 + rate**2,
-        )
+        parts = (s.q - self._middle, *rates(self.control, s), shift, rate, shift**2 + rate**2)
         if self.control.level != "gains":
             return parts
         return *parts, s.q - s.goal[:, : self.system.arm.n]

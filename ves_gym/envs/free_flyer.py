@@ -107,11 +107,7 @@ class FreeFlyerReach(ArmTask):
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
         to_base = np.swapaxes(rotation(s.y_seen), -1, -2)
-        return (
-            *self.sense(s),
-            matvec(to_base, s.goal - s.tool_seen),
-            self.left(s),
-        )
+        return (*self.sense(s), matvec(to_base, s.goal - s.tool_seen), self.left(s))
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         distance, share = s.memory[:, 0], dt / self.duration

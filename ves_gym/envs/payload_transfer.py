@@ -7,15 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from ves_gym._util.params import (
-    Array,
-    Index,
-    Mask,
-    ParameterError,
-    Vector,
-    finite,
-    unit,
-)
+from ves_gym._util.params import Array, Index, Mask, ParameterError, Vector, finite, unit
 from ves_gym.envs.arm_task import ArmTask
 from ves_gym.envs.control import Acceleration, Control
 from ves_gym.envs.reach import reachable

@@ -8,13 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ves_gym._util.params import (
-    Array,
-    Mask,
-    ParameterError,
-    Vector,
-    unit,
-)
+from ves_gym._util.params import Array, Mask, ParameterError, Vector, unit
 from ves_gym.envs.arm_task import ArmTask, straight_pace
 from ves_gym.envs.control import Acceleration, Control
 from ves_gym.envs.reach import reachable

@@ -9,12 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ves_gym._util.params import (
-    Array,
-    Mask,
-    Vector,
-    unit,
-)
+from ves_gym._util.params import Array, Mask, Vector, unit
 from ves_gym.envs.arm_task import REFERENCES, ArmTask, straight_pace
 from ves_gym.envs.control import Acceleration, Control
 from ves_gym.envs.task import Field, Scene, Start, register_task

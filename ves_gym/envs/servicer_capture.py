@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ves_gym._util.params import (
-    Array,
-    Index,
-    Mask,
-    ParameterError,
-    Vector,
-    finite,
-    unit,
-)
+from ves_gym._util.params import Array, Index, Mask, ParameterError, Vector, finite, unit
+from ves_gym.engine.kernel.compiled_function import CompiledFunction
 from ves_gym.envs.arm_task import ArmTask, directions
 from ves_gym.envs.base_control import BaseControl
 from ves_gym.envs.control import Acceleration, Control
@@ -40,6 +33,7 @@ _JOINTS = 6  # fewer cannot take a fixture as it turns
 _LEVER = 0.3  # m per radian, of turn beside place in `dexterous`
 _NEAR = 0.1  # m: only then the latch is looked at more closely
 _FLIGHT = 200  # steps of the target's motion back from the meeting: below 1e-9 rad in all
+_STRIDE = 4  # of them at once
 _MORE = 5  # numbers drawn beside joint angles: time, mass, spin and its direction
 
 # Columns of the memory; wheels come last
@@ -216,9 +210,7 @@ class ServicerCapture(ArmTask):
         turn = turn @ grip.T
         attitude, spin = from_matrix(turn), fast[:, None] * directions(drawn[:, 3:])
         inertia = np.tile(self._shape, (k, 1, 1))
-        for _ in range(_FLIGHT):
-            back = -clock / _FLIGHT
-            attitude, spin = _flown(attitude, spin, inertia, back)
+        attitude, spin = _flown(attitude, spin, inertia, -clock)
         at = place + matvec(turn, centre)  # of the centre of mass, which rests
         goal = [at, attitude, spin, mass, meeting, clock]
         return Start(q, np.column_stack(goal))
@@ -444,8 +436,23 @@ def _angle(s: Scene) -> Array:
     return out
 
 
-def _flown(attitude: Array, spin: Array, inertia: Array, time: Array) -> tuple[Any, Any]:
+def _flown(attitude: Array, spin: Array, inertia: Array, time: Array) -> tuple[Array, Array]:
     """Attitude and spin of free bodies after a time (k,) of their own [s]."""
     # a step of t at w is one of t / T at T w: every body makes unit steps at its own rate
-    q, w = torque_free_step(attitude, spin * time[:, None], inertia, 1.0)
-    return q, w / time[:, None]
+    pace = time[:, None] / _FLIGHT
+    body = np.concatenate([attitude, spin * pace], axis=1)
+    for _ in range(_FLIGHT // _STRIDE):
+        body = _stride()(body, inertia.reshape(len(time), 9))
+    return body[:, :4], body[:, 4:] / pace
+
+
+@lru_cache(maxsize=1)
+def _stride() -> CompiledFunction:
+    def fly(body: Array, inertia: Array) -> Array:
+        J = inertia.reshape(*inertia.shape[:-1], 3, 3)
+        for _ in range(_STRIDE):
+            q, w = torque_free_step(body[..., :4], body[..., 4:], J, 1.0)
+            body = np.concatenate([q, w], axis=-1)
+        return body
+
+    return CompiledFunction.of("torque-free flight", fly, 7, 9)
