@@ -36,14 +36,7 @@ if TYPE_CHECKING:
     import casadi
 
 WIDEST = 64  # numbers of a goal that formulas may see; longer ones are tables (`Task.lookup`)
-FLAGS = (
-    "last",
-    "failed",
-    "solved",
-    "once",
-    "diverged",
-    "event",
-)  # last rows of what `close` tells
+FLAGS = ("last", "failed", "solved", "once", "diverged", "event")  # last rows of `close`
 
 
 def layout(*parts: tuple[str, int]) -> dict[str, slice]:
@@ -152,12 +145,10 @@ def functions(shape: Shape, probe: bytes | None = None) -> dict[str, CompiledFun
     task = shape.task
     what: Any = None  # text that may change under the same name
     if probe is not None and is_ours(type(task)) and is_ours(type(task.control)):
-        settings = (
-            content_hash(task),
-            type(task).__qualname__,
-            hashlib.sha256(probe).hexdigest(),
-        )
-        what = (*settings, shape.coordinates, shape.terms, shape.signals)
+        what = (
+            content_hash(task), type(task).__qualname__, hashlib.sha256(probe).hexdigest(),
+            shape.coordinates, shape.terms, shape.signals,
+        )  # fmt: skip
     return {
         name: CompiledFunction(what and (name, what), partial(_followed, shape.task, make))
         for name, make in _graphs(shape).items()
@@ -195,14 +186,8 @@ def _graphs(shape: Shape) -> dict[str, Callable[[], casadi.Function]]:
     out: dict[str, Callable[[], casadi.Function]]
     out = {name: partial(make, shape) for name, make in makers.items()}
     if shape.signals:
-        wires = [
-            "before",
-            "nodes",
-            "after",
-            "seen",
-            *(["modes"] if shape.system.base.m else []),
-        ]
-        out |= {f"lab_{name}": partial(_laboratory, shape, f"lab_{name}") for name in wires}
+        names = ("before", "nodes", "after", "seen", "modes")[: 5 if shape.system.base.m else 4]
+        out |= {f"lab_{k}": partial(_laboratory, shape, f"lab_{k}") for k in names}
     return out
 
 
@@ -296,17 +281,9 @@ def _close(shape: Shape) -> casadi.Function:
         before = s.energies
         s.time = np.add(e.steps, 1, dtype=np.float64) * system.substeps * system.physics_dt
         s.ref = reference[:, shape.reference["ref"]].reshape(s.ref.shape)
-        s.kp, s.kd, s.tau = (
-            reference[:, shape.reference["kp"]],
-            reference[:, shape.reference["kd"]],
-            tau,
-        )
-        e.clipped = reference[:, shape.reference["clipped"]][:, 0]
-        s.energies, s.tool, s.tool_seen = (
-            scene_rows[:, :2],
-            scene_rows[:, 2:5],
-            scene_rows[:, 5:],
-        )
+        s.kp, s.kd = (reference[:, shape.reference[k]] for k in ("kp", "kd"))
+        s.tau, e.clipped = tau, reference[:, shape.reference["clipped"]][:, 0]
+        s.energies, s.tool, s.tool_seen = np.split(scene_rows, [2, 5], axis=1)
         k = {name: inputs[:, at] for name, at in shape.inputs.items()}
         s.table_values, s.tail, over, stopped = (
             k["table_values"], k["tail"][:, 0], k["over"][:, 0], k["stopped"][:, 0],
@@ -315,9 +292,8 @@ def _close(shape: Shape) -> casadi.Function:
         if system.mode == "emulated":
             s.y_seen, s.yd_seen = k["y_seen"], k["yd_seen"]
         count(task, s, e, before, dt)
-        sane: Mask = np.all(
-            np.abs(x) < MEANINGLESS, axis=1
-        )  # as the engine and `Simulator` judge
+        # as the engine and `Simulator` judge
+        sane: Mask = np.all(np.abs(x) < MEANINGLESS, axis=1)
         if system.base.body is not None:
             sane = sane & (np.cos(z[:, 4]) >= SINGULAR)
         last, failed = endings(task, s, e, stopped | ~sane, over)

@@ -263,55 +263,32 @@ class DeviceRows:
         """Launches of a period, from the carry before it to that after it."""
         shape, space, size = self.shape, self._space, 6 + self.shape.joints
         functions = compiled.functions(shape)
-        x, goal, reference, tau, outputs = (
-            rows[k] for k in ("x", "goal", "reference", "tau", "outputs")
-        )
+        names = ("x", "goal", "reference", "tau", "outputs")
+        x, goal, reference, tau, outputs = (rows[k] for k in names)
         z, zd = x[:size], x[shape.coordinates : shape.coordinates + size]
         nothing, everyone = self.simulations.nothing, self.simulations.everyone
 
-        def run(name: str, *arrays: Any) -> Any:
-            kernel = functions[name].gpu(self.real)
+        def run(function: CompiledFunction, *arrays: Any, shared: int | None = None) -> Any:
+            kernel = function.gpu(self.real, () if shared is None else (shared,))
             return launch_graph(kernel, list(arrays), self.device, record=True)
 
-        def run_map(function: CompiledFunction, shared: int, *arrays: Any) -> Any:
-            kernel = function.gpu(self.real, (shared,))
-            return launch_graph(kernel, list(arrays), self.device, record=True)
-
-        out = [run("move", z, zd, before, goal, rows["action"], reference)]
+        extra, nodes, described = rows["extra"], rows["nodes"], rows["described"]
+        out = [run(functions["move"], z, zd, before, goal, rows["action"], reference)]
         if shape.feedforward:
             ref = reference[shape.reference["ref"]]
-            out.append(
-                run_map(torque_function(space), 1, ref, rows["described"], rows["extra"])
-            )
+            out.append(run(torque_function(space), ref, described, extra, shared=1))
         started = before[shape.carry["tau"]]
-        out.append(
-            run("follow", started, reference, rows["extra"], rows["nodes"], tau, rows["gains"])
-        )
+        follow = started, reference, extra, nodes, tau, rows["gains"]
+        out.append(run(functions["follow"], *follow))
         system = self.system.actual
-        state = [x, rows["nodes"], self.simulations.p, nothing, everyone]
+        state = [x, nodes, self.simulations.p, nothing, everyone]
         inputs = [*state, self.simulations.fault, system.substeps, 1, system.physics_dt]
         advance = stepper(system).gpu_steps(self.real, record=False)
         out.append(launch(advance, self.n, inputs, self.device, record=True))
-        seen = [z, zd, x[:6], *(x[k] for k in self._modes)]
-        out.append(
-            run_map(
-                scene_function(space), len(seen), *seen, rows["described"], rows["scene_rows"]
-            )
-        )
-        parts = [
-            z,
-            zd,
-            x,
-            before,
-            reference,
-            tau,
-            goal,
-            rows["inputs"],
-            rows["scene_rows"],
-            outputs,
-            after,
-        ]
-        out.append(run("close", *parts))
+        seen = [z, zd, x[:6], *(x[k] for k in self._modes), described, rows["scene_rows"]]
+        out.append(run(scene_function(space), *seen, shared=len(seen) - 2))
+        close = z, zd, x, before, reference, tau, goal, rows["inputs"], rows["scene_rows"]
+        out.append(run(functions["close"], *close, outputs, after))
         return out
 
     @property

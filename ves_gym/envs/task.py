@@ -74,17 +74,13 @@ class Scene:
     y: Array  # (n, 6) base pose, true [m, rad]
     yd: Array  # (n, 6) its rate
     y_seen: Array  # (n, 6) what is measured of it: the truth in space, the platform's pose
-    yd_seen: (
-        Array  # (n, 6) the same of its rate: in the laboratory that of the vehicle emulated
-    )
+    yd_seen: Array  # (n, 6) the same of its rate, in the laboratory of the vehicle emulated
     tool: Array  # (n, 3) tool in space, true [m]
     tool_seen: Array  # (n, 3) where it is by the measured pose of the base [m]
     energies: Array  # (n, 2) E of the base and its strain energy [J]
     ref: Array  # (n, 3, joints) motion the servos follow: angle, rate, acceleration
     goal: Array  # (n, g) of the task
-    memory: (
-        Array  # (n, `Task.memory`) what the task remembers of the episode, zero at its start
-    )
+    memory: Array  # (n, `Task.memory`) what the task remembers, zero at an episode's start
     table_values: Array  # (n, k) of `Task.lookup` at this instant
     tau: Array  # (n, joints) torque or drive command last asked for
     tail: Array  # (n,) J s that the base will keep after the end; zero before it
@@ -344,9 +340,3 @@ def register_task(kind: str) -> Any:
         return cls
 
     return decorate
-
-
-def task_from_plain(plain: Mapping[str, Any]) -> Task:
-    """A task from plain data with the entry `kind`; unknown keys are an error."""
-    task: Task = from_plain(Task, plain, "task")
-    return task
