@@ -15,7 +15,9 @@ def pair(name, **settings):
     return [gym.make(name, **{**SHORT, **settings}, reward=k) for k in ("vector", "scalar")]
 
 
-@each_kind
+@pytest.mark.parametrize(  # the reward of goal variants is that of their goals
+    "name", [k for k in each_kind.args[1] if "Goal" not in str(k)]
+)
 def test_the_weighted_sum_is_the_scalar_reward(name):
     """In every period of an episode, the last with its tail included, to 1e-12."""
     vector, scalar = pair(name)

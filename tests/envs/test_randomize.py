@@ -6,12 +6,12 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from tests.envs.walks import IDS, SHORT, actions, flat, same, walk
-from ves_gym._util.params import ParameterError, to_plain
+from ves_gym._util.params import ParameterError, from_plain, to_plain
 from ves_gym.effects import JointViscous
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
 from ves_gym.envs.randomize import Draws, ranges_of
-from ves_gym.envs.task import task_from_plain
+from ves_gym.envs.task import Task
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
 
@@ -210,7 +210,7 @@ def test_laws_are_drawn_alike_alone_and_together():
         ours = drawn(alone.reset(seed=2, options={"index": i})[1])
         assert same({k: v[i] for k, v in told.items()}, ours)
     task = alone.unwrapped.task
-    assert task_from_plain(task.to_dict()).to_dict() == task.to_dict()
+    assert from_plain(Task, task.to_dict(), "task").to_dict() == task.to_dict()
     again = gym.make(gym.envs.registration.EnvSpec.from_json(alone.spec.to_json()))
     assert again.unwrapped.task.to_dict() == task.to_dict()
 

@@ -112,7 +112,7 @@ def teleop(
 
 
 def _window(driven: Teleop) -> None:
-    from ves_gym.envs.rendering import Renderer
+    from ves_gym.envs.recording import Renderer
 
     try:
         renderer = Renderer(

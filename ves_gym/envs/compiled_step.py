@@ -14,7 +14,14 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask
 from ves_gym.engine.backends.kernel import KernelBackend
-from ves_gym.engine.kernel.compiled_function import Piece, Program, aligned, fill, numbers, unlane
+from ves_gym.engine.kernel.compiled_function import (
+    Piece,
+    Program,
+    aligned,
+    fill,
+    numbers,
+    unlane,
+)
 from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
 from ves_gym.envs import compiled

@@ -20,7 +20,6 @@ from ves_gym._util.params import (
     Mask,
     ParameterError,
     finite,
-    from_plain,
     require_positive,
     to_plain,
     unit,

@@ -174,7 +174,7 @@ class VesVectorEnv(Episodic, gym.vector.VectorEnv[Any, Any, Any]):  # type: igno
 
         Between environments of the same settings the copy is exact. One with other settings
         (mode, vehicle, effects, randomize) takes over what can be measured; it needs the same
-        task, control, duration and arm (`envs.fan_out`).
+        task, control, duration and arm (`fan_out`).
 
         Args:
             source: where the episode runs; it stays as it is.
