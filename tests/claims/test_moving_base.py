@@ -6,7 +6,7 @@ that very release (`damping.tuning.tune`). Both on the nonlinear system, torque 
 time integral of strain energy over 30 s, for the controllers over the 8 s of an episode:
 
     planner damp, 4 s of motion, then the high gains hold    median <= 0.75, limits kept
-    controller receding in the laboratory `lab`              median <= 0.85
+    controller receding in the laboratory `lab`              median <= 0.85, no failure
 
 The fast tests take the first releases, the slow ones two hundred (30 on finite elements, 24
 episodes of the controller).
@@ -80,11 +80,15 @@ def test_a_planned_motion_damps_better_than_the_best_gains(vehicle, count):
 @pytest.mark.slow
 @pytest.mark.parametrize(("id", "most"), [("PumaDamp-v0", 0.75), ("PumaDampEmulated-v0", 0.85)])
 def test_replanning_damps_better_than_the_best_gains(id, most):
-    found = []
-    for controller in (Receding(), TunedGains()):
-        rows = evaluate(controller, f"ves/{id}", episodes=24).rows
-        assert not any(row["failed"] for row in rows)
-        found.append(np.array([row["E_int"] for row in rows]))
-    ratios = found[0] / found[1]
-    print(f"{id}: median {np.median(ratios):.3f}, largest {ratios.max():.3f}")
+    """It fails in no episode. Gains that do, at a joint's limit, count as far as they come."""
+    ours, gains = (
+        evaluate(controller, f"ves/{id}", episodes=24).rows
+        for controller in (Receding(), TunedGains())
+    )
+    assert not any(row["failed"] for row in ours)
+    ratios = np.array([a["E_int"] / b["E_int"] for a, b in zip(ours, gains, strict=True)])
+    failed = sum(row["failed"] for row in gains)
+    print(
+        f"{id}: median {np.median(ratios):.3f}, largest {ratios.max():.3f}; gains fail {failed}"
+    )
     assert np.median(ratios) <= most
