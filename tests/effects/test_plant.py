@@ -10,7 +10,6 @@ from ves_gym._util.params import ParameterError
 from ves_gym.effects import (
     BaseDamping,
     BaseStiffness,
-    BaseVirtualMass,
     JointRotorInertia,
     PayloadMass,
 )
@@ -62,12 +61,6 @@ def test_the_actual_system_is_the_one_with_other_numbers():
     np.testing.assert_allclose(there.base.M, 1.2 * system.base.M)
     assert there.arm.mass == pytest.approx(system.arm.mass + 2.0)
     assert there.arm.links[1].rotor_inertia == system.arm.links[1].rotor_inertia + 1.0
-
-
-def test_a_satellite_with_another_mass_is_a_satellite():
-    heavier = System(vehicle=FREE_FLOATING, effects=(BaseVirtualMass(error=0.5),)).actual
-    assert heavier.base.body.mass == 750
-    assert heavier.vehicle.thrusters is False
 
 
 @pytest.mark.parametrize(("backend", "mode"), [("mujoco", "ideal"), ("kernel", "emulated")])

@@ -219,30 +219,6 @@ def test_measured_pose_is_quantised():
     np.testing.assert_allclose(exact.measured(), y, atol=1e-11)
 
 
-def test_a_batch_is_its_simulations():
-    """To the bit, through a reset of some."""
-    n = 7
-    rng = np.random.default_rng(3)
-    start, commands = rng.uniform(-0.1, 0.1, (n, 6)), rng.uniform(-0.1, 0.1, (6, n, 6))
-    servo = replace(FILTERED_FEEDBACK, delay=2 / 587, resolution=1e-5)
-
-    def run(ids: np.ndarray) -> list:
-        legs, out = platform(servo, len(ids)), []
-        legs.reset(np.arange(len(ids)), start[ids])
-        for i, y in enumerate(commands[:, ids]):
-            if i == 3:
-                some = np.flatnonzero(ids % 2)
-                legs.reset(some, start[ids][some] / 2)
-            out.append((*legs.advance(y), legs.measured()))
-        return out
-
-    together = run(np.arange(n))
-    for i in range(n):
-        for many, one in zip(together, run(np.array([i])), strict=True):
-            for a, b in zip(many, one, strict=True):
-                np.testing.assert_array_equal(a[i], b[0])
-
-
 def test_legs_torn_off_give_no_pose_and_spare_the_others():
     legs = platform(LOW_GAINS, 2)
     commands = np.zeros((2, 6))

@@ -71,23 +71,6 @@ def test_the_stated_lag_is_that_of_a_ramp(feedforward, lag):
     assert np.trapezoid(behind, NODES) / DT == pytest.approx(0.1 * (lag + hold), abs=1e-6)
 
 
-def test_a_simulation_may_have_its_own_bandwidth_and_damping():
-    """Row i of a mixed batch is bitwise the platform with those numbers alone."""
-    band, zeta = np.array([4.0, 8.0, 30.0]), np.array([0.7, 1.0, 2.0])
-    batch = started(PoseServo(), 3, bandwidth=band, damping_ratio=zeta)
-    alone = [
-        pose_platform(PoseServo(bandwidth=b, damping_ratio=z), 1, NODES)
-        for b, z in zip(band.tolist(), zeta.tolist(), strict=True)
-    ]
-    for i, platform in enumerate(alone):
-        platform.reset(np.arange(1), batch.y[i], batch.yd[i])
-    for y_cmd, yd_cmd in zip(*commands(5, 3), strict=True):
-        path = batch.advance(y_cmd, yd_cmd)
-        for i, platform in enumerate(alone):
-            one = platform.advance(y_cmd[i : i + 1], yd_cmd[i : i + 1])
-            assert all((a[0] == b[i]).all() for a, b in zip(one, path, strict=True))
-
-
 @pytest.mark.parametrize("value", [0.0, np.inf, "8"])
 def test_bad_servos_are_refused(value, name="bandwidth"):
     with pytest.raises(ParameterError, match=rf"PoseServo.{name} must be > 0 .*got {value!r}"):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.effects.payload import PayloadMass
 from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.boom import get_boom
@@ -100,17 +99,6 @@ def test_a_mass_of_its_own_is_the_mass_of_a_system_described_so():
     start = described.payload.state
     sim.payload.change(np.arange(1), velocity=start.velocity, position=start.position)
     assert np.abs(played(sim) - played(described)).max() <= 1e-5
-
-
-def test_a_system_assigned_in_flight_keeps_contact_and_payload():
-    system = SYSTEM.replace(effects=(PayloadMass(mass=1.0),))
-    heavier = system.replace(effects=(PayloadMass(mass=4.0),))
-    sim, other = started(system), started(heavier)
-    played(sim, 0)
-    sim.assign([heavier])
-    assert np.abs(played(sim) - played(other)).max() <= 1e-5
-    with pytest.raises(ParameterError, match="contact must be the simulator's"):
-        sim.assign([heavier.replace(contact=replace(CONTACT, damping=1.0))])
 
 
 def test_files_and_logs_hold_it(tmp_path):

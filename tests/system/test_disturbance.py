@@ -17,8 +17,6 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS, get_vehicle
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.disturbance import (
-    UNITS,
-    Disturbance,
     mount_acceleration,
     mount_displacement,
     mount_of,
@@ -202,9 +200,3 @@ def test_pairs_are_gains_with_corners_between():
 def test_a_run_that_is_too_short_is_refused(runs):
     with pytest.raises(ParameterError, match=r"\(11 s\)"):
         runs[0].disturbance(0)
-
-
-def test_measures_are_plain_data():
-    one = Disturbance(**dict.fromkeys(UNITS, 0.5))
-    assert Disturbance.from_dict(one.to_dict()) == one
-    assert "acceleration_peak 0.5 m/s^2" in str(one)

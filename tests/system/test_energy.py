@@ -82,15 +82,6 @@ def test_energy_after_the_tail_does_not_count_in_the_mean():
     assert shorter.E_mean == pytest.approx(K1 * 0.1**2 / 2, rel=1e-12)
 
 
-def test_the_clock_of_a_run_may_start_anywhere():
-    t = np.linspace(0, 12, 241)
-    run = made_up(t, 0.1 * np.exp(-t), -0.1 * np.exp(-t))
-    a = energies(SYSTEM, t, *run, duration=2.0)[0]
-    b = energies(SYSTEM, t + 100.0, *run, duration=2.0)[0]
-    for name, value in a.to_dict().items():
-        assert getattr(b, name) == pytest.approx(value, rel=1e-9)
-
-
 def test_each_run_of_a_stack_has_its_own_energies():
     t = np.linspace(0, 12, 241)
     parts = [made_up(t, a * np.cos(t), -a * np.sin(t)) for a in (0.1, 0.2, 0.3)]
@@ -171,14 +162,6 @@ def test_the_end_of_the_motion_is_told_or_found(run):
     assert DURATION - 0.02 <= found <= DURATION  # the quintic's end is slow
     still = dataclasses.replace(log, meta=meta, v_cmd=0 * log.v_cmd)
     assert motion_end(still) == 0.0
-
-
-def test_a_given_duration_overrides_the_log(run, measured):
-    longer = log_energies(run.log(0), duration=1.0, tail=9.0)
-    assert longer.E_res != measured.E_res
-    assert longer.E_peak == measured.E_peak
-    with pytest.raises(ParameterError, match="got a run of"):
-        log_energies(run.log(0), duration=3.0)
 
 
 def test_what_a_log_lacks_is_named(run):

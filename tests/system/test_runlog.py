@@ -288,13 +288,6 @@ def test_a_bad_cell_is_named(row: int, column: str, text: str, saved: Path) -> N
     )
 
 
-def test_time_that_stands_still_is_named(saved: Path) -> None:
-    table = cells(saved)
-    table[4][0] = table[3][0]
-    put(saved, table)
-    refuses(saved, "run.csv: row 4, column t: expected more than 0.2 s (row 3), got 0.2")
-
-
 def test_rows_of_the_wrong_length_are_named(saved: Path) -> None:
     table = cells(saved)
     width, cut = len(table[0]), table[0].index("v_2")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -171,6 +171,20 @@ class JointRotorInertia(ArmEffect):
         return replace(arm, links=tuple(links))
 
 
+def _with_gears(arm: Arm, gears: Sequence[Gear | None]) -> Arm:
+    """The arm with a gear more, in series, at each joint that has one."""
+    links = list(arm.links)
+    for i, more in enumerate(gears):
+        if more is not None:
+            own = links[i].gear
+            if own is not None:
+                parts = ("compliance", "damping", "gap")
+                sums = {name: getattr(own, name) + getattr(more, name) for name in parts}
+                more = replace(own, **sums)
+            links[i] = replace(links[i], gear=more)
+    return replace(arm, links=tuple(links)) if any(gears) else arm
+
+
 HARD = 0.01  # rad: wound up so far, a spring that hardens takes twice what it did
 
 
@@ -204,17 +218,10 @@ class JointElasticity(ArmEffect):
 
     def arm(self, arm: Arm) -> Arm:
         """Gears with the compliance and damping added."""
-        links = list(arm.links)
-        for i, (soft, loss) in enumerate(zip(self.compliance, self.damping, strict=True)):
-            if soft:
-                gear = links[i].gear
-                if gear is None:
-                    gear = Gear(compliance=soft, damping=loss)
-                else:
-                    soft, loss = gear.compliance + soft, gear.damping + loss
-                    gear = replace(gear, compliance=soft, damping=loss)
-                links[i] = replace(links[i], gear=gear)
-        return replace(arm, links=tuple(links)) if any(self.compliance) else arm
+        gears = zip(self.compliance, self.damping, strict=True)
+        return _with_gears(
+            arm, [Gear(compliance=c, damping=d) if c else None for c, d in gears]
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,18 +288,8 @@ class JointBacklash(ArmEffect):
 
     def arm(self, arm: Arm) -> Arm:
         """Gears with the gap added; teeth in series with what is elastic already."""
-        links = list(arm.links)
-        for i, play in enumerate(self.gap):
-            if play:
-                gear = links[i].gear
-                if gear is None:
-                    gear = Gear(compliance=self.compliance, damping=self.damping, gap=play)
-                else:
-                    soft, loss = gear.compliance + self.compliance, gear.damping + self.damping
-                    wide = gear.gap + play
-                    gear = replace(gear, compliance=soft, damping=loss, gap=wide)
-                links[i] = replace(links[i], gear=gear)
-        return replace(arm, links=tuple(links)) if any(self.gap) else arm
+        teeth = {"compliance": self.compliance, "damping": self.damping}
+        return _with_gears(arm, [Gear(**teeth, gap=gap) if gap else None for gap in self.gap])
 
 
 @register("joint/measurement_delay")

@@ -59,17 +59,10 @@ class CalibrationSummary:
             title=f"gravity model of {arm.name} from {c.poses} poses",
             left=(0, 3, 4),
         )
-        columns = {
-            "rms before": c.rms_before,
-            "max before": c.max_before,
-            "rms": c.rms,
-            "max": c.max,
-        }
+        columns = {"rms before": c.rms_before, "max before": c.max_before}
+        columns |= {"rms": c.rms, "max": c.max}
         if self.check is not None:
-            columns |= {
-                "check rms": tuple(self.check.rms),
-                "check max": tuple(self.check.max),
-            }
+            columns |= {f"check {k}": tuple(v) for k, v in self.check._asdict().items()}
         errors = table(
             ("axis", *columns, "unit"),
             [

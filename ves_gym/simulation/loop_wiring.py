@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -38,8 +37,7 @@ from ves_gym.system.system import System
 _WATCHED = ("reading", "weight", "y_measured", "command", "command_sent", "frozen")
 
 
-@dataclass(frozen=True)
-class Needs:
+class Needs(NamedTuple):
     """Requirements of a loop's parameters on its blocks."""
 
     commands: int = 0  # to look back over; none where every platform hears at once
@@ -69,13 +67,8 @@ class Needs:
 
     def joined(self, earlier: Needs) -> Needs:
         """The same, and what was asked for earlier but for a table: memory never shrinks."""
-        return Needs(
-            commands=max(self.commands, earlier.commands),
-            estimates=max(self.estimates, earlier.estimates),
-            limited=self.limited or earlier.limited,
-            modelled=self.modelled or earlier.modelled,
-            tabulated=self.tabulated,
-        )
+        kept = ("commands", "estimates", "limited", "modelled")
+        return self._replace(**{k: max(getattr(self, k), getattr(earlier, k)) for k in kept})
 
 
 def _periods(age: float, dt: float) -> int:

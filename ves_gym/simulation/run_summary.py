@@ -40,9 +40,8 @@ class RunSummary:
     tail: float  # s after the motion that E_mean covers
     energies: Energies | None  # None of a run that a safety stop ended
     energies_in_space: Energies | None  # None unless it was emulated beside a run in space
-    base_error: (
-        float | None
-    )  # largest distance from where the base is in space, over its largest
+    # largest distance from where the base is in space, over its largest
+    base_error: float | None
     ledger: float | None  # relative residual of the energy account, mode ideal
     reference: LimitCheck
     simulated: LimitCheck

@@ -87,24 +87,14 @@ class Snapshot:
 
 
 def generator_arrays(generators: Sequence[np.random.Generator]) -> dict[str, Any]:
-    """Return the states of PCG64 generators as an array (n, 6) of unsigned numbers."""
-    out = np.zeros((len(generators), 6), np.uint64)
-    for row, generator in zip(out, generators, strict=True):
-        pcg: Any = generator.bit_generator.state
-        words = [divmod(pcg["state"][name], 2**64) for name in ("state", "inc")]
-        row[:] = [*words[0], *words[1], pcg["has_uint32"], pcg["uinteger"]]
-    return {"pcg64": out}
+    """Return the states of generators as an array (n,) of tables."""
+    return {"state": np.array([k.bit_generator.state for k in generators], object)}
 
 
 def set_generators(
     generators: Sequence[np.random.Generator], arrays: Mapping[str, Array]
 ) -> None:
     """Return generators to states of `generator_arrays`."""
-    for row, generator in zip(arrays["pcg64"].tolist(), generators, strict=True):
-        state, inc = (row[k] * 2**64 + row[k + 1] for k in (0, 2))
-        generator.bit_generator.state = {
-            "bit_generator": "PCG64",
-            "state": {"state": state, "inc": inc},
-            "has_uint32": row[4],
-            "uinteger": row[5],
-        }
+    states: Any = arrays["state"]
+    for state, generator in zip(states, generators, strict=True):
+        generator.bit_generator.state = state

@@ -113,20 +113,13 @@ class LoopParameters:
             n: simulations.
         """
         model = emulator.gravity or GravityModel.of(arm)
-        return LoopParameters(
-            arm=arm,
-            gravity_mass=np.full(n, model.mass),
-            gravity_P=np.tile(np.asarray(model.P, float), (n, 1)),
-            gravity_tilt=np.zeros((n, 3)),
-            gravity_delay=np.zeros(n),
-            sensor=SensorErrors.none(emulator.sensor, n),
-            bandwidth=np.zeros(n),
-            damping=np.zeros(n),
-            payload_scale=np.zeros(n),
-            platform_delay=np.zeros(n),
-            platform_travel=np.zeros(n),
-            platform_speed=np.zeros(n),
-        )
+        gravity = {
+            "gravity_mass": np.full(n, model.mass),
+            "gravity_P": np.tile(np.asarray(model.P, float), (n, 1)),
+            "gravity_tilt": np.zeros((n, 3)),
+        }
+        arrays = {name: np.zeros(n) for name in ARRAYS} | gravity
+        return LoopParameters(arm=arm, sensor=SensorErrors.none(emulator.sensor, n), **arrays)
 
     @property
     def as_stated(self) -> bool:

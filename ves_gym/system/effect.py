@@ -7,10 +7,8 @@ have a unit, bounds and a null value at which the system is exactly the nominal 
 from __future__ import annotations
 
 import dataclasses
-from abc import ABC, abstractmethod
 from collections import UserDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from inspect import isabstract
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
 import numpy as np
@@ -65,6 +63,7 @@ class Effect:
     """
 
     REGISTRY: ClassVar[Registry] = EFFECTS
+    acts: ClassVar[str] = ""  # the method by which it does; each way of acting has its own
     kind: ClassVar[str]  # "place/name"; set by `register`
     modes: ClassVar[tuple[str, ...]] = ("emulated",)
     port: ClassVar[str]  # one of PORTS
@@ -178,7 +177,7 @@ class Effect:
         return f"{self.kind}({', '.join(f'{k}={v}' for k, v in values.items())})"
 
 
-class LaboratoryEffect(Effect, ABC):
+class LaboratoryEffect(Effect):
     """Change of the emulation loop's parameters.
 
     It adds to them, so that several effects combine and none undoes another.
@@ -188,12 +187,10 @@ class LaboratoryEffect(Effect, ABC):
     written for numbers broadcasts. One that does not is run simulation by simulation.
     """
 
-    @abstractmethod
-    def edit(self, p: LoopParameters) -> None:
-        """Add the deviation to the loop's parameters."""
+    acts = "edit"
 
 
-class TorqueEffect(Effect, ABC):
+class TorqueEffect(Effect):
     """Torque at the joints, in mode ideal as in mode emulated.
 
     A pure function of arrays in plain NumPy, so that one text runs on numbers and is traced
@@ -203,9 +200,9 @@ class TorqueEffect(Effect, ABC):
     modes: ClassVar[tuple[str, ...]] = ("ideal", "emulated")
     port: ClassVar[str] = "joint"
     shows: ClassVar[tuple[str, ...]] = ("joint",)
+    acts = "law"
     tau_max: Any  # in `law`: (n,) torque limits of the arm as described [N m]
 
-    @abstractmethod
     def law(self, q: Array, v: Array, tau: Array) -> Any:
         """Return the torque at the joints beside the motors' [N m].
 
@@ -223,19 +220,16 @@ class TorqueEffect(Effect, ABC):
         """
 
 
-class ArmEffect(Effect, ABC):
+class ArmEffect(Effect):
     """Difference of the arm from its description."""
 
     modes: ClassVar[tuple[str, ...]] = ("ideal", "emulated")
     port: ClassVar[str] = "joint"
     shows: ClassVar[tuple[str, ...]] = ("joint", "wrench")
-
-    @abstractmethod
-    def arm(self, arm: Arm) -> Arm:
-        """Return the arm that is really there, from the described one."""
+    acts = "arm"
 
 
-class BaseEffect(Effect, ABC):
+class BaseEffect(Effect):
     """Difference of the vehicle, real or emulated, from its description.
 
     Where simulations have values of their own, `base` is tried with all of them at once, as
@@ -246,22 +240,16 @@ class BaseEffect(Effect, ABC):
     modes: ClassVar[tuple[str, ...]] = ("ideal", "emulated")
     port: ClassVar[str] = "admittance"
     shows: ClassVar[tuple[str, ...]] = ("admittance", "base")
-
-    @abstractmethod
-    def base(self, base: BaseModel) -> BaseModel:
-        """Return the vehicle that is really there, from the described one."""
+    acts = "base"
 
 
-class DelayEffect(Effect, ABC):
+class DelayEffect(Effect):
     """Delay between joint controller and drives."""
 
     modes: ClassVar[tuple[str, ...]] = ("ideal", "emulated")
     port: ClassVar[str] = "joint"
     shows: ClassVar[tuple[str, ...]] = ("joint", "wrench", "servo", "velocity")
-
-    @abstractmethod
-    def wire(self, delays: Delays) -> None:
-        """Add to the delays."""
+    acts = "wire"
 
 
 KINDS = (LaboratoryEffect, TorqueEffect, ArmEffect, BaseEffect, DelayEffect)
@@ -322,9 +310,8 @@ def register(kind: str) -> Callable[[E], E]:
             )
         if "__dataclass_params__" not in vars(cls):
             dataclasses.dataclass(frozen=True, kw_only=True)(cls)  # in place
-        if isabstract(cls):
-            missing = ", ".join(sorted(cls.__abstractmethods__))
-            raise ParameterError(f"effect {kind!r} must have the method {missing}, got none")
+        if any(getattr(cls, cls.acts) is vars(k).get(cls.acts) for k in (Effect, TorqueEffect)):
+            raise ParameterError(f"effect {kind!r} must have the method {cls.acts}, got none")
         if (got := getattr(cls, "port", None)) not in PORTS:
             choices = ", ".join(PORTS)
             raise ParameterError(
