@@ -34,13 +34,12 @@ def test_the_promise_of_joints_that_give_nothing_is_the_base_alone():
 
 
 def test_candidates_are_tuned_ranked_and_apart():
-    options = {"samples": 300, "candidates": 4, "seed": 3}
+    options = {"samples": 300, "candidates": 2, "seed": 3}
     progress = []
     ranked = best_configurations(BENT, **options, progress=progress.append)
     repeated = best_configurations(BENT, **options)
     values = [c.tuned.value for c in ranked]
-    assert values == sorted(values) and len(ranked) == 4
-    assert progress[-1] == 1.0 and len(progress) == 4
+    assert values == sorted(values) and progress == [0.5, 1.0]
     for a, b in zip(ranked, repeated, strict=True):
         np.testing.assert_array_equal(a.q, b.q)
         PUMA_560.require_within_limits(a.q)
@@ -53,15 +52,16 @@ def test_candidates_are_tuned_ranked_and_apart():
 
 def test_a_map_is_tuned_node_by_node():
     system = BENT
-    section = damping_map(system, (0, 2), Q, points=3)
-    assert section.tuned.shape == section.estimated.shape == section.coupling.shape == (3, 3)
-    assert section.axes[0] == pytest.approx(np.deg2rad([-160, 0, 160]))
-    q = np.array([section.axes[0][1], 0.0, section.axes[1][2]])
+    section = damping_map(system, (0, 2), Q, points=2)
+    assert section.tuned.shape == section.estimated.shape == section.coupling.shape == (2, 2)
+    assert section.axes[0] == pytest.approx(np.deg2rad([-160, 160]))
+    q = np.array([section.axes[0][0], 0.0, section.axes[1][1]])
     Q_here = coupling_matrix(system, q)
-    assert section.coupling[1, 2] == pytest.approx(np.trace(Q_here))
-    assert section.estimated[1, 2] == pytest.approx(float(estimated_integral(system, q)))
+    assert section.coupling[0, 1] == pytest.approx(np.trace(Q_here))
+    assert section.estimated[0, 1] == pytest.approx(float(estimated_integral(system, q)))
     # two searches from other starts: rounding alone has them end 1 to 4 % apart
-    assert section.tuned[1, 2] == pytest.approx(tune(plant_at(system, q)).value, rel=0.05)
+    best = tune(plant_at(system, q), starts=6).value
+    assert section.tuned[0, 1] == pytest.approx(best, rel=0.05)
 
 
 @pytest.mark.parametrize(

@@ -182,6 +182,7 @@ def test_the_check_reports_what_was_found():
     assert check.to_dict()["modes"][0]["frequency"] == frequencies[0]
 
 
+@pytest.mark.slow
 def test_legs_are_judged_by_their_gain():
     """The loop with leg servos: the gain at which it is lost lies between stable and not."""
     control, physics = leg_clock(FILTERED)

@@ -68,15 +68,6 @@ def step_response(servo: LegServo, t: npt.ArrayLike, extension: float = 0.5) -> 
     return at_times
 
 
-def crossover(servo: LegServo, extension: float = 0.5) -> float:
-    """Return the lowest frequency at which the loop gain falls to one [Hz], or NaN.
-
-    Args:
-        servo, extension: see `open_loop`.
-    """
-    return _falls_to(lambda f: np.abs(open_loop(servo, f, extension)), 1.0, servo)
-
-
 def bandwidth(servo: LegServo, extension: float = 0.5) -> float:
     """Return the lowest frequency at which the closed loop falls by 3 dB [Hz].
 

@@ -24,7 +24,7 @@ from ves_gym.planners.linear_response import predict_disturbance
 from ves_gym.planners.query import Plan, Planner, Query, solve
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.recording import Recording
-from ves_gym.system.disturbance import UNITS, Disturbance
+from ves_gym.system.disturbance import Disturbance
 from ves_gym.system.energy import TAIL, Energies, base_energy
 
 SCHEMA = "ves-compare/1"
@@ -279,7 +279,7 @@ class PlanReport:
         for name, value in plan.predicted.to_dict().items():
             played = [getattr(self.energies[k], name) for k in _SHOWN[1:]]
             rows.append((f"{name} [J]", [value, *played]))
-        for name, unit in UNITS.items():
+        for name, unit in Disturbance.units().items():
             values = [getattr(self.disturbances[k], name) for k in _SHOWN]
             rows.append((f"{name} [{unit}]", values))
         cells = [

@@ -114,10 +114,9 @@ class RunSummary:
         rows: list[list[str] | None] = []
         beside = {} if space is None else space.to_dict()
         for name, value in measured.to_dict().items():
-            unit = {"E_int": "J s", "t_5": "s"}.get(name, "J")
             cells = [_text(value)] + ([_text(beside[name])] if beside else [])
             meaning = _MEANING[name].format(tail=round(self.tail, 6))
-            rows.append([name, *cells, unit, meaning])
+            rows.append([name, *cells, measured.units()[name], meaning])
         if system.mode == "ideal":
             every = 1e3 * float(log.t[1] - log.t[0])
             what = f"relative residual of the energy account, records every {every:g} ms"

@@ -7,8 +7,7 @@ the ten seconds after it, like `E_mean`; so are peaks, between the samples as we
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +20,7 @@ from ves_gym.mechanics.spatial import matvec, rotation, twist, twist_rate
 from ves_gym.system.energy import (
     TAIL,
     Internal,
+    Measures,
     base_energy,
     internal_motion,
 )
@@ -31,7 +31,7 @@ _FINEST = 2.5e-3  # s between points at which peaks are looked for, at most
 
 
 @dataclass(frozen=True, kw_only=True)
-class Disturbance:
+class Disturbance(Measures):
     """The disturbance measures of one run; without a suffix a root mean square."""
 
     acceleration: float = unit("m/s^2")
@@ -46,18 +46,6 @@ class Disturbance:
     attitude_end: float = unit("rad")  # angle that the base is turned by at the end
     E_weighted: float = unit("J")  # mean energy of the base's motion after a filter
 
-    def __str__(self) -> str:
-        return ", ".join(f"{k} {v:.4g} {UNITS[k]}" for k, v in asdict(self).items())
-
-    def to_dict(self) -> dict[str, float]:
-        """Plain numbers."""
-        return asdict(self)
-
-    @staticmethod
-    def from_dict(plain: Mapping[str, float]) -> Disturbance:
-        """Rebuild from what `to_dict` returned."""
-        return Disturbance(**plain)
-
 
 class Watched(NamedTuple):
     """Accelerations that were watched more closely than the samples show them."""
@@ -69,8 +57,7 @@ class Watched(NamedTuple):
     angular_square: float = 0.0  # rad^2/s^3
 
 
-UNITS: dict[str, str] = {f.name: f.metadata["unit"] for f in fields(Disturbance)}
-MEASURES = tuple(UNITS)
+MEASURES = tuple(Disturbance.units())
 
 
 def mount_of(arm: Arm) -> Array:

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import NamedTuple
+from dataclasses import asdict, dataclass, fields
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import Array, ParameterError, unit
 from ves_gym.mechanics.carried import ReactionWheel, carried_energy
 from ves_gym.mechanics.dynamics import expand, inertia
 from ves_gym.mechanics.spatial import quadratic, twist
@@ -48,29 +48,39 @@ class BaseEnergy(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Energies:
-    """The energy measures of one run, in J unless said."""
+class Measures:
+    """Numbers taken from one run, each with its unit."""
 
-    E_mean: float  # mean of E over the motion and the tail: the primary score
-    E_res: float  # E at the end of the motion
-    E_peak: float  # largest E
-    E_strain_peak: float  # largest strain energy
-    E_int: float  # time integral of the strain energy [J s]
-    W_port: float  # work through the base port: stored in the vehicle + dissipated
-    t_5: float  # s until E stays below 5 % of its peak; inf if it does not
+    @classmethod
+    def units(cls) -> dict[str, str]:
+        """Units of the measures, by name."""
+        return {f.name: f.metadata["unit"] for f in fields(cls)}
 
     def __str__(self) -> str:
-        units = {"E_int": "J s", "t_5": "s"}
-        return ", ".join(f"{k} {v:.4g} {units.get(k, 'J')}" for k, v in asdict(self).items())
+        units = self.units()
+        return ", ".join(f"{k} {v:.4g} {units[k]}" for k, v in asdict(self).items())
 
     def to_dict(self) -> dict[str, float | None]:
         """Plain numbers; None where a value is not finite."""
         return {k: v if math.isfinite(v) else None for k, v in asdict(self).items()}
 
-    @staticmethod
-    def from_dict(plain: Mapping[str, float | None]) -> Energies:
+    @classmethod
+    def from_dict(cls, plain: Mapping[str, float | None]) -> Self:
         """Rebuild from what `to_dict` returned; None becomes infinite."""
-        return Energies(**{k: math.inf if v is None else v for k, v in plain.items()})
+        return cls(**{k: math.inf if v is None else v for k, v in plain.items()})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Energies(Measures):
+    """The energy measures of one run."""
+
+    E_mean: float = unit("J")  # mean of E over the motion and the tail: the primary score
+    E_res: float = unit("J")  # E at the end of the motion
+    E_peak: float = unit("J")  # largest E
+    E_strain_peak: float = unit("J")  # largest strain energy
+    E_int: float = unit("J s")  # time integral of the strain energy
+    W_port: float = unit("J")  # through the base port: stored in the vehicle + dissipated
+    t_5: float = unit("s")  # until E stays below 5 % of its peak; inf if it does not
 
 
 def base_energy(

@@ -29,7 +29,7 @@ from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 MOST = 1e-9
-QUICK = (1, 2, 3, 4)  # plain satellite, admittance, position, legs
+QUICK = (1, 2, 3)  # plain satellite, admittance, position
 
 
 def compare(index, monkeypatch):
