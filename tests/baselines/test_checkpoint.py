@@ -45,8 +45,8 @@ def test_values_come_back_as_they_were(tmp_path):
 
 @pytest.mark.parametrize(
     "settings",
-    [{}, {"mode": "emulated", "laboratory": "nominal"}, {"backend": "mujoco"}],
-    ids=["ideal", "emulated", "mujoco"],
+    [{"mode": "emulated", "laboratory": "nominal"}, {"backend": "mujoco"}],
+    ids=["emulated", "mujoco"],
 )
 def test_an_environment_continues_from_the_file(tmp_path, settings):
     def make():
@@ -92,12 +92,7 @@ def forged(tree):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "os:system",
-        "subprocess:Popen",
-        "ves_gym._util.params:write_text",
-        "ves_gym.mechanics.arm:Nobody",
-    ],
+    ["os:system", "ves_gym._util.params:write_text", "ves_gym.mechanics.arm:Nobody"],
 )
 def test_a_file_cannot_name_what_to_build(tmp_path, name):
     path = tmp_path / "x"

@@ -66,20 +66,6 @@ def test_torque_follows_within_a_few_hundredths_of_a_radian():
     assert np.abs(q - goal).max() < 0.03
 
 
-def test_random_depends_on_the_episode_alone():
-    one, two = get_controller("random", 4), get_controller("random", 4)
-    env = gym.make_vec(REST, num_envs=3, threads=1)
-    env.reset(seed=[7, 8, 9])
-    one.reset(env, np.arange(3))
-    alone = gym.make_vec(REST, num_envs=1, threads=1)
-    alone.reset(seed=[9])
-    two.reset(alone, np.arange(1))
-    np.testing.assert_array_equal(one.act(env, None)[2], two.act(alone, None)[0])
-    env.reset(options={"reset_mask": np.array([False, False, True])})
-    one.reset(env, np.array([2]))
-    assert not np.array_equal(one.act(env, None)[2], two.act(alone, None)[0])
-
-
 def test_gains_are_set_through_the_control():
     control = Gains()
     for servo in (HIGH_GAINS, PPED_GAINS):
@@ -96,15 +82,6 @@ def test_hold_keeps_the_joints_in_place(name):
     env, met, _ = run(get_controller(name), "ves/PumaDamp-v0", steps=160)
     away = np.abs(env.batch.scene.q - met[:, 0, 0]).max()
     assert away < (0.6 if name == "pped" else 0.05)
-
-
-def test_lqr_beats_doing_nothing():
-    lqr, zero = (
-        evaluate(get_controller(name), "ves/BeamLQR-v0", episodes=8, threads=1)
-        for name in ("lqr", "zero")
-    )
-    for a, b in zip(lqr.rows, zero.rows, strict=True):
-        assert a["return"] > b["return"]
 
 
 SLOW = {"control": {"kind": "acceleration", "a_max": [6.0, 6.0, 12.0]}}

@@ -62,9 +62,11 @@ def test_a_policy_is_what_its_configuration_makes(config, monkeypatch):
     assert (about["seed"], about["steps"]) == (chosen, best[chosen]["steps"])
 
 
-@pytest.mark.parametrize("config", EVERY, ids=lambda c: c.name)
+@pytest.mark.parametrize(
+    "config", [c for c in EVERY if c.algorithm == "PPO"], ids=lambda c: c.name
+)
 def test_a_policy_beats_doing_nothing_and_chance(config):
-    """On a few episodes; test_policies_learn.py has more."""
+    """On a few episodes; test_policies_learn.py has more, test_policies_solve.py the others."""
     policy = load_policy(released(config.env)[config.label])
     some = {"episodes": 24, "seed": 5000, "threads": 1}
     found = evaluate(policy, config.env, **some)

@@ -26,7 +26,7 @@ from ves_gym.baselines.config import (
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.learner import Learner
 from ves_gym.baselines.policy import load_policy
-from ves_gym.baselines.train import CHECKPOINT, VALIDATION, scalars, train, train_seeds
+from ves_gym.baselines.train import CHECKPOINT, VALIDATION, scalars, train
 from ves_gym.envs.registration import IDS
 
 ROOT = Path(__file__).parents[2]
@@ -169,24 +169,6 @@ def expected_events(rows):
         for tag, value in scalars(row).items():
             out.setdefault(tag, []).append((row["steps"], pytest.approx(value, rel=1e-6)))
     return out
-
-
-@pytest.mark.slow
-def test_seeds_in_processes_differ_repeat_and_report(tmp_path):
-    pytest.importorskip("tensorboard")
-    config, board = replace(PPO, seeds=(0, 1), total_timesteps=300), tmp_path / "board"
-    notes = []
-    curves = train_seeds(
-        config, tmp_path / "a", workers=2, progress=lambda *words: notes.append(words),
-        tensorboard=board,
-    )  # fmt: skip
-    assert {(0, 1.0), (1, 1.0)} <= {(seed, done) for seed, done, _ in notes}
-    alone = train_seeds(config, tmp_path / "b")
-    for seed in (0, 1):
-        assert timeless(curves[seed]) == timeless(alone[seed])
-        shown = events(board / config.name / f"seed-{seed}")
-        assert shown == expected_events(curves[seed]) and "validation/return" in shown
-    assert not same(weights(tmp_path / "a" / "seed-0"), weights(tmp_path / "a" / "seed-1"))
 
 
 @pytest.mark.parametrize("from_the_start", [True, False])

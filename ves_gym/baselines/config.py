@@ -96,12 +96,7 @@ class TrainConfig:
         return "-".join(filter(None, (self.imitate, self.algorithm.lower())))
 
     def learning_rate(self, rate: float, remaining: float) -> float:
-        """Return the learning rate where a share of the training remains.
-
-        Args:
-            rate: at the beginning.
-            remaining: 1 there, 0 at the end; below counts as 0.
-        """
+        """Learning rate, `rate` at first, where a share `remaining` of the training is left."""
         return rate * (self.final_rate + (1 - self.final_rate) * max(0.0, remaining))
 
     def to_dict(self) -> dict[str, Any]:
@@ -121,20 +116,24 @@ def config_from_plain(plain: Mapping[str, Any], where: str = "config") -> TrainC
     return config
 
 
+def released_configs() -> list[TrainConfig]:
+    """The configurations that come with the package."""
+    return [read_config(path) for path in sorted(CONFIGS.glob("*.toml"))]
+
+
 def find_configs(env: str, algorithm: str | None = None) -> list[TrainConfig]:
     """The configurations that come with the package for an environment.
 
     An ...Emulated id without its own is trained as its twin in space.
     """
-    every = [read_config(path) for path in sorted(CONFIGS.glob("*.toml"))]
-    choices = (None, *ALGORITHMS, *(c.label for c in every))
-    if algorithm not in choices:
+    every = released_configs()
+    chosen = [c for c in every if algorithm in (None, c.label, c.algorithm)]
+    if not chosen:
         names = sorted({c.label for c in every})
         raise ParameterError(
             f"algorithm must be one of {', '.join(names)}, got {algorithm!r}"
             f"{did_you_mean(algorithm, names)}"
         )
-    chosen = [c for c in every if algorithm in (None, c.label, c.algorithm)]
     matching = [c for c in chosen if c.env == env]
     if not matching:
         twin = env.replace("Emulated-v", "-v")
@@ -161,7 +160,7 @@ def choose_config(source: str | os.PathLike[str], algorithm: str | None = None) 
     name = text if "/" in text else f"ves/{text}"
     configs = find_configs(name, algorithm)
     if not configs:
-        ids = sorted({read_config(path).env for path in CONFIGS.glob("*.toml")})
+        ids = sorted({config.env for config in released_configs()})
         raise ParameterError(
             f"no configuration for {name}"
             + (f" and {algorithm}" if algorithm else "")

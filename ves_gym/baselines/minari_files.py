@@ -24,8 +24,6 @@ from ves_gym.baselines.dataset import (
     Dataset,
     Episode,
     Float32,
-    differences,
-    fingerprint_of,
     flat_observations,
 )
 
@@ -97,7 +95,6 @@ def write_dataset(dataset: Dataset, root: str | os.PathLike[str]) -> Path:
                 ),
                 "requirements": [f"ves-gym=={__version__}"],
                 "code_permalink": f"ves-gym dataset make {recipe.id}",
-                "ves_gym": dataset.fingerprint,
             }
         )
         storage.update_episodes(
@@ -170,18 +167,6 @@ def read_episodes(path: str | os.PathLike[str]) -> list[Episode]:
             )
         )
     return out
-
-
-def stored_differences(path: str | os.PathLike[str]) -> list[str]:
-    """Return what tells a data set's episodes from the fingerprint written with them.
-
-    Args:
-        path: of the folder that `write_dataset` made; of others there is nothing to say.
-    """
-    written = open_dataset(path).storage.metadata.get("ves_gym")
-    if written is None:
-        return []
-    return differences(fingerprint_of(written["identity"], read_episodes(path)), written)
 
 
 def replay(path: str | os.PathLike[str]) -> Replay:

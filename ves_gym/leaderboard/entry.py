@@ -10,7 +10,8 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
@@ -72,6 +73,18 @@ class Refused(Exception):
     def __init__(self, code: Code, why: str) -> None:
         super().__init__(f"{code.slug}: {' '.join(why.split())[:300]}")
         self.code = code
+
+
+@contextmanager
+def refusing(code: Code, *kinds: type[Exception]) -> Iterator[None]:
+    """Take an error inside for the entry's fault; of the kinds, default a ParameterError."""
+    faults = kinds or (ParameterError,)
+    try:
+        yield
+    except Refused:
+        raise
+    except faults as error:
+        raise Refused(code, f"{type(error).__name__}: {error}") from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +186,7 @@ def from_bytes(data: bytes) -> Entry:
     Raises:
         Refused: MALFORMED_ENTRY.
     """
-    try:
+    with refusing(Code.MALFORMED_ENTRY, ValueError, TypeError, RecursionError):
         if len(data) > LARGEST:
             raise ParameterError(f"an entry has at most {LARGEST} bytes")
         plain = json.loads(data, object_pairs_hook=_once, parse_constant=_no_number)
@@ -181,9 +194,7 @@ def from_bytes(data: bytes) -> Entry:
         arrays = _arrays(entry.results, len(entry.method.seeds))
         entry = replace(entry, results=dict(arrays))
         to_bytes(entry)  # whatever is told in it can be written again
-        return entry
-    except (ValueError, TypeError, RecursionError) as error:
-        raise Refused(Code.MALFORMED_ENTRY, str(error)) from None
+    return entry
 
 
 def _listed(values: Array, digits: int) -> list[list[float | None]]:

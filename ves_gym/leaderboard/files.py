@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import os
 import re
-import stat
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -19,7 +18,7 @@ import numpy as np
 import safetensors.numpy
 
 from ves_gym._util.params import Array, ParameterError, write_bytes
-from ves_gym.leaderboard.entry import LARGEST, MOST_GROUPS, Code, Refused
+from ves_gym.leaderboard.entry import LARGEST, MOST_GROUPS, Code, Refused, refusing
 
 ENTRY = "entry.json"
 RECORDING = "recording.safetensors"
@@ -28,9 +27,8 @@ _LIMITS = {ENTRY: LARGEST, RECORDING: 128 * _MIB}  # bytes
 _POLICY = re.compile(r"policy-(\d|1[0-5])\.(json|safetensors)")
 _POLICY_LIMITS = {"json": _MIB, "safetensors": 16 * _MIB}
 
-Recording = Sequence[
-    Sequence[Array]
-]  # of each group and episode: actions, control points, gains
+# of each group and episode: actions, control points, gains
+Recording = Sequence[Sequence[Array]]
 
 
 def policy_names(group: int) -> tuple[str, str]:
@@ -93,10 +91,8 @@ def unpack(data: bytes, groups: int, count: int, shape: tuple[int, ...]) -> Reco
     Raises:
         Refused: BAD_RECORDING, WRONG_LENGTH.
     """
-    try:
+    with refusing(Code.BAD_RECORDING, Exception):  # the parser's own, whatever it raises
         tensors = safetensors.numpy.load(data)
-    except Exception as error:  # the parser's own, whatever a file made it raise
-        raise _bad(f"{type(error).__name__}: {error}") from None
     names = [[f"{g}.{k}" for k in range(count)] for g in range(groups)]
     if set(tensors) != {name for group in names for name in group}:
         raise Refused(
@@ -124,17 +120,9 @@ def _limit(name: str) -> int | None:
 
 def _read(path: Path, most: int) -> bytes:
     """A regular file, never what a link or a pipe leads to."""
-    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-    try:
-        handle = os.open(path, flags | getattr(os, "O_BINARY", 0))
-    except OSError as error:
-        raise Refused(
-            Code.UNSAFE_FILE, f"{path.name} cannot be opened as a file: {error.strerror}"
-        ) from None
-    if not stat.S_ISREG(os.fstat(handle).st_mode) or path.is_symlink():
-        os.close(handle)
+    if path.is_symlink() or not path.is_file():
         raise Refused(Code.UNSAFE_FILE, f"{path.name} is no regular file")
-    with os.fdopen(handle, "rb") as file:
+    with refusing(Code.UNSAFE_FILE, OSError), path.open("rb") as file:
         data = file.read(most + 1)
     if len(data) > most:
         raise Refused(Code.UNSAFE_FILE, f"{path.name} has more than {most} bytes")

@@ -15,7 +15,7 @@ from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.comparison import policy_files
 from ves_gym.baselines.policy import Policy, load_policy, released
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
-from ves_gym.leaderboard.entry import MOST_GROUPS, Code, Method, Refused
+from ves_gym.leaderboard.entry import MOST_GROUPS, Code, Method, Refused, refusing
 from ves_gym.leaderboard.files import policy_names
 from ves_gym.leaderboard.problems import Problem
 from ves_gym.leaderboard.tracks.base import chosen_settings
@@ -130,10 +130,9 @@ def _built_in(problem: Problem, name: str, seed: int) -> Any:
 
 def _settings(agent: Any, problem: Problem) -> dict[str, Any]:
     assert problem.environment is not None
-    try:
-        return chosen_settings(agent, problem.environment)
-    except ParameterError as error:
-        raise Refused(Code.BAD_SETTINGS, str(error)) from None
+    with refusing(Code.BAD_SETTINGS):
+        settings = chosen_settings(agent, problem.environment)
+    return settings
 
 
 # ------------------------------------------------------------------------- policies
@@ -197,11 +196,9 @@ def _read(files: Mapping[str, bytes], table: str, weights: str) -> Policy:
     with tempfile.TemporaryDirectory() as folder:
         for name in (table, weights):
             (Path(folder) / name).write_bytes(files[name])
-        try:
-            return load_policy(Path(folder) / table)
-        except Exception as error:  # the parsers' own, whatever a file made them raise
-            why = f"{table}: {type(error).__name__}: {str(error).replace(folder, '')}"
-            raise Refused(Code.BAD_POLICY, why) from None
+        with refusing(Code.BAD_POLICY, Exception):  # the parsers' own, whatever they raise
+            policy = load_policy(Path(folder) / table)
+    return policy
 
 
 def _digest(data: bytes) -> str:

@@ -17,6 +17,7 @@ from ves_gym._util.params import Array, Index
 from ves_gym._util.statistics import (
     STATISTICS,
     Estimate,
+    Statistic,
     bootstrap,
     interval,
     iqm,
@@ -63,31 +64,28 @@ def standings(candidates: Sequence[Results], *, by_success: bool = False) -> lis
         candidates: results on the same episodes.
         by_success: rank by classes of success before the score.
     """
-    scores = [results["score"].T for results in candidates]
-    value = np.array([float(iqm(k.ravel())) for k in scores])
-    drawn = np.array([resample([k], iqm) for k in scores])  # (candidates, draws)
-    level = np.ones(len(candidates), dtype=np.intp)
+    score = np.array([_drawn(results["score"].T, iqm) for results in candidates])
+    share = np.ones_like(score)  # (candidates, 1 + draws): as it is, then drawn anew
     if by_success:
-        n = len(scores[0])
-        share = np.array([results["success"].mean() for results in candidates])
-        level = success_classes(share[:, None], n)[:, 0]
-        rank = _ranked(level[:, None], value[:, None], share[:, None])[:, 0]
-        shares = np.array(
-            [resample([results["success"].T], STATISTICS["mean"]) for results in candidates]
-        )
-        placed = _ranked(success_classes(shares, n), drawn, shares)
-    else:
-        rank = scipy.stats.rankdata(value, "min")
-        placed = scipy.stats.rankdata(drawn, "min", axis=0)
-    estimates = [
-        Estimate(v, *map(float, ends))
-        for v, ends in zip(value.tolist(), zip(*interval(drawn.T), strict=True), strict=True)
-    ]
-    places = zip(*interval(placed.T), strict=True)
+        mean = STATISTICS["mean"]
+        share = np.array([_drawn(results["success"].T, mean) for results in candidates])
+    level = success_classes(share, candidates[0]["score"].shape[1])
+    rank = _ranked(level, score, share)
     return [
-        Standing(s, Estimate(float(r), *map(float, ends)), int(k))
-        for s, r, ends, k in zip(estimates, rank, places, level, strict=True)
+        Standing(_estimate(s), _estimate(r), int(k[0]))
+        for s, r, k in zip(score, rank, level, strict=True)
     ]
+
+
+def _drawn(values: Array, statistic: Statistic) -> Array:
+    """Statistic of values (episodes, groups), then of every bootstrap draw of them."""
+    return np.append(float(statistic(values.ravel())), resample([values], statistic))
+
+
+def _estimate(x: Array) -> Estimate:
+    """Return a number with the interval of its draws, which follow it."""
+    low, high = interval(x[1:])
+    return Estimate(float(x[0]), float(low), float(high))
 
 
 def success_classes(share: Array, n: int) -> Index:

@@ -8,8 +8,6 @@ Where there is a recording its answers are simulated again, and no submitted cod
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +24,7 @@ from ves_gym.leaderboard.entry import (
     Refused,
     Results,
     from_bytes,
+    refusing,
     to_bytes,
 )
 from ves_gym.leaderboard.files import ENTRY, RECORDING, read_files, unpack
@@ -40,6 +39,7 @@ from ves_gym.leaderboard.tracks.base import (
     require_settings,
 )
 
+_NUMBERS = ValueError, ArithmeticError  # of what no simulation can carry on with
 _ABSOLUTE = 1e-9
 _RELATIVE = 1e-4, 1e-3  # of a score and of a measure: the file holds five and four digits
 _FLIPPED = 0.01  # share of episodes that may be off: a threshold that rounding crosses
@@ -90,9 +90,9 @@ def verify(
         level = "reproduced"
         method, agents = answering(problem, claimed.method, files)
         rules = track_of(problem, seeds, method, workers)
-        with _careful(Code.BAD_POLICY):
+        with refusing(Code.BAD_POLICY, *_NUMBERS), np.errstate(all="ignore"):
             answers = rules.answer(agents, progress)
-    with _careful(Code.BAD_RECORDING):
+    with refusing(Code.BAD_RECORDING, *_NUMBERS), np.errstate(all="ignore"):
         results = rules.results(answers)
     if (twice := repeated(results, method.kind)) is not None:
         raise Refused(Code.REPEATED_GROUP, f"groups {twice[0]} and {twice[1]} do the same")
@@ -157,10 +157,8 @@ def require_claims(claimed: Results, computed: Results, *, searched: bool = Fals
 
 
 def _problem(claimed: Entry) -> Problem:
-    try:
+    with refusing(Code.UNKNOWN_PROBLEM):
         problem = get_problem(claimed.track, claimed.problem)
-    except ParameterError as error:
-        raise Refused(Code.UNKNOWN_PROBLEM, str(error)) from None
     if claimed.method.kind not in problem.kinds:
         raise Refused(
             Code.UNKNOWN_PROBLEM,
@@ -184,18 +182,6 @@ def _recorded(method: Method, problem: Problem) -> Method:
     if problem.environment is None and method.settings:
         raise Refused(Code.BAD_SETTINGS, "settings: there is no environment")
     if problem.environment is not None:
-        try:
+        with refusing(Code.BAD_SETTINGS):
             require_settings(problem.environment, method.settings)
-        except ParameterError as error:
-            raise Refused(Code.BAD_SETTINGS, str(error)) from None
     return method
-
-
-@contextmanager
-def _careful(code: Code) -> Iterator[None]:
-    """Numbers that no simulation can carry on with are the entry's fault."""
-    try:
-        with np.errstate(all="ignore"):
-            yield
-    except (ValueError, ArithmeticError) as error:
-        raise Refused(code, f"cannot be run: {error}") from None

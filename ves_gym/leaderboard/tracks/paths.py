@@ -16,7 +16,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.process_pool import Workers
-from ves_gym.leaderboard.entry import Code, Refused, Results
+from ves_gym.leaderboard.entry import Code, Refused, Results, refusing
 from ves_gym.leaderboard.files import Recording
 from ves_gym.leaderboard.problems import DURATIONS, OBSTACLES, Problem, Seeds
 from ves_gym.leaderboard.tracks.base import Answers, Progress, Track, no_progress
@@ -137,11 +137,9 @@ def _motion(query: Query, control: Array) -> Motion | None:
             f"{query.name}: a motion has {DEGREE + 1} to {_MOST} control points, got"
             f" {len(control)}",
         )
-    points = tuple(tuple(p) for p in control.tolist())
-    try:
-        return Motion(duration=query.duration, control=points)
-    except ParameterError as error:
-        raise Refused(Code.BAD_RECORDING, f"{query.name}: {error}") from None
+    with refusing(Code.BAD_RECORDING):
+        motion = Motion(duration=query.duration, control=tuple(map(tuple, control.tolist())))
+    return motion
 
 
 def _played(
