@@ -29,35 +29,16 @@ def learner(env, frames=1, layers=(16, 16), seed=0, activation="tanh", **setting
 # ------------------------------------------------------------ Stable-Baselines3
 
 
-def weights(model):
-    """Actor's and critic's layers of a model of Stable-Baselines3, and the actions' noise."""
-    p = model.policy
-    nets = (
-        [p.mlp_extractor.policy_net[0], p.mlp_extractor.policy_net[2], p.action_net],
-        [p.mlp_extractor.value_net[0], p.mlp_extractor.value_net[2], p.value_net],
-    )
-    layers = [
-        [(k.weight.detach().numpy().T, k.bias.detach().numpy()) for k in net] for net in nets
-    ]
-    return layers, p.log_std.detach().numpy()
-
-
-def copied(agent, model):
-    layers, log_std = weights(model)
-    for net, theirs in zip((agent.actor, agent.critic), layers, strict=True):
-        for ours, other in zip(net.layers, theirs, strict=True):
-            for a, b in zip(ours, other, strict=True):
-                a[:] = b
-    agent.log_std[:] = log_std
-
-
-def furthest(agent, model):
-    layers, log_std = weights(model)
-    gaps = [np.abs(agent.log_std - log_std).max()]
-    for net, theirs in zip((agent.actor, agent.critic), layers, strict=True):
-        for ours, other in zip(net.layers, theirs, strict=True):
-            gaps += [np.abs(a - b).max() for a, b in zip(ours, other, strict=True)]
-    return max(gaps)
+def numbers(model):
+    """All that a model of Stable-Baselines3 learns, in the order of `ActorCritic.numbers`."""
+    p, out = model.policy, [model.policy.log_std]
+    for trunk, head in (
+        (p.mlp_extractor.policy_net, p.action_net),
+        (p.mlp_extractor.value_net, p.value_net),
+    ):
+        for layer in (trunk[0], trunk[2], head):
+            out += [layer.weight.T, layer.bias]
+    return np.concatenate([k.detach().numpy().ravel() for k in out])
 
 
 @pytest.mark.parametrize(
@@ -85,7 +66,7 @@ def test_an_update_gives_the_weights_that_stable_baselines3_gives(id, activation
     logger = stable_baselines3.common.logger.Logger(folder=None, output_formats=[])
     model.set_logger(logger)  # else it makes a folder in the temporary one
     ours = learner(decisions(id, n, hold=2), activation=activation, **k)
-    copied(ours.agent, model)
+    ours.agent.numbers[:] = numbers(model)
     _, callback = model._setup_learn(10**6, callback=None)
     model.collect_rollouts(model.env, callback, model.rollout_buffer, k["n_steps"])
 
@@ -111,7 +92,7 @@ def test_an_update_gives_the_weights_that_stable_baselines3_gives(id, activation
     before = ours.agent.numbers.copy()
     model.train()
     ours.update(rollout, 1e-3, orders)
-    gap, moved = furthest(ours.agent, model), np.abs(ours.agent.numbers - before).max()
+    gap, moved = (np.abs(ours.agent.numbers - k).max() for k in (numbers(model), before))
     print(f"{id}: apart by {gap:.1e} after moving by {moved:.1e}")
     assert gap < 1e-5 and moved > 5e-3
     logged = model.logger.name_to_value

@@ -309,7 +309,7 @@ def test_a_bad_configuration_is_refused(changes, message):
         (DAGGER, {"total_timesteps": 900}, "those of its rounds, 800, got 900"),
         (DAGGER, {"imitation": {"rounds": 0}}, "rounds must be >= 1"),
         (DAGGER, {"imitation": {"noise": -1.0}}, "noise must be >= 0"),
-        (DAGGER, {"imitation": {"learning_rate": 0.0}}, "learning_rate > 0"),
+        (DAGGER, {"imitation": {"learning_rate": 0.0}}, "learning_rate must be > 0"),
     ],
 )
 def test_bad_hyperparameters_are_refused(config, changes, message, tmp_path):

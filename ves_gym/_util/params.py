@@ -122,7 +122,26 @@ def require_positive(params: object, *names: str, zero: bool = False) -> None:
             symbol = units(type(params)).get(name, "")
             raise ParameterError(
                 f"{type(params).__name__}.{name} must be {'>=' if zero else '>'} 0"
-                f" {symbol}, got {value!r}"
+                f"{symbol and ' '}{symbol}, got {value!r}"
+            )
+
+
+def require_least(params: object, least: float, *names: str) -> None:
+    """Check that each named field is a number of at least so much.
+
+    Args:
+        params: the parameter set.
+        least: admitted.
+        names: of its fields.
+
+    Raises:
+        ParameterError: names the field and the number received.
+    """
+    for name in names:
+        value = getattr(params, name)
+        if not value >= least:
+            raise ParameterError(
+                f"{type(params).__name__}.{name} must be >= {least}, got {value!r}"
             )
 
 

@@ -14,6 +14,7 @@ from ves_gym._util.params import (
     from_plain,
     read_table,
     require_choice,
+    require_least,
     to_plain,
 )
 from ves_gym._util.suggest import did_you_mean
@@ -22,11 +23,6 @@ from ves_gym.baselines.policy import ACTIVATIONS, task_name
 CONFIGS = Path(__file__).parent / "configs"
 FEATURES = ("", "arm")
 ALGORITHMS = ("PPO", "DAgger")
-# smallest value of each count
-_LEAST = {
-    **dict.fromkeys(("total_timesteps", "n_envs", "hold", "frames", "eval_episodes"), 1),
-    **dict.fromkeys(("eval_every", "checkpoint_every"), 0),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,11 +68,9 @@ class TrainConfig:
             raise ParameterError(
                 "TrainConfig.imitation and algorithm DAgger need a controller to imitate"
             )
-        for name, least in _LEAST.items():
-            if getattr(self, name) < least:
-                raise ParameterError(
-                    f"TrainConfig.{name} must be >= {least}, got {getattr(self, name)}"
-                )
+        counts = "total_timesteps", "n_envs", "hold", "frames", "eval_episodes"
+        require_least(self, 1, *counts)
+        require_least(self, 0, "eval_every", "checkpoint_every")
         if not self.seeds or any(s < 0 for s in self.seeds):
             raise ParameterError(f"TrainConfig.seeds must be numbers >= 0, got {self.seeds}")
         if not 0 <= self.final_rate <= 1 or not self.reward_scale > 0:

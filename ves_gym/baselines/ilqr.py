@@ -54,14 +54,13 @@ class Ilqr:
     and the reference. The model is put where the episode is by `VesVectorEnv.fan_out`.
 
     Args:
-        seed: not used; nothing is drawn.
         first, later: iterations of an episode's first decision and of each one after it.
     """
 
     name = "ilqr"
     privileged = True
 
-    def __init__(self, seed: int = 0, *, first: int = 12, later: int = 1) -> None:
+    def __init__(self, *, first: int = 12, later: int = 1) -> None:
         self.first, self.later = first, later
         self._of: Task | None = None
         self._model: VesVectorEnv | None = None

@@ -14,7 +14,13 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from ves_gym._util.params import Index, ParameterError, from_plain
+from ves_gym._util.params import (
+    Index,
+    ParameterError,
+    from_plain,
+    require_least,
+    require_positive,
+)
 from ves_gym.baselines.arm_features import arm_features
 from ves_gym.baselines.config import TrainConfig
 from ves_gym.baselines.controllers import Controller
@@ -34,9 +40,7 @@ class ImitationConfig:
     """How long to imitate, and how."""
 
     rounds: int = 20  # each an episode of every environment
-    expert_rounds: int = (
-        10  # rounds over which the controller's share of the actions falls to none
-    )
+    expert_rounds: int = 10  # over which the controller's share of the actions falls to none
     noise: float = 0.1  # standard deviation of what is added to the actions
     recall: int = 10  # rounds that are learned from, the latest
     epochs: int = 4  # per round, of what is remembered
@@ -46,18 +50,9 @@ class ImitationConfig:
     learning_rate: float = 1e-3  # falls linearly to a tenth
 
     def __post_init__(self) -> None:
-        for name in ("rounds", "expert_rounds", "recall", "epochs", "batch_size"):
-            if getattr(self, name) < 1:
-                raise ParameterError(
-                    f"imitation: {name} must be >= 1, got {getattr(self, name)}"
-                )
-        for name in ("noise", "batches", "late"):
-            if not getattr(self, name) >= 0:
-                raise ParameterError(
-                    f"imitation: {name} must be >= 0, got {getattr(self, name)}"
-                )
-        if not self.learning_rate > 0:
-            raise ParameterError(f"imitation needs learning_rate > 0, got {self.learning_rate}")
+        require_least(self, 1, "rounds", "expert_rounds", "recall", "epochs", "batch_size")
+        require_least(self, 0, "noise", "batches", "late")
+        require_positive(self, "learning_rate")
 
 
 class Imitation:

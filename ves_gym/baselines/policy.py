@@ -31,6 +31,7 @@ from ves_gym._util.params import (
     from_plain,
     read_table,
     require_choice,
+    require_positive,
     to_plain,
     write_bytes,
     write_text,
@@ -67,9 +68,7 @@ class Network:
             raise ParameterError(
                 f"Network.sizes must be two or more of 1 to {_LARGEST}, got {self.sizes}"
             )
-        for name in ("observation_limit", "hold", "frames"):
-            if not getattr(self, name) > 0:
-                raise ParameterError(f"Network.{name} must be > 0, got {getattr(self, name)}")
+        require_positive(self, "observation_limit", "hold", "frames")
         if self.features is not None and (
             self.frames > 1 or self.observations != len(self.features.scales)
         ):

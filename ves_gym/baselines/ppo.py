@@ -18,7 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import Array, Index, Mask, ParameterError
+from ves_gym._util.params import (
+    Array,
+    Index,
+    Mask,
+    ParameterError,
+    require_least,
+    require_positive,
+)
 from ves_gym.baselines.arm_features import ArmFeatures
 from ves_gym.baselines.decisions import Decisions, Endings
 from ves_gym.baselines.perceptron import ActorCritic, Adam, Floats, clipped
@@ -46,9 +53,7 @@ class Settings:
     critic_first: int = 0  # updates at first that leave the actor as it is
 
     def __post_init__(self) -> None:
-        for name in ("n_steps", "batch_size", "n_epochs"):
-            if getattr(self, name) < 1:
-                raise ParameterError(f"PPO: {name} must be >= 1, got {getattr(self, name)}")
+        require_least(self, 1, "n_steps", "batch_size", "n_epochs")
         if self.normalize_advantage and self.batch_size < 2:
             raise ParameterError(
                 f"PPO: batch_size must be > 1 to normalise advantages, got {self.batch_size}"
@@ -56,9 +61,7 @@ class Settings:
         for name in ("gamma", "gae_lambda"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ParameterError(f"PPO: {name} must be 0 to 1, got {getattr(self, name)}")
-        for name in ("learning_rate", "clip_range", "max_grad_norm"):
-            if not getattr(self, name) > 0:
-                raise ParameterError(f"PPO: {name} must be > 0, got {getattr(self, name)}")
+        require_positive(self, "learning_rate", "clip_range", "max_grad_norm")
 
 
 @dataclass

@@ -4,64 +4,64 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
+from typing import Any
 
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.baselines.closing import Closing, ClosingPose, Homing
-from ves_gym.baselines.controllers import Controller, Follow, Hold, Optimal, Random, Zero
-from ves_gym.baselines.mppi import Mppi
-from ves_gym.baselines.regulator import Regulator
-from ves_gym.baselines.resolved import Resolved
-from ves_gym.baselines.resolved_pose import ResolvedPose
-from ves_gym.baselines.servicer import Servicer
+from ves_gym.baselines.controllers import FOLLOW, Controller
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 
+_SEED = object()  # stands for the seed among the arguments of a class
 
-def _late(where: str) -> Callable[[int], Controller]:
+
+def _of(where: str, *arguments: Any) -> Callable[[int], Controller]:
     """Return a maker that loads planners and engines only where its controller is asked for.
 
     Args:
         where: module of this folder and class, such as damping:TunedGains.
+        arguments: of the class.
     """
     module, _, name = where.partition(":")
 
     def make(seed: int) -> Controller:
-        controller: Controller = getattr(import_module(f"ves_gym.baselines.{module}"), name)(
-            seed
-        )
-        return controller
+        cls = getattr(import_module(f"ves_gym.baselines.{module}"), name)
+        made: Controller = cls(*(seed if k is _SEED else k for k in arguments))
+        return made
 
     return make
 
 
-CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
-    "zero": lambda seed: Zero(),
-    "random": Random,
-    "hold": lambda seed: Hold(),
-    "high": lambda seed: Hold("high", HIGH_GAINS),
-    "pped": lambda seed: Hold("pped", PPED_GAINS),
-    "straight": lambda seed: Follow("straight", "straight", seed),
-    "hotspot": lambda seed: Follow("hotspot", "hotspot-qt", seed),
-    "direct": lambda seed: Follow("direct", "direct", seed),
-    "refined": lambda seed: Follow("refined", "refined", seed),
-    "robust": lambda seed: Follow("robust", "robust", seed),
-    "adaptive": _late("adaptive:Adaptive"),
-    "mppi": Mppi,
-    "ilqr": _late("ilqr:Ilqr"),
-    "lqr": lambda seed: Optimal(),
-    "lqi": lambda seed: Regulator(),
-    "tuned": _late("damping:TunedGains"),
-    "receding": _late("damping:Receding"),
-    "resolved": lambda seed: Resolved(),
-    "resolved-gentle": lambda seed: Resolved("resolved-gentle", 16.0),
-    "homing": lambda seed: Homing(),
-    "closing": lambda seed: Closing(),
-    "closing-pose": lambda seed: ClosingPose(),
-    "braced": lambda seed: Resolved("braced", braced=True),
-    "resolved-pose": lambda seed: ResolvedPose(),
-    "servicer": lambda seed: Servicer(),
-}
+def _planned(planner: str, name: str = "") -> Callable[[int], Controller]:
+    return _of("controllers:Follow", name or planner, planner, _SEED)
 
+
+CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
+    "zero": _of("controllers:Zero"),
+    "random": _of("controllers:Random", _SEED),
+    "hold": _of("controllers:Hold"),
+    "high": _of("controllers:Hold", "high", HIGH_GAINS),
+    "pped": _of("controllers:Hold", "pped", PPED_GAINS),
+    "straight": _planned("straight"),
+    "hotspot": _planned("hotspot-qt", "hotspot"),
+    "direct": _planned("direct"),
+    "refined": _planned("refined"),
+    "robust": _planned("robust"),
+    "adaptive": _of("adaptive:Adaptive", _SEED),
+    "mppi": _of("mppi:Mppi", _SEED),
+    "ilqr": _of("ilqr:Ilqr"),
+    "lqr": _of("controllers:Optimal"),
+    "lqi": _of("regulator:Regulator"),
+    "tuned": _of("damping:TunedGains", _SEED),
+    "receding": _of("damping:Receding", _SEED),
+    "resolved": _of("resolved:Resolved"),
+    "resolved-gentle": _of("resolved:Resolved", "resolved-gentle", 16.0),
+    "homing": _of("closing:Homing"),
+    "closing": _of("closing:Closing"),
+    "closing-pose": _of("closing:ClosingPose"),
+    "braced": _of("resolved:Resolved", "braced", FOLLOW, True),
+    "resolved-pose": _of("resolved_pose:ResolvedPose"),
+    "servicer": _of("servicer:Servicer"),
+}
 
 # Of each task: what solves it, 95 % of the episodes and more
 # (tests/envs/test_success.py). It reads the true state and knows the nominal machine.

@@ -25,6 +25,7 @@ from ves_gym._util.params import (
     from_plain,
     read_table,
     require_choice,
+    require_least,
 )
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.tables import table as text_table
@@ -85,9 +86,7 @@ class Search:
     def __post_init__(self) -> None:
         require_choice(self, "direction", DIRECTIONS)
         require_choice(self, "sampler", SAMPLERS)
-        for name in ("trials", "batch"):
-            if getattr(self, name) < 1:
-                raise ParameterError(f"Search.{name} must be >= 1, got {getattr(self, name)}")
+        require_least(self, 1, "trials", "batch")
         if not self.space:
             raise ParameterError("Search.space must name an entry to vary, got none")
         axes = {k: from_plain(Axis, v, f"search.space.{k}") for k, v in self.space.items()}
