@@ -129,10 +129,7 @@ def test_what_does_not_fit_is_refused():
     for changes, message in (
         ({"arm": "puma"}, "arm must be one of"),
         ({"target": 18}, "target must be 0 to 17, got 18"),
-        ({"scales": (0.0,) * 20}, "scales must be > 0"),
-        ({"tool": 19}, "tool must be -1 to 17"),
         ({"turn": 17}, "turn must be -1 to 16"),
-        ({"rounds": 2}, "and 1 where no turn is asked, got 2"),
         ({"turn": 0, "rounds": 17}, "rounds must be 0 to 16"),
         ({"turn": 0, "rounds": 0}, "1 or more for an arm without a spherical wrist"),
     ):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.baselines import dataset
 from ves_gym.baselines.dataset import (
     Recipe,
     choose_recipes,
@@ -18,7 +17,6 @@ from ves_gym.baselines.dataset import (
     recipes,
     recorded,
 )
-from ves_gym.baselines.registry import get_controller
 
 SHORT = Recipe(
     id="ves/test/mixed-v0",
@@ -122,10 +120,6 @@ def test_recipes_are_checked(tmp_path):
 
 
 def test_behaviours_that_need_different_settings_cannot_share_a_set():
-    class Clash:
-        def settings(self, spec):
-            return {"control": {"kind": "guided", "jerk": 1.0}}
-
-    recipe = dataclasses.replace(SHORT, env="ves/PumaReach-v0")
+    both = {"env": "ves/PumaDamp-v0", "behaviours": ("tuned", "receding")}
     with pytest.raises(ParameterError, match="same control"):
-        dataset._settings(recipe, [get_controller("closing"), Clash()])
+        identity_of(dataclasses.replace(SHORT, **both))

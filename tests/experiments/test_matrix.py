@@ -13,18 +13,14 @@ from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.registry import get_controller
 from ves_gym.cli.main import main
 from ves_gym.experiments.matrix import (
-    Matrix,
-    MatrixMachine,
-    MatrixMethod,
-    TaskRow,
     cells,
     entries,
-    environment_of,
     read_matrix,
     run_matrix,
     shortened,
     trainings,
 )
+from ves_gym.experiments.sweep import merge
 from ves_gym.experiments.units import read_result
 from ves_gym.report.matrix_page import matrix_page
 
@@ -92,6 +88,7 @@ def test_the_first_method_is_the_scale_of_energies_and_policies_differ_by_seed(f
     for entry in entries(matrix, done):
         if entry.method == "zero":
             assert entry.energy is not None and entry.energy[:3] == (1.0, 1.0, 1.0)
+    assert not any("seconds" in row for row in merge([done]))  # of clocks results say nothing
     weights = {c.unit.identity["weights"] for c in cells(matrix, done) if c.method == "trained"}
     assert len(weights) == 2  # one policy per seed, the same on both machines
     episodes = {(c.machine, c.seed, c.unit.identity["seed"]) for c in cells(matrix, done)}
@@ -169,15 +166,9 @@ def test_bad_matrices_are_refused(tmp_path, file):
     path.write_text(FILE.replace('name = "lab"', 'name = "space"'))
     with pytest.raises(ParameterError, match="name of its own"):
         read_matrix(path)
-    zero = MatrixMethod(name="a", controller="zero")
+    path.write_text(FILE.replace('env = "BeamLQR"', 'env = "Nothing"'))
     with pytest.raises(ParameterError, match="no environment"):
-        environment_of(TaskRow(env="Nothing", methods=(zero,)), MatrixMachine(name="space"))
-    released = MatrixMethod(name="a", released="sac")
-    with pytest.raises(ParameterError, match="ppo"):
-        cells(
-            Matrix(
-                tasks=(TaskRow(env="BeamLQR", methods=(released,)),),
-                machines=(MatrixMachine(name="space"),),
-            ),
-            tmp_path,
-        )
+        cells(read_matrix(path), tmp_path)
+    path.write_text(FILE.replace('{ name = "zero", controller', '{ name = "zero", released'))
+    with pytest.raises(ParameterError, match=r"or one of zero, random.*ppo"):
+        cells(read_matrix(path), tmp_path)

@@ -106,12 +106,6 @@ def test_a_search_begun_again_comes_to_the_same_trials(here, file, tmp_path):
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
 
 
-@pytest.mark.slow
-def test_processes_give_the_same(here, file, tmp_path):
-    result = search(file(), tmp_path / "two", workers=2)
-    assert result == search(file(), tmp_path / "here", workers=here)
-
-
 # ------------------------------------------------------------------------------ bad input
 
 

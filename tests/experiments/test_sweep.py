@@ -3,17 +3,12 @@
 import json
 import os
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
 
-from tests.experiments.sweeps import SMALL, files, many, spec
-from ves_gym._util.params import ParameterError, canonical_json, content_hash, to_plain
-from ves_gym.baselines.policy import load_policy
+from tests.experiments.sweeps import SMALL, files, spec
+from ves_gym._util.params import ParameterError, canonical_json, content_hash
 from ves_gym.experiments import units as u
 from ves_gym.experiments.spec import spec_from_plain, units_of
 from ves_gym.experiments.sweep import merge, sweep, write_rows
@@ -133,29 +128,6 @@ def test_parts_of_a_sweep_on_two_machines_are_one_by_copying(swept, here, tmp_pa
     assert sweep(spec(), tmp_path / "both", workers=here).done == []
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
-def test_a_killed_sweep_goes_on_where_it_was(tmp_path):
-    file, results = tmp_path / "many.json", tmp_path / "out" / "results"
-    file.write_text(json.dumps(to_plain(many(60))))
-    words = [sys.executable, "-m", "ves_gym.cli.main", "sweep", str(file), "--workers", "1"]
-    words += ["--out", str(tmp_path / "out")]
-    process = subprocess.Popen(words, cwd=ROOT, stderr=subprocess.PIPE)
-    while process.poll() is None:
-        if results.exists() and len(list(results.glob("*.json"))) >= 5:
-            process.send_signal(signal.SIGKILL)
-            break
-        time.sleep(0.005)
-    process.communicate()
-    before = {p: p.stat().st_mtime_ns for p in results.glob("*.json")}
-    assert 5 <= len(before) < 60
-    report = sweep(many(60), tmp_path / "out", workers=1)
-    assert len(report.done) + len(report.skipped) == 60 and len(report.done) < 60
-    skipped = {results / f"{i}.json" for i in report.skipped}
-    assert {p: p.stat().st_mtime_ns for p in skipped} == {p: before[p] for p in skipped}
-    assert len(merge([tmp_path / "out"])) == 60
-
-
 # -------------------------------------------------------------------------------- merge
 
 
@@ -202,29 +174,6 @@ def test_two_results_of_one_unit_that_differ_are_refused(swept, tmp_path):
         merge([folder, copy])
     with pytest.raises(ParameterError, match="expected the folder of a sweep"):
         merge([tmp_path / "nowhere"])
-
-
-# ------------------------------------------------------------------------------- training
-
-
-@pytest.mark.slow
-def test_training_runs_are_units_too(tmp_path):
-    changes = {
-        "total_timesteps": 400, "n_envs": 8, "eval_episodes": 4,
-        "layers": [8], "hyperparameters": {"n_steps": 16, "batch_size": 64, "n_epochs": 1},
-    }  # fmt: skip
-    table = {"configs": ["BeamLQR-ppo"], "seeds": [0, 1], "changes": changes}
-    report = sweep(spec({"train": [table]}), tmp_path, workers=2)
-    assert len(report.done) == 2, report.failed
-    for id in report.done:
-        result = u.read_result(tmp_path / "results" / f"{id}.json")
-        assert result["unit"]["config"]["hyperparameters"]["gamma"] == 0.99  # of the package
-        best = max(result["rows"], key=lambda row: row["return"])
-        assert result["summary"]["return"] == best["return"]
-        policy = load_policy(tmp_path / "policies" / id / "best.json")
-        assert policy.about["steps"] == best["steps"]
-    assert not list((tmp_path / "work").glob("*"))
-    assert not any("seconds" in row for row in merge([tmp_path]))
 
 
 # ------------------------------------------------------------------------------ bad input

@@ -157,13 +157,7 @@ class ArmFeatures:
         return np.concatenate(parts, axis=-1)
 
     def _to_pose(self, q: Array, place: Array, turn: Array) -> tuple[Array, Array]:
-        """Joint angles that Newton's method gives for a pose, and what its last round lacked.
-
-        Args:
-            q: (n, joints) angles now [rad].
-            place: (n, 3) of the tool in the base's axes [m].
-            turn: (n, 3, 3) that it is to have there.
-        """
+        """Way (n, joints) to a pose by Newton's method, and what its end lacked (n, 6)."""
         end, residual = q, np.zeros(6)
         for _ in range(self.rounds):
             at = frames(self._arm, end)
@@ -187,13 +181,7 @@ class ArmFeatures:
 
 
 def _turned(sines: Array, cosine: Array, turn: Array) -> Array:
-    """Return axes turned by an angle about another one (Rodrigues).
-
-    Args:
-        sines: (n, 3) the other one, times the angle's sine.
-        cosine: (n,) of the angle.
-        turn: (n, 3, 3), its columns to be turned.
-    """
+    """Axes (n, 3, 3) turned about another, given times the sine; cosine (n,); Rodrigues."""
     axes, about = np.swapaxes(turn, -1, -2), sines[:, None]
     along = (about * axes).sum(axis=-1) * (1.0 / (cosine + (1.0 + _LEAST)))[:, None]
     out = cosine[:, None, None] * axes + cross(about, axes) + along[..., None] * about
@@ -201,12 +189,7 @@ def _turned(sines: Array, cosine: Array, turn: Array) -> Array:
 
 
 def _damped(J: Array, v: Array) -> Array:
-    """Return J^T (J J^T + damping^2)^-1 v.
-
-    Args:
-        J: (n, joints, m) velocities of the tool, one per joint.
-        v: (n, m) to be had.
-    """
+    """J^T (J J^T + damping^2)^-1 v (n, joints), J (n, joints, m) the tool's rate per joint."""
     m = v.shape[-1]
     square = (_DAMPING if m == 3 else _POSE_DAMPING) ** 2
     A = (J[..., :, None] * J[..., None, :]).sum(axis=-3) + square * np.eye(m)

@@ -6,12 +6,17 @@ from typing import Any
 
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
-from scipy.spatial.transform import Rotation
 
 from ves_gym._util.params import Array, Index
 from ves_gym.baselines.controllers import remember, require_fit
 from ves_gym.baselines.resolved import carried, damped_inverse, seen_from_base
-from ves_gym.baselines.resolved_pose import STARTS, configurations_for, inverse_sparing
+from ves_gym.baselines.resolved_pose import (
+    STARTS,
+    configurations_for,
+    inverse_sparing,
+    joints_at,
+    pose_from_base,
+)
 from ves_gym.envs.pose_reach import PoseReach, goal_pose
 from ves_gym.envs.reach import Reach
 from ves_gym.envs.track import Track
@@ -110,11 +115,7 @@ class Closing:
         return np.asarray(self._ends[np.arange(len(q)), soonest])
 
     def _target(self, env: VesVectorEnv) -> tuple[Array, Array]:
-        """Joint angles for the target on the base as measured, and how the base moves them.
-
-        Returns:
-            (n, joints) [rad] and (n, joints) [rad/s].
-        """
+        """Joint angles for the target on the base as measured, and how the base moves them."""
         s, arm = env.batch.scene, env.task.system.arm
         end = self._nearest(arm, s.q)
         desired = seen_from_base(s.y_seen, s.goal[:, :3])
@@ -166,32 +167,13 @@ class ClosingPose(Closing):
 
     def _target(self, env: VesVectorEnv) -> tuple[Array, Array]:
         s, arm = env.batch.scene, env.task.system.arm
-        place, turn = goal_pose(s)
-        place = seen_from_base(s.y_seen, place)
-        turn = np.swapaxes(rotation(s.y_seen), -1, -2) @ turn
-        end = self._end(arm, s.q, place, turn)
+        place, turn = pose_from_base(s.y_seen, *goal_pose(s))
+        if has_spherical_wrist(arm):
+            end = s.q + shortest_way(arm, s.q, place, turn)
+        else:
+            end, _ = joints_at(arm, self._nearest(arm, s.q), place, turn)
         drift = carried(twist(s.y_seen, s.yd_seen), tool_frame(arm, end)[0])
         return end, matvec(inverse_sparing(arm, end), drift)
-
-    def _end(self, arm: Arm, q: Array, place: Array, turn: Array) -> Array:
-        """(n, joints) joint angles for poses on the base as measured, the nearest to q.
-
-        Args:
-            arm: whose joints.
-            q: (n, joints) [rad].
-            place: (n, 3) of the tool in the base's axes [m].
-            turn: (n, 3, 3) of the tool there.
-        """
-        if has_spherical_wrist(arm):
-            return q + shortest_way(arm, q, place, turn)
-        end = self._nearest(arm, q)
-        for _ in range(_ROUNDS):
-            at, turned = tool_frame(arm, end)
-            missing = Rotation.from_matrix(turn @ np.swapaxes(turned, -1, -2)).as_rotvec()
-            end = end + matvec(
-                inverse_sparing(arm, end), np.concatenate([place - at, missing], axis=1)
-            )
-        return end
 
 
 def share_per_second(time: Array, seconds: float) -> Array:

@@ -112,11 +112,7 @@ class Imitation:
         return len(rows)
 
     def _episode(self, share: float) -> tuple[Floats, Floats]:
-        """One episode per environment: raw observations (k, o) and the expert's actions.
-
-        Args:
-            share: of the actions that are the expert's.
-        """
+        """An episode of each: raw observations, the expert's actions; a share acts."""
         env = self.env.env
         everyone = np.arange(env.num_envs)
         env.reset()

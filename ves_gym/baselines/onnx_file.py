@@ -149,13 +149,7 @@ _NODES: dict[str, Callable[[_Graph, str, str], str]] = {
 
 
 def _features(features: ArmFeatures, entries: list[str], graph: _Graph) -> list[str]:
-    """Return the columns of the features, traced and written instruction by instruction.
-
-    Args:
-        features: of an observation.
-        entries: its columns (n, 1).
-        graph: gets the nodes.
-    """
+    """Columns of the features of `entries`, traced and written instruction by instruction."""
     import casadi as ca
 
     x = symbols("x", (1, len(entries)))

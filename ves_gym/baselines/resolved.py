@@ -147,14 +147,7 @@ class Resolved:
 
 
 def _slowly(ref: Array, then: Array, rate: float, dt: float) -> Array:
-    """Return where references are to be at the period's end if no joint may be faster.
-
-    Args:
-        ref: (k, 3, joints) angle, rate and acceleration now.
-        then: (k, 3, joints) where they were to be.
-        rate: largest of a joint [rad/s].
-        dt: period [s].
-    """
+    """References (k, 3, joints) a period on: `then`, no joint faster than `rate` [rad/s]."""
     angle = np.clip(then[:, 0], ref[:, 0] - rate * dt, ref[:, 0] + rate * dt)
     slow = np.clip(then[:, 1], -rate, rate)
     return np.stack([angle, slow, np.zeros_like(slow)], axis=1)

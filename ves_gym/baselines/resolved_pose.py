@@ -71,14 +71,7 @@ class ResolvedPose:
         s, arm, dt = env.batch.scene, env.task.system.arm, env.batch.dt
         before, present, then = (row_of_step(env, self._plan, k) for k in (0, 1, 2))
         y = s.y_seen + dt * s.yd_seen  # of the base at the period's end
-        place, turn = tool_frame(arm, present)
-        place, turn = seen_from_base(y, place), np.swapaxes(rotation(y), -1, -2) @ turn
-        q = present
-        for _ in range(_ROUNDS):
-            at, turned = tool_frame(arm, q)
-            missing = Rotation.from_matrix(turn @ np.swapaxes(turned, -1, -2)).as_rotvec()
-            inverse = inverse_sparing(arm, q)
-            q = q + matvec(inverse, np.concatenate([place - at, missing], axis=1))
+        q, inverse = joints_at(arm, present, *pose_from_base(y, *tool_frame(arm, present)))
         rate = twist(y, s.yd_seen)
         gain, self._rate = (rate - self._rate) / dt, rate
         drift, gaining = (carried(k, tool_frame(arm, q)[0]) for k in (rate, gain))
@@ -96,15 +89,7 @@ class ResolvedPose:
 
 
 def _kindest(arm: Arm, q: Array, ends: Array, seconds: float, energy: straight_energy) -> Array:
-    """Joint angles (joints,) at the pose: of the nearest ones the kindest to the base [rad].
-
-    Args:
-        arm: whose joints.
-        q: (joints,) where it is [rad].
-        ends: (m, joints) at the pose [rad].
-        seconds: that the motion may take.
-        energy: that a straight motion is expected to leave.
-    """
+    """Of the angles `ends` (m, joints) in reach within `seconds` the kindest to the base."""
     speed = np.abs(ends - q) * (QUINTIC_PEAK_SPEED / seconds) / arm.column("v_max")
     excess = np.maximum(speed.max(axis=1) - 1, 0.0)
     near = np.flatnonzero(excess <= excess.min())
@@ -126,6 +111,21 @@ def configurations_for(arm: Arm, q: Array, places: Array, turns: Array) -> list[
     every = configurations_at_each(arm, places, turns, q, STARTS)
     # nothing better is known than to stay
     return [ends if len(ends) else at[None] for ends, at in zip(every, q, strict=True)]
+
+
+def pose_from_base(y: Array, place: Array, turn: Array) -> tuple[Array, Array]:
+    """Poses in the base's axes, (n, 3) [m] and (n, 3, 3), y (n, 6) the pose of the base."""
+    return seen_from_base(y, place), np.swapaxes(rotation(y), -1, -2) @ turn
+
+
+def joints_at(arm: Arm, q: Array, place: Array, turn: Array) -> tuple[Array, Array]:
+    """Angles (n, joints) for poses by Newton's method from q, and the last round's inverse."""
+    for _ in range(_ROUNDS):
+        at, turned = tool_frame(arm, q)
+        missing = Rotation.from_matrix(turn @ np.swapaxes(turned, -1, -2)).as_rotvec()
+        inverse = inverse_sparing(arm, q)
+        q = q + matvec(inverse, np.concatenate([place - at, missing], axis=1))
+    return q, inverse
 
 
 def inverse_sparing(arm: Arm, q: Array) -> Array:

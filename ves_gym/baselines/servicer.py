@@ -142,12 +142,8 @@ def _acceleration_for(env: VesVectorEnv, tau: Array, M: Array) -> Array:
     """Actions whose moved reference makes the servos give a torque at the period's end.
 
     With the acceleration a there, angle and rate of the reference are linear in a, and so is
-    the torque kp (angle - q) + kd (rate - v) + M a beside what the rates take.
-
-    Args:
-        env: through control acceleration.
-        tau: (n, joints) beside what the rates take, which the feed-forward gives [N m].
-        M: (n, joints, joints) inertia of the arm, which the servos' feed-forward knows.
+    the torque kp (angle - q) + kd (rate - v) + M a beside what the rates take; M (n, joints,
+    joints) is the inertia that the feed-forward knows.
     """
     s, control, dt = env.batch.scene, env.task.control, env.batch.dt
     arm = env.task.system.arm
@@ -211,16 +207,7 @@ def _masses(env: VesVectorEnv) -> Masses:
 
 
 def _fixture_after(env: VesVectorEnv, ids: Index, time: Array) -> tuple[Array, Array, Array]:
-    """Return where fixtures will be, and how they will move.
-
-    Args:
-        env: whose targets are free.
-        ids: (k,) which.
-        time: (k,) from now [s].
-
-    Returns:
-        Place (k, 3) in space [m], axes (k, 3, 3), twist (k, 6) in inertial axes.
-    """
+    """Place (k, 3), axes (k, 3, 3) and twist (k, 6) of free fixtures, `time` (k,) from now."""
     cargo, payload = env.batch.sim.payload, env.task.system.payload
     assert cargo is not None and payload is not None
     state = cargo.state
@@ -244,17 +231,7 @@ def _lifted(place: Array) -> Array:
 
 
 def _quintic(led: Array, q: Array, v: Array, time: Array, dt: float) -> Array:
-    """Return the motion a period later, on the quintic that ends without acceleration.
-
-    Args:
-        led: (k, 3, joints) angles, rates and accelerations now.
-        q, v: (k, joints) angles and rates at its end [rad, rad/s].
-        time: (k,) until then [s].
-        dt: period [s].
-
-    Returns:
-        (k, 3, joints).
-    """
+    """Motion (k, 3, joints) a period later, on the quintic to q, v and no acceleration."""
     x, xd, xdd = led.swapaxes(0, 1)
     T = time[:, None]
     gap = q - x - T * xd - T * T / 2 * xdd

@@ -18,8 +18,8 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, from_plain, read_table
 from ves_gym._util.statistics import STATISTICS, Estimate, bootstrap, rate
+from ves_gym.baselines.comparison import policy_files
 from ves_gym.baselines.config import CONFIGS, config_from_plain
-from ves_gym.baselines.policy import released
 from ves_gym.baselines.registry import get_controller
 from ves_gym.experiments.spec import changed
 from ves_gym.experiments.sweep import Report, do_units
@@ -210,13 +210,7 @@ def _who(
         get_controller(method.controller)
         return method.controller
     if method.released is not None:
-        policies = released(f"ves/{task.env}-v0")
-        if method.released not in policies:
-            raise ParameterError(
-                f"method {method.name}: policies of {task.env} are"
-                f" {', '.join(policies) or 'none'}, got {method.released!r}"
-            )
-        return str(policies[method.released])
+        return str(policy_files(method.released, f"ves/{task.env}-v0")[0])
     unit = trained[task.env, method.name, seed]
     return str((folder / "policies" / unit.id / "best.json").resolve())
 
