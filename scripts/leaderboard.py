@@ -34,9 +34,8 @@ from ves_gym.leaderboard.problems import (
     read_salt,
     seeds_of,
 )
-from ves_gym.leaderboard.run import make_entry
 from ves_gym.leaderboard.tracks.damping import TUNERS
-from ves_gym.leaderboard.verify import add
+from ves_gym.leaderboard.verify import add, make_entry
 
 PLACE = Path(__file__).parents[1] / "docs" / "leaderboard"
 AUTHOR = "ves-gym"

@@ -47,7 +47,7 @@ if TYPE_CHECKING:  # for editors and type checkers: the same names as in the tab
     from ves_gym.diagnosis.machines.mjcf import MjcfMachine as MjcfMachine
     from ves_gym.engine.kernel.sensitivity import rollout_gradients as rollout_gradients
     from ves_gym.envs.task import Task as Task, register_task as register_task
-    from ves_gym.leaderboard.run import make_entry as make_entry
+    from ves_gym.leaderboard.verify import make_entry as make_entry
     from ves_gym.leaderboard.verify import verify as verify_entry
     from ves_gym.mechanics.arm import Arm as Arm, Inertial as Inertial, Link as Link
     from ves_gym.mechanics.arm_library import PUMA_560 as PUMA_560
@@ -92,8 +92,7 @@ _TABLE = {  # module -> names; one that is called otherwise there is name=there
     "diagnosis.machines.mjcf": "MjcfMachine",
     "engine.kernel.sensitivity": "rollout_gradients",
     "envs.task": "Task register_task",
-    "leaderboard.run": "make_entry",
-    "leaderboard.verify": "verify_entry=verify",
+    "leaderboard.verify": "make_entry verify_entry=verify",
     "mechanics.arm": "Arm Inertial Link",
     "mechanics.arm_library": "PUMA_560",
     "mechanics.motion": "Motion",

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.leaderboard.entries import DAMP, Gentle, code_of, save_random_policy
-from ves_gym.leaderboard.run import make_entry
+from ves_gym.leaderboard.verify import make_entry
 
 
 @pytest.fixture

@@ -14,11 +14,10 @@ from ves_gym.baselines.policy import load_policy
 from ves_gym.baselines.registry import REFERENCES
 from ves_gym.leaderboard.entry import Code
 from ves_gym.leaderboard.files import ENTRY, RECORDING, unpack
-from ves_gym.leaderboard.run import make_entry
 from ves_gym.leaderboard.tracks import damping as gain_track
 from ves_gym.leaderboard.tracks import paths as path_track
 from ves_gym.leaderboard.tracks.base import require_settings
-from ves_gym.leaderboard.verify import add, verify
+from ves_gym.leaderboard.verify import add, make_entry, verify
 from ves_gym.planners.query import NoPlan
 from ves_gym.planners.registry import get_planner
 

@@ -40,7 +40,7 @@ def make(
     leaderboard run paths bent-2s-quick direct.
     """
     from ves_gym.leaderboard.problems import get_problem
-    from ves_gym.leaderboard.run import make_entry
+    from ves_gym.leaderboard.verify import make_entry
 
     get_problem(track, problem)  # before a method of the user's is loaded
     chosen = _loaded(method)

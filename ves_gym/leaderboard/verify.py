@@ -1,4 +1,4 @@
-"""`leaderboard verify`: believe nothing of an entry that can be computed.
+"""`leaderboard run`: answer a problem and write the entry; `verify`: believe nothing of it.
 
 Where there is a recording its answers are simulated again, and no submitted code runs: level
 *replayed*. Else the method, built in or policies in a safe format, answers again: level
@@ -8,13 +8,16 @@ Where there is a recording its answers are simulated again, and no submitted cod
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ves_gym._util.params import ParameterError, write_bytes
 from ves_gym._util.threads import on_one_thread
+from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.policy import versions
 from ves_gym.leaderboard.entry import (
     LEVELS,
@@ -27,17 +30,21 @@ from ves_gym.leaderboard.entry import (
     refusing,
     to_bytes,
 )
-from ves_gym.leaderboard.files import ENTRY, RECORDING, read_files, unpack
-from ves_gym.leaderboard.methods import answering
+from ves_gym.leaderboard.files import ENTRY, RECORDING, pack, read_files, unpack, write_files
+from ves_gym.leaderboard.methods import answering, enter
 from ves_gym.leaderboard.problems import PUBLIC, Problem, Seeds, get_problem, seeds_of
-from ves_gym.leaderboard.run import track_of
 from ves_gym.leaderboard.statistics import repeated
 from ves_gym.leaderboard.tracks.base import (
     Answers,
     Progress,
+    Track,
     no_progress,
     require_settings,
 )
+from ves_gym.leaderboard.tracks.damping import GainTrack, Tuner
+from ves_gym.leaderboard.tracks.paths import PathTrack
+from ves_gym.leaderboard.tracks.tasks import DampTrack, TaskTrack
+from ves_gym.planners.query import Planner
 
 _NUMBERS = ValueError, ArithmeticError  # of what no simulation can carry on with
 _ABSOLUTE = 1e-9
@@ -46,6 +53,78 @@ _FLIPPED = 0.01  # share of episodes that may be off: a threshold that rounding 
 # Rounding can lead a search into another valley, and then which of two motions has the higher
 # peak does not matter: of planners and tuners that answer again, scores alone are compared.
 _SEARCHED = (0.01, 0.05)  # relative, share
+
+
+def make_entry(
+    folder: str | os.PathLike[str],
+    track: str,
+    problem: str,
+    method: str | Planner | Controller | Tuner | Sequence[str | os.PathLike[str]],
+    *,
+    name: str | None = None,
+    author: str = "anonymous",
+    seeds: Sequence[int] = (0,),
+    salt: str | None = None,
+    training: Mapping[str, Any] | None = None,
+    workers: int = 1,
+    progress: Progress = no_progress,
+) -> Entry:
+    """Answer a problem and write the entry.
+
+    Args:
+        folder: new or empty; gets `entry.json`, files of policies, and the recording of a
+            method of one's own.
+        track, problem: see `problems`.
+        method: name of a built-in planner, controller or tuner, or of a released policy; files
+            of policies; or a planner, a controller or a function that finds gains.
+        name: on the board; default the method's.
+        author: on the board.
+        seeds: of the method, 0, 1, ... in order: one group of results each. Policies: one per
+            file, as told by them.
+        salt: of the official seeds; None for the public ones.
+        training: what it took to make the method, plain data; default what policies tell.
+        workers: processes that plan.
+        progress: called with the stage and the fraction done.
+
+    Returns:
+        The entry.
+    """
+    question = get_problem(track, problem)
+    drawn, entered = seeds_of(question, salt), enter(question, method, seeds)
+    rules = track_of(question, drawn, entered.method, workers)
+    with on_one_thread():  # as `verify` does
+        answers = rules.answer(entered.agents, progress)
+        results = rules.results(answers)
+    if (twice := repeated(results, entered.method.kind)) is not None:
+        raise ParameterError(
+            f"groups {twice[0]} and {twice[1]} do the same, and one of them would count twice:"
+            " leave it out"
+        )
+    about = {} if training is None else {"training": dict(training)}
+    entry = Entry(
+        track=track,
+        problem=problem,
+        name=name or entered.name,
+        author=author,
+        level="reproduced" if entered.built_in else "replayed",
+        seeds=drawn.name,
+        method=entered.method,
+        results=dict(results),
+        about={"versions": versions(), **entered.about, **about},
+    )
+    files = {ENTRY: to_bytes(entry), **entered.files}
+    if not entered.built_in:
+        files[RECORDING] = pack(answers.recording)
+    write_files(folder, files)
+    return entry
+
+
+def track_of(problem: Problem, seeds: Seeds, method: Method, workers: int) -> Track:
+    """The track of a problem that a method answers; `workers` are processes that plan."""
+    kind = {"paths": PathTrack, "tasks": TaskTrack, "damping": DampTrack}[problem.track]
+    if problem.track == "damping" and problem.environment is None:
+        kind = GainTrack
+    return kind(problem, seeds, method, workers)
 
 
 @on_one_thread()
