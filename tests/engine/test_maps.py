@@ -7,12 +7,12 @@ import pytest
 
 from tests.arms import six_joint_arm
 from ves_gym.engine.kernel.maps import (
+    ModeMap,
+    SceneMap,
     coupling_matrices,
     motion_loads,
     weight_function,
 )
-from ves_gym.engine.kernel.modes import ModeMap
-from ves_gym.engine.kernel.scene import SceneMap
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import expand, newton_euler
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench, minimal_model

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError, content_hash
 from ves_gym.engine.backends.kernel import KernelBackend
-from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
+from ves_gym.engine.kernel.maps import SceneMap, TorqueMap
 from ves_gym.envs.compiled import Shape, carry_rows, plain_command
 from ves_gym.envs.compiled_step import CompiledStep
 from ves_gym.envs.episode import (

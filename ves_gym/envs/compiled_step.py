@@ -23,7 +23,7 @@ from ves_gym.engine.kernel.compiled_function import (
     unlane,
 )
 from ves_gym.engine.kernel.emit import LANES
-from ves_gym.engine.kernel.scene import SceneMap, TorqueMap
+from ves_gym.engine.kernel.maps import SceneMap, TorqueMap
 from ves_gym.envs import compiled
 from ves_gym.envs.compiled import WIDEST, Shape, carry_rows, compiles, width
 from ves_gym.envs.episode import FAILURE, Episodes, ended_energies, outcome

@@ -21,10 +21,9 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.backends.gpu_kernel import KINDS
 from ves_gym.engine.backends.kernel import stepper
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
-from ves_gym.engine.kernel.maps import inertia_function
+from ves_gym.engine.kernel.maps import inertia_function, scene_function, torque_function
 from ves_gym.engine.kernel.numbers import parameters
 from ves_gym.engine.kernel.scalar import REALS
-from ves_gym.engine.kernel.scene import scene_function, torque_function
 from ves_gym.engine.kernel.warp_code import launch, launch_graph
 from ves_gym.envs import compiled
 from ves_gym.envs.batch import Batch

@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.engine.kernel.maps import InertiaMap
-from ves_gym.engine.kernel.modes import ModeMap
+from ves_gym.engine.kernel.maps import InertiaMap, ModeMap
 from ves_gym.envs.task import Task
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import blocks_of, natural_modes, root

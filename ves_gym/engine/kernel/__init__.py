@@ -3,6 +3,6 @@
 `mechanics` writes forces and accelerations on symbols, `trace` makes graphs of them, `emit`
 turns graphs into LLVM code that works on a block of simulations side by side, `scalar` into a
 GPU's; `build` compiles and keeps it. `compiled_function` has the one class in front of these.
-`maps`, `scene`, `modes` and `sensitivity` are functions made with it; the engine is
+`maps` and `sensitivity` are functions made with it; the engine is
 `engine/backends/kernel.py`.
 """

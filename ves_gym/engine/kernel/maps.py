@@ -1,20 +1,39 @@
-"""Functions of the configuration, compiled, for many configurations at once."""
+"""Functions of configurations and states, compiled, for many of them at once."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.engine.kernel.compiled_function import CompiledFunction
-from ves_gym.engine.kernel.numbers import geometry, parameters, structure
+from ves_gym.engine.kernel.compiled_function import (
+    CompiledFunction,
+    Piece,
+    Program,
+    aligned,
+    everywhere,
+    fill,
+    unlane,
+)
+from ves_gym.engine.kernel.emit import LANES
+from ves_gym.engine.kernel.numbers import geometry, parameters, structure, symbolic_model
+from ves_gym.engine.kernel.symbolic import column, symbols
 from ves_gym.engine.kernel.trace import coupling, inertia_matrix, regressor
 from ves_gym.mechanics.arm import Arm, Chain, LinkBodies
 from ves_gym.mechanics.dynamics import newton_euler
+from ves_gym.mechanics.equations import base_energy
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench, minimal_model
+from ves_gym.mechanics.kinematics import frames
+from ves_gym.mechanics.modes import jacobi_sweep, natural_modes, reduced
+from ves_gym.mechanics.spatial import rotation
 from ves_gym.system.system import System
+
+if TYPE_CHECKING:
+    import casadi
 
 
 def coupling_matrices(system: System, q: Array) -> Array:
@@ -186,3 +205,197 @@ def inertia_regressor(
 @lru_cache(maxsize=16)
 def _regressor(arm: Arm) -> CompiledFunction:
     return CompiledFunction(f"regressor {geometry(arm)}", partial(regressor, arm))
+
+
+# ---------------------------------- what an environment asks of every state, over and over
+
+
+@lru_cache(maxsize=64)
+def scene_function(system: System) -> CompiledFunction:
+    """(z, z', measured pose, modes, their rates, p) -> E, strain energy, tool twice (8).
+
+    Energy of the base [J] and place of the tool in space [m] (`system.energy`,
+    `kinematics.frames`), with the base at its pose and at the measured one. Modes are the arm's
+    flexures and what the base has, where there are any.
+    """
+    return CompiledFunction(f"scene {structure(system)}", partial(_scene, system))
+
+
+@lru_cache(maxsize=64)
+def torque_function(system: System) -> CompiledFunction:
+    """((angles, rates, accelerations), p) -> joint torque on a base that stands still [N m]."""
+    return CompiledFunction(f"torque {structure(system)}", partial(_torque, system))
+
+
+class _SystemMap:
+    """A function of n simulations whose last argument is a system's parameters."""
+
+    def __init__(self, function: CompiledFunction, system: System, n: int) -> None:
+        self.function, self._p = function, parameters(system)[1]
+        self._values = function.buffered(n, self._p)
+
+    def piece(self, arguments: Sequence[Array], result: Array) -> Piece:
+        """The map on rows of the caller's.
+
+        Args:
+            arguments: (blocks, width, LANES) each, in order.
+            result: (blocks, height, LANES), written.
+        """
+        return self.function.piece(*arguments, everywhere(self._p), result)
+
+
+class SceneMap(_SystemMap):
+    """Energy of the base and place of the tool of n simulations (`scene_function`)."""
+
+    def __init__(self, system: System, n: int) -> None:
+        super().__init__(scene_function(system), system, n)
+
+    def __call__(
+        self,
+        q: Array,
+        v: Array,
+        y: Array,
+        yd: Array,
+        measured: Array,
+        modes: tuple[Array, Array] | None = None,
+    ) -> tuple[Array, Array, Array]:
+        """E of the base and its strain energy (n, 2) [J], tool in space (n, 3) [m].
+
+        The tool twice: with the base at its pose y, and at its `measured` pose (n, 6).
+        `modes`: u and u' (n, m) of flexures and of the base's internal modes.
+        """
+        z, zd = np.concatenate([y, q], axis=1), np.concatenate([yd, v], axis=1)
+        out = self._values(z, zd, measured, *(modes or ()))
+        return out[:, :2], out[:, 2:5], out[:, 5:]
+
+
+class TorqueMap(_SystemMap):
+    """Joint torque of n motions on a base that stands still (`torque_function`)."""
+
+    def __init__(self, system: System, n: int) -> None:
+        super().__init__(torque_function(system), system, n)
+
+    def __call__(self, motion: Array) -> Array:
+        """(n, 3, joints) angle, rate and acceleration -> (n, joints) [N m]."""
+        return self._values(motion.reshape(len(motion), -1))
+
+
+def _scene(system: System) -> casadi.Function:
+    import casadi as ca
+
+    model, _, p = symbolic_model(system)
+    size, bends = 6 + system.arm.n, system.arm.bends
+    hidden = bends + system.base.hidden
+    sizes = {"z": size, "zd": size, "measured": 6}
+    sizes |= {"u": hidden, "ud": hidden} if hidden else {}
+    x = [symbols(name, (k,)) for name, k in sizes.items()]
+    z, zd, measured, *modes = x
+    u, ud = modes or (z[:0], z[:0])
+    energies = base_energy(model, z, zd, u, ud)
+    arm, joints = model.arm, z[6:]
+    if bends:
+        arm, joints = model.chain, model.along(joints, u[:bends])
+    reach = frames(arm, joints).position[-1]
+    tools = [y[:3] + rotation(y) @ reach for y in (z[:6], measured)]
+    out = column(*energies, *tools)
+    return ca.Function("scene", [column(k) for k in (*x, p)], [ca.cse(out)])
+
+
+def _torque(system: System) -> casadi.Function:
+    import casadi as ca
+
+    model, _, p = symbolic_model(system)
+    x = symbols("x", (3, system.arm.n))
+    torque, _ = newton_euler(model.arm, *x)
+    return ca.Function("torque", [column(x), column(p)], [ca.cse(column(torque))])
+
+
+# ------------------------------- natural modes: Jacobi's rotations, a system per lane
+
+# sweeps over all pairs of axes: in the worst of 1e5 matrices of six axes, near-equal ones among
+# them, six leave 2e-11 of the largest entry beside the diagonal and seven 2e-22; seven leave
+# 2e-17 of eight axes, nine 5e-26 of twelve
+_SWEEPS = {8: 7, 12: 9}  # up to so many axes
+_MOST = max(_SWEEPS)  # axes: code grows by their cube
+
+
+class ModeMap:
+    """Modes of K x = omega^2 M x and how vectors push them, for many M, over and over.
+
+    Gives what `mechanics.modes.natural_modes` gives, but for the order of the modes and the
+    signs of their shapes; by that function where k is above 12.
+
+    Args:
+        K: (k, k) stiffness, symmetric.
+        columns: vectors per system.
+        n: systems at most.
+    """
+
+    def __init__(self, K: Array, columns: int, n: int) -> None:
+        self.K, k = K, len(K)
+        self._lower = np.tril_indices(k)
+        entries = len(self._lower[0])
+        self._diagonal = np.cumsum(np.arange(1, k + 1)) - 1  # among the lower entries
+        self._run: Program | None = None
+        if k > _MOST:
+            return
+        sizes = entries, k * columns, entries + k * columns, entries + k * columns
+        self._M, self._b, source, target = (aligned(-(-n // LANES), m, LANES) for m in sizes)
+        key = f"{k} {columns}"
+        reduce = CompiledFunction.of(
+            f"reduce {key}", partial(_reduction, k), entries, entries, sizes[1]
+        )
+        sweep = CompiledFunction.of(f"sweep {key}", partial(_sweep, k), sizes[2])
+        stiffness = everywhere(K[self._lower])
+        pieces = [reduce.piece(self._M, stiffness, self._b, source)]
+        for _ in range(next(count for most, count in _SWEEPS.items() if k <= most)):
+            pieces.append(sweep.piece(source, target))
+            source, target = target, source
+        self._out, self._run = source, Program(pieces)
+
+    def __call__(self, M: Array, b: Array) -> tuple[Array, Array]:
+        """Return frequencies and pushes of m systems, m at most the number given.
+
+        Args:
+            M: (m, k, k) mass, symmetric positive definite.
+            b: (m, k, columns) vectors.
+
+        Returns:
+            omega (m, k) [rad/s], and shapes^T b (m, k, columns), shapes^T M shapes = 1.
+        """
+        if self._run is None:
+            omega, shapes = natural_modes(self.K, M)
+            return omega, np.swapaxes(shapes, -1, -2) @ b
+        m, size = len(M), b.shape[1] * b.shape[2]
+        fill(self._M, M[:, *self._lower])
+        fill(self._b, b.reshape(m, size))
+        self._run(0, -(-m // LANES))  # the blocks that hold them
+        out = unlane(self._out, m)
+        omega = np.sqrt(np.maximum(out[:, self._diagonal], 0.0))
+        return omega, out[:, -size:].reshape(b.shape)
+
+
+def _reduction(k: int, M: Array, K: Array, b: Array) -> Array:
+    """`modes.reduced`; lower triangles of M, K and the result, whose vectors follow."""
+    A, vectors = reduced(_symmetric(K, k), _symmetric(M, k), b.reshape(len(b), k, -1))
+    return _packed(A, vectors)
+
+
+def _sweep(k: int, row: Array) -> Array:
+    """`modes.jacobi_sweep` of what `_reduction` gives."""
+    A, b = np.split(row, [k * (k + 1) // 2], axis=1)
+    return _packed(*jacobi_sweep(_symmetric(A, k), b.reshape(len(b), k, -1)))
+
+
+def _packed(A: Array, b: Array) -> Array:
+    """Lower triangles of A (n, k, k), then the entries of b."""
+    lower = A[:, *np.tril_indices(A.shape[-1])]
+    return np.concatenate([lower, b.reshape(len(b), -1)], axis=1)
+
+
+def _symmetric(lower: Array, k: int) -> Array:
+    """Matrices (n, k, k) from their lower triangles, row by row."""
+    i, j = np.indices((k, k))
+    high, low = np.maximum(i, j), np.minimum(i, j)
+    matrix: Array = lower[:, high * (high + 1) // 2 + low]
+    return matrix
