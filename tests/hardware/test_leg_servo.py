@@ -81,6 +81,8 @@ def test_closed_loop_follows_from_the_open_loop(servo):
         expected *= np.polyval(a, z) / np.polyval(b, z)
     np.testing.assert_allclose(closed_loop(rigid, f), expected, rtol=1e-7)
     assert abs(closed_loop(servo, 0.01)) == pytest.approx(1, rel=1e-3)
+    coarse = replace(servo, resolution=1e-4)  # is linearised without, where the leg is
+    np.testing.assert_array_equal(closed_loop(coarse, f, 0.1), closed_loop(servo, f, 0.1))
 
 
 def test_step_response_is_that_of_the_differential_equations():

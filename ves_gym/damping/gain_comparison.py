@@ -215,8 +215,8 @@ def compare_gains(
                 seconds=tuned.seconds,
             )
         )
-    virtual = tune_virtual(system, q, y=y, bounds=bounds, seed=seed)
-    rows.append(GainRow(name="virtual arm (4.1)", damping=analyse(plant, virtual.gains, y)))
+    virtual, _ = tune_virtual(system, q, y=y, bounds=bounds, seed=seed)
+    rows.append(GainRow(name="virtual arm (4.1)", damping=analyse(plant, virtual, y)))
     progress("searching gains", 1.0)
     gains = [row.damping.gains for row in rows]
     simulated, trouble = None, ""

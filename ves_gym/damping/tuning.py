@@ -331,15 +331,6 @@ def two_masses(system: System, q: npt.ArrayLike) -> LinearPlant:
     )
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class VirtualGains:
-    """Gains by way of the virtual manipulator."""
-
-    gains: GainMatrices  # of joints, eq. 4.1 and 4.2, and the least gains in every direction
-    cartesian: GainMatrices  # K_d, B_d, (3, 3) [N/m, N s/m]
-    search: Tuned  # what the two masses promise
-
-
 def tune_virtual(
     system: System,
     q: npt.ArrayLike,
@@ -349,14 +340,17 @@ def tune_virtual(
     full: bool = False,
     bounds: Bounds = WIDE,
     seed: int = 0,
-) -> VirtualGains:
+) -> tuple[GainMatrices, Tuned]:
     """Tune the two masses and turn K_d, B_d into joint gains; judge them with `analyse`.
 
     J_vm has rank 3 at most, so the least gains of `bounds` are added: no joint is left free.
     The largest are not enforced. Arguments as those of `tune`; `full`: of K_d and B_d.
+
+    Returns:
+        The joint gains, and what the two masses promise, with K_d and B_d (3, 3).
     """
     search = tune(two_masses(system, q), objective, y=y, full=full, bounds=CARTESIAN, seed=seed)
     joint = joint_gains(system.arm, q, search.gains)
     least = np.eye(system.arm.n)
     gains = GainMatrices(joint.K + bounds.K[0] * least, joint.B + bounds.B[0] * least)
-    return VirtualGains(gains=gains, cartesian=search.gains, search=search)
+    return gains, search

@@ -34,7 +34,7 @@ def open_loop(servo: LegServo, f: npt.ArrayLike, extension: float = 0.5) -> Comp
     C = leg.sensed(np.eye(PLANT))
     plant = response(leg.A, leg.B, C, z)
     late, damping = z ** -round(servo.delay * servo.rate), servo.K2 * (1 - 1 / z)
-    filtered = _filter_response(leg, z)
+    filtered: Complex = np.polyval(leg.b, z) / np.polyval(leg.a, z)
     if servo.filter is not None and servo.filter.place == "feedback":
         damping = damping * filtered
     loop: Complex = servo.scale * (servo.K1 * filtered + damping) * late * plant
@@ -87,8 +87,10 @@ def gain_margin(servo: LegServo, extension: float = 0.5) -> float:
         servo, extension: see `open_loop`.
     """
 
+    leg = Leg(servo, extension)
+
     def excess(decades: float) -> float:
-        poles = leg_poles(servo.scaled(10**decades), extension)
+        poles = np.linalg.eigvals(leg.closed_with(10**decades)[0])
         return float(np.abs(poles).max()) - 1
 
     grid = np.linspace(-2, 2, 201)
@@ -148,8 +150,3 @@ def _falls_to(gain: Callable[[Array], Array], level: float, servo: LegServo) -> 
     return float(
         scipy.optimize.brentq(lambda v: float(gain(np.array(v))) - level, f[i - 1], f[i])
     )
-
-
-def _filter_response(leg: Leg, z: Complex) -> Complex:
-    response: Complex = np.polyval(leg.b, z) / np.polyval(leg.a, z)
-    return response

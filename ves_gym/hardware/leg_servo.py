@@ -28,6 +28,7 @@ Linear throughout: no end stops, no speed limit (`Stewart.beyond`, `Stewart.too_
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -311,11 +312,15 @@ class Leg:
     @cached_property
     def closed(self) -> tuple[Array, Array, Array]:
         """A (s, s), B (s,), C (s,): x+ = A x + B command, length = C x, per leg sample."""
-        if self.servo.resolution:
-            return Leg(replace(self.servo, resolution=0.0)).closed
+        return self.closed_with(1.0)
+
+    def closed_with(self, gain: float) -> tuple[Array, Array, Array]:
+        """`closed` with both gains times a factor; without the transducer's resolution."""
+        leg = copy(self)
+        leg.servo = replace(self.servo, resolution=0.0)
         x = np.eye(self.size, self.size + 1)
         C = x[ROD, :-1].copy()
-        u = self.sample(x, np.eye(1, self.size + 1, self.size)[0])
+        u = leg.sample(x, np.eye(1, self.size + 1, self.size)[0], gain)
         for _ in range(self.steps):
             self.drift(x, u)
         return x[:, :-1], x[:, -1], C

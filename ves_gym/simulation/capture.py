@@ -30,9 +30,8 @@ from ves_gym.mechanics.latch import (
 )
 from ves_gym.mechanics.payload import Payload, angle_between, numbers_of, with_body
 from ves_gym.mechanics.spatial import matvec, quadratic, rate_matrix, rotation
-from ves_gym.simulation.arguments import simulation_ids
 from ves_gym.simulation.machines import ControlPeriod, Machines, NotingPart
-from ves_gym.simulation.state import State
+from ves_gym.simulation.state import State, simulation_ids
 from ves_gym.simulation.tool_contact import PayloadState, ToolContact
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 

@@ -154,12 +154,7 @@ class EmulationLoop(NotingPart):
         return changed
 
     def _derive(self, rows: Rows, changed: set[str]) -> None:
-        """Bring the blocks' parameters of some simulations up to date.
-
-        Args:
-            rows: which simulations.
-            changed: fields of `parameters` and bodies.
-        """
+        """Bring blocks' parameters up to date with the fields of numbers that have changed."""
         others = self.numbers.derive(self.wiring.blocks, rows, changed)
         if self._code is not None:
             self._code.change(rows, self.p, others)
@@ -286,12 +281,7 @@ class EmulationLoop(NotingPart):
         return acceleration
 
     def _report(self, ids: Index, reading: Array) -> None:
-        """Note why platforms were frozen: a stop leaves the pose as it was.
-
-        Args:
-            ids: (m,) which.
-            reading: (n, 6) of the force sensor then [N, N m].
-        """
+        """Note why platforms `ids` were frozen, at readings (n, 6): a stop leaves the pose."""
         safety, memory = self.wiring.block("safety"), self.memory
         assert isinstance(safety, Safety)
         for i in ids.tolist():

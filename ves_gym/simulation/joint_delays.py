@@ -200,9 +200,6 @@ class JointDelays(Part):
         The engine's servo knows angle and rate themselves: kp (q - q_old) + kd (v - v_old)
         makes it one that does not. The end of the step is foreseen with the present
         acceleration, which costs an error of second order in the step.
-
-        Args:
-            q, v: (n, joints) true angles [rad] and rates [rad/s].
         """
         kp, kd = self.machines.kp, self.machines.kd
         rate = 2 * v - self.measurement_history[:, -1, 2]

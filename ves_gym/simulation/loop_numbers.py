@@ -75,11 +75,7 @@ class LoopNumbers:
         self.sources: dict[str, set[str]] = {}  # block -> what its parameters follow from
 
     def load(self, blocks: Sequence[Block]) -> None:
-        """Derive the parameters of blocks, and note what each block's follow from.
-
-        Args:
-            blocks: of the loop.
-        """
+        """Derive the parameters of blocks, and note what each block's follow from."""
         self.p, self.sources = {}, {}
         for block in blocks:
             sources = self.sources[block.name] = set()
@@ -114,11 +110,7 @@ class LoopNumbers:
         return others
 
     def described(self, arm: Arm) -> LoopParameters:
-        """Return a row of parameters before any effect.
-
-        Args:
-            arm: the arm.
-        """
+        """Return a row of parameters before any effect."""
         if self._start is None or self._start.arm is not arm:
             self._start = LoopParameters.nominal(arm, self.spec, 1)
         return self._start
@@ -181,11 +173,7 @@ class LoopNumbers:
         return Assignment(pairs, bodies, each[0].mapped(stacked, *each[1:]))
 
     def assign(self, assignment: Assignment) -> None:
-        """Put arms and vehicles of an assignment in place; its parameters go through `put`.
-
-        Args:
-            assignment: of `assignment`.
-        """
+        """Put arms and vehicles of an assignment in place; its parameters go through `put`."""
         for i, _, row in assignment.bodies:
             self.bodies.put(i, row)
         for i, system in assignment.systems:

@@ -12,7 +12,6 @@ from ves_gym.engine.backends.base import Backend, make_backend
 from ves_gym.hardware.admittance import Nonlinear
 from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo
 from ves_gym.mechanics.vehicle import has_jets
-from ves_gym.simulation.arguments import broadcast, numbers, simulation_ids, whole
 from ves_gym.simulation.assigned_systems import assign, assign_effects
 from ves_gym.simulation.base_actuators import BaseActuators
 from ves_gym.simulation.capture import Capture, PayloadHandler
@@ -26,8 +25,12 @@ from ves_gym.simulation.state import (
     Readings,
     Snapshot,
     State,
+    broadcast,
     generator_arrays,
+    numbers,
     set_generators,
+    simulation_ids,
+    whole,
 )
 from ves_gym.simulation.tool_contact import ToolContact
 from ves_gym.system.effect_rows import EffectRows
@@ -487,13 +490,7 @@ class Simulator:
         base_wrench: Array | None = None,
         wheel_torque: Array | None = None,
     ) -> None:
-        """Advance by commands (n, k + 1, joints), period by period where a part acts in each.
-
-        Args:
-            nodes: linear over each of k physics steps.
-            platform: (n, periods, 12) pose and rate to follow.
-            base_wrench, wheel_torque: see `step`.
-        """
+        """Advance by commands (n, k + 1, joints), by periods where a part acts in each."""
         machines, drives, substeps = self.machines, self._drives, self.system.substeps
         _ = self.last_state  # tells a divergence what was before
         running, done, total = machines.running, 0, nodes.shape[1] - 1

@@ -131,12 +131,7 @@ class CompiledLoop:
         return out
 
     def __call__(self, half: str, external: Mapping[str, Array]) -> None:
-        """Run a half for all simulations, in place.
-
-        Args:
-            half: "before" or "after" the engine.
-            external: (n, ...) signals from outside.
-        """
+        """Run the half "before" or "after" the engine in place, by signals from outside."""
         n = self.memory.n
         for name, values in external.items():
             if name in self._rows:
@@ -148,9 +143,6 @@ class CompiledLoop:
         """A half as pieces of a program; other ones after `load` (see `version`).
 
         What it reads from outside and puts out lies in `rows`.
-
-        Args:
-            half: "before" or "after" the engine.
         """
         return self._halves[half]
 
