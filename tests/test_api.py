@@ -1,17 +1,22 @@
 """The front door: its names, its verbs beside the commands, and what results show."""
 
 import contextlib
+import dataclasses
 import json
 import re
 import sys
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 import pytest
 
 import ves_gym as vg
 from tests.display import require_opengl
 from ves_gym.cli.main import main
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
 
 DEGREES = "20,10,-5"
 GOAL = np.deg2rad([20, 10, -5]).tolist()
@@ -33,11 +38,7 @@ def comparison(plan):
 
 
 @pytest.fixture(autouse=True)
-def no_window(monkeypatch):
-    matplotlib = pytest.importorskip("matplotlib")
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
+def no_window():
     yield
     plt.close("all")
 
@@ -114,9 +115,6 @@ def readme_diagnosis():
 
 @pytest.fixture(scope="module")
 def diagnosis(tmp_path_factory):
-    pytest.importorskip("matplotlib").use("Agg")
-    import matplotlib.pyplot as plt
-
     names = {}
     with contextlib.chdir(tmp_path_factory.mktemp("readme")):
         exec(readme_diagnosis(), names)
@@ -126,6 +124,7 @@ def diagnosis(tmp_path_factory):
     return names["found"]
 
 
+@pytest.mark.slow
 def test_a_hidden_friction_is_named_and_added(diagnosis):
     assert diagnosis.verdict == "named"
     assert diagnosis.sentence.startswith("Missing: joint/coulomb at joint 3 (torque ")
@@ -151,32 +150,22 @@ def test_excitation_keeps_inside_the_limits():
 # ------------------------------------------------------------------- results look good
 
 
-def results(plan, log, comparison, diagnosis):
-    return {
-        "plan": plan,
-        "log": log,
-        "comparison": comparison,
-        "map": vg.coupling_map(q3=-0.1, points=9),
-        "balance": vg.EnergyBalance.of(log),
-        "check": vg.check_emulation(search=False),
-        "diagnosis": diagnosis,
-        "evaluation": vg.evaluate("ves/BeamLQR-v0", ["zero", "lqr"], episodes=3),
-    }
+RESULTS = {  # what is shown, made of the fixture of that name or of a log
+    **dict.fromkeys(("plan", "log", "comparison", "diagnosis")),
+    "map": lambda log: vg.coupling_map(q3=-0.1, points=9),
+    "balance": vg.EnergyBalance.of,
+    "check": lambda log: vg.check_emulation(search=False),
+    "evaluation": lambda log: vg.evaluate("ves/BeamLQR-v0", ["zero", "lqr"], episodes=3),
+}
 
 
-@pytest.fixture(scope="module")
-def shown(plan, log, comparison, diagnosis):
-    return results(plan, log, comparison, diagnosis)
-
-
-NAMES = ("plan", "log", "comparison", "map", "balance", "check", "diagnosis", "evaluation")
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_result_is_one_line_a_page_and_axes(shown, name):
-    import matplotlib.pyplot as plt
-
-    result = shown[name]
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(k, marks=[pytest.mark.slow] * (k == "diagnosis")) for k in RESULTS],
+)
+def test_a_result_is_one_line_a_page_and_axes(request, log, name):
+    make = RESULTS[name]
+    result = request.getfixturevalue(name) if make is None else make(log)
     assert "\n" not in repr(result) and len(repr(result)) < 200
     page = result._repr_html_()
     assert page.startswith("<div>") and "<script" not in page and "data:image/png" in page
@@ -196,13 +185,8 @@ def test_without_matplotlib_the_extra_is_named_and_a_notebook_has_the_table(plan
     assert "predicted" in page and "<img" not in page
 
 
-def test_a_log_has_three_panels(log):
+def test_a_notebook_shows_hostile_names_as_text(comparison, log):
     assert len(log.plot()) == 3
-
-
-def test_a_notebook_shows_hostile_names_as_text(comparison):
-    import dataclasses
-
     row = dataclasses.replace(comparison.rows[0], planner="<script>alert(1)</script>")
     bad = dataclasses.replace(comparison, rows=(row,))
     assert "<script" not in bad._repr_html_()
@@ -242,10 +226,7 @@ def test_results_are_saved_and_read(tmp_path, plan, comparison):
         (lambda: vg.plan([0, 0, 0], [9, 0, 0]), "goal"),
         (lambda: vg.plan([0, 0, 0], GOAL, planner="dircet"), 'did you mean "direct"'),
         (lambda: vg.plan([0, 0, 0], GOAL, duration=-1.0), "duration must be > 0"),
-        (
-            lambda: vg.plan([0, 0, 0], GOAL, system="bent"),
-            "must be a System, got 'bent'",
-        ),
+        (lambda: vg.plan([0, 0, 0], GOAL, system="bent"), "must be a System, got 'bent'"),
         (lambda: vg.plan([0, 0, 0]), "plan needs a goal"),
         (lambda: vg.simulate([1, 2]), "needs a Motion, a Plan or a Case"),
         (lambda: vg.compare("direct"), "needs a Query or a Plan, got 'direct'"),
@@ -328,6 +309,7 @@ def test_the_readme_names_a_friction_in_twelve_lines_and_one_import():
         assert word in snippet
 
 
+@pytest.mark.slow
 def test_a_training_gives_policies_curves_and_a_picture(tmp_path):
     """Two updates of PPO: the policy is on disk, acts, and the curve can be drawn."""
     result = vg.train("ves/BeamLQR-v0", steps=4096, seeds=[0], folder=tmp_path / "run")

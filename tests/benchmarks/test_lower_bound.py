@@ -21,7 +21,6 @@ from tests.arms import planar_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.planners.direct import Direct, MotionProblem
 from ves_gym.planners.objective import MeanEnergy
@@ -106,16 +105,6 @@ def test_the_conjugate_is_that_of_the_mean_energy(vehicle, duration):
     for _ in range(20):
         multiplier = np.linalg.solve(W, work) * rng.normal(1, 0.3, len(work))
         assert multiplier @ work - 0.5 * multiplier @ W @ multiplier <= best * (1 + 1e-9)
-
-
-def test_the_conjugate_does_not_depend_on_how_time_is_divided():
-    cost = base_cost(query(duration=4.0))
-    for R in (np.zeros((6, 6)), local_part(cost)):
-        coarse, fine = conjugate(cost.less(R), 3), conjugate(cost.less(R), 24)
-        at = np.arange(25) / 8
-        spread = np.kron(np.maximum(0, 1 - np.abs(at[:, None] - np.arange(4))), np.eye(6))
-        close = 1e-10 * np.abs(coarse).max()  # entries of 5 beside 1e8: off by 3e-11 of it
-        np.testing.assert_allclose(spread.T @ fine @ spread, coarse, rtol=1e-7, atol=close)
 
 
 def test_what_is_taken_off_leaves_a_convex_form_and_not_much_more_would():
@@ -288,13 +277,6 @@ def test_tampering_with_a_certificate_gives_no_more_than_there_is():
         assert value < bound.energy * 1.05
 
 
-@pytest.mark.slow
-def test_slower_limits_leave_less_room():
-    fast = bound_energy(query(), slabs=SLABS)
-    slow = dataclasses.replace(query(), v_max=tuple(1.001 * np.abs(GOAL - START)))
-    assert bound_energy(slow, slabs=SLABS).energy > fast.energy
-
-
 @pytest.mark.parametrize("arm", [planar_arm(), six_joint_arm()], ids=["two", "six"])
 def test_arms_of_other_numbers_of_joints(arm):
     """Of six joints only by the first moment."""
@@ -315,12 +297,3 @@ def test_no_way_to_go_needs_no_energy():
         bound_energy(query(), slabs=1)
     with pytest.raises(ParameterError, match="at rest at the start, got a moving one"):
         bound_energy(dataclasses.replace(query(), start_rate=(0.1, 0.0, 0.0)))
-
-
-@pytest.mark.slow
-def test_a_straight_motion_in_another_inertia_frame_is_bounded_too():
-    """The configuration whose inertia the base carries is a choice."""
-    asked = query()
-    bound = bound_energy(asked, at=START, slabs=SLABS)
-    motion = Motion.straight(START, GOAL, asked.duration)
-    assert 0 < bound.energy < MeanEnergy(asked.system, START, asked.duration).of(motion)

@@ -48,7 +48,6 @@ for request in sys.stdin:
 """
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
 EVERYTHING = ",".join({name.partition(".")[0] for name in PACKAGES} - {"mujoco"})
-TRAIN = ["train", "ves/BeamLQR-v0", "--steps", "64"]
 SPEC = """
 [[train]]
 configs = ["BeamLQR-ppo"]
@@ -88,60 +87,42 @@ def command(server, tmp_path, tmp_path_factory):
     return run
 
 
-@pytest.mark.parametrize(
-    ("hidden", "words", "says"),
-    [
-        (EVERYTHING, [], "training needs the package safetensors: pip install safetensors"),
-        ("safetensors", [], "training needs the package safetensors: pip install safetensors"),
-        (
-            "tensorboard",
-            ["--tensorboard", "board"],
-            "a curve in TensorBoard needs the package tensorboard:"
-            " pip install 'ves-gym[tensorboard]'",
-        ),
-    ],
-)
-def test_train(command, hidden, words, says, tmp_path):
-    status, out, err = command(hidden, *TRAIN, *words)
-    assert (status, out) == (2, "") and says in err
-    assert err.startswith("ves-gym: error: ") and err.count("\n") == 1
-    assert not list(tmp_path.iterdir())
+TRAIN = "train ves/BeamLQR-v0 --steps 64"
+BOARD = f"{TRAIN} --tensorboard board"
+PARQUET = "pip install 'ves-gym[parquet]'"
+REFUSED = {  # command, perhaps what alone is hidden -> part of the sentence
+    TRAIN: "training needs the package safetensors: pip install safetensors",
+    f"{TRAIN} | safetensors": "needs the package safetensors: pip install safetensors",
+    f"{BOARD} | tensorboard": "a curve in TensorBoard needs the package tensorboard: pip",
+    "evaluate ves/PumaDamp-v0 --policy released": "pip install safetensors",
+    "view LOG --gif a.gif": "GIF output needs the package pillow",
+    "view LOG --mp4 a.mp4": "'ves-gym[movie]'",
+    "simulate --log log.parquet": PARQUET,
+    "teleop --keys KEYS --log log.parquet": PARQUET,
+    "merge folder --parquet": PARQUET,
+    "diagnose a.parquet b.parquet": PARQUET,
+    "plan --planner ompl-qt --start 0,0,0 --goal 9,0,0": "planner ompl-qt needs the package"
+    " ompl: pip install ompl; ompl has wheels for Linux and macOS 15, Python 3.11 to 3.13",
+    "benchmark --quick --first 1 --planners ompl-qt": "package ompl",
+    "sweep SWEEP": "training needs the package safetensors",
+    "search SPEC": "search needs the package optuna: pip install 'ves-gym[scale]'",
+}
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["evaluate", "ves/PumaDamp-v0", "--policy", "released"], "pip install safetensors"),
-        (["view", "LOG", "--gif", "a.gif"], "GIF output needs the package pillow"),
-        (["view", "LOG", "--mp4", "a.mp4"], "'ves-gym[movie]'"),
-        (["simulate", "--log", "log.parquet"], "pip install 'ves-gym[parquet]'"),
-        (
-            ["teleop", "--keys", "KEYS", "--log", "log.parquet"],
-            "pip install 'ves-gym[parquet]'",
-        ),
-        (["merge", "folder", "--parquet"], "'ves-gym[parquet]'"),
-        (["diagnose", "a.parquet", "b.parquet"], "pip install 'ves-gym[parquet]'"),
-        (
-            ["plan", "--planner", "ompl-qt", "--start", "0,0,0", "--goal", "9,0,0"],
-            "planner ompl-qt needs the package ompl: pip install ompl; ompl has wheels for"
-            " Linux and macOS 15, Python 3.11 to 3.13",
-        ),
-        (["benchmark", "--quick", "--first", "1", "--planners", "ompl-qt"], "package ompl"),
-        (["sweep", "SWEEP"], "training needs the package safetensors"),
-        (["search", "SPEC"], "search needs the package optuna: pip install 'ves-gym[scale]'"),
-    ],
-)
-def test_refused_in_one_line(command, run_log, tmp_path, words, says):
+@pytest.mark.parametrize("line", REFUSED)
+def test_refused_in_one_line(command, run_log, tmp_path, line):
     files = {"LOG": run_log}
     texts = {"KEYS": "0.1 q 0.2\n", "SPEC": SPEC, "SWEEP": SPEC.partition("[search]")[0]}
-    for name, text in {**texts, "a.parquet": "", "b.parquet": "", "a.zip": ""}.items():
+    for name, text in {**texts, "a.parquet": "", "b.parquet": ""}.items():
         files[name] = tmp_path / f"{name}.toml" if name in texts else tmp_path / name
         files[name].write_text(text)
     there = sorted(tmp_path.iterdir())
-    status, out, err = command(EVERYTHING, *(files.get(word, word) for word in words))
-    assert status == 2, out + err
+    words, _, hidden = line.partition(" | ")
+    words = [files.get(word, word) for word in words.split()]
+    status, out, err = command(hidden or EVERYTHING, *words)
+    assert (status, out) == (2, ""), out + err
     assert err.startswith("ves-gym: error: ") and err.count("\n") == 1, err
-    assert says in err
+    assert REFUSED[line] in err
     assert sorted(tmp_path.iterdir()) == there
 
 

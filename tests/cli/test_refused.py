@@ -147,24 +147,13 @@ def test_bad_input_is_one_line_and_writes_nothing(line, refused, tmp_path):
     assert expected in refused(*words.split())
 
 
-def test_a_key_of_a_system_file(refused, tmp_path):
+def test_files_of_systems_and_vehicles_are_checked(refused, tmp_path):
     (tmp_path / "system.toml").write_text("physics_d = 0.001\n")
     line = refused("simulate", "--system", "system.toml")
     assert '; did you mean "physics_dt"?' in line
-
-
-NOT_DEFINITE = """
-kind = "matrices"
-M = {M}
-D = {D}
-K = {D}
-"""
-
-
-def test_a_vehicle_that_is_not_positive_definite_is_named(refused, tmp_path):
-    eye, bad = np.eye(6), np.eye(6)
-    bad[2, 2] = -3.0
-    (tmp_path / "boat.toml").write_text(NOT_DEFINITE.format(M=bad.tolist(), D=eye.tolist()))
+    eye, bad = np.eye(6).tolist(), np.diag([1, 1, -3.0, 1, 1, 1]).tolist()
+    text = f'kind = "matrices"\nM = {bad}\nD = {eye}\nK = {eye}\n'
+    (tmp_path / "boat.toml").write_text(text)
     line = refused("simulate", "--vehicle", "boat.toml")
     assert "MatrixVehicle.M" in line and "-3" in line
 

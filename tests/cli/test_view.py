@@ -3,8 +3,10 @@
 import subprocess
 import sys
 
+import imageio_ffmpeg
 import numpy as np
 import pytest
+from PIL import Image
 
 from tests.display import require_opengl, type_keys, virtual_display
 from ves_gym.rendering import live, render
@@ -25,12 +27,11 @@ def opengl():
 
 
 def test_gif_shows_a_structure_that_moves(call, run_log, tmp_path, opengl):
-    image = pytest.importorskip("PIL.Image")
     status, out, _, result = call("view", run_log, *TINY, "--magnify", "20")
     assert status == 0 and result["schema"] == "ves-view/1" and "written" in out
     assert result["frames"] == 4 and result["backend"] == opengl
     assert result["digest"] == RunLog.load(run_log).digest
-    with image.open(tmp_path / "out" / "run.gif") as film:
+    with Image.open(tmp_path / "out" / "run.gif") as film:
         assert film.size == (128, 64) and film.n_frames == 4
         assert film.info["duration"] == 200  # ms: real time
         frames = []
@@ -56,17 +57,14 @@ def test_what_is_drawn_is_the_log_at_the_pictures_times(run_log):
 
 
 def test_mp4_has_the_asked_frames(call, run_log, tmp_path, opengl):
-    pytest.importorskip("PIL.Image")
-    ffmpeg = pytest.importorskip("imageio_ffmpeg")
     status, *_ = call("view", run_log, *TINY, "--mp4", "a.mp4", "--speed", "0.5")
     assert status == 0
-    frames, _ = ffmpeg.count_frames_and_secs(str(tmp_path / "out" / "a.mp4"))
+    frames, _ = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "out" / "a.mp4"))
     assert frames == 7
 
 
 @pytest.mark.parametrize("vehicle", ["free-floating", "decoupled"])
 def test_vehicles_without_a_beam_are_drawn(call, opengl, vehicle, tmp_path):
-    pytest.importorskip("PIL.Image")
     words = ("--vehicle", vehicle, "--duration", "0.2", "--settle", "0")
     _, _, _, made = call("simulate", *words, "--record-dt", "0.0125", "--goal", "5,5,5")
     status, *_ = call("view", made["log"], *TINY)
@@ -77,14 +75,12 @@ def test_vehicles_without_a_beam_are_drawn(call, opengl, vehicle, tmp_path):
 
 
 def test_unknown_mujoco_gl_is_one_line(refused, run_log, monkeypatch):
-    pytest.importorskip("PIL.Image")
     monkeypatch.setenv("MUJOCO_GL", "nonsense")
     line = refused("view", run_log)
     assert "MUJOCO_GL" in line and "egl" in line and "'nonsense'" in line
 
 
 def test_missing_libraries_are_named(refused, run_log, monkeypatch):
-    pytest.importorskip("PIL.Image")
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setattr(gl.platform, "system", lambda: "Linux")
     library = {"egl": "libEGL is missing", "osmesa": "libOSMesa is missing"}
@@ -101,13 +97,11 @@ def test_broken_opengl_is_survived(monkeypatch):
 
 
 def test_drawing_that_fails_midway_writes_nothing(refused, run_log, monkeypatch):
-    pytest.importorskip("PIL.Image")
     monkeypatch.setattr(live, "choose_backend", lambda: "nonsense")
     assert "drawing with nonsense failed" in refused("view", run_log, *TINY)
 
 
 def test_drawing_that_hangs_is_given_up(refused, run_log, monkeypatch, opengl):
-    pytest.importorskip("PIL.Image")
     monkeypatch.setattr(live, "_STALL", 0.001)  # s: no process starts as fast
     assert f"drawing with {opengl} hung: no frame for 0.001 s" in refused(
         "view", run_log, *TINY
@@ -136,7 +130,6 @@ def test_window_without_a_display_is_one_line(refused, run_log, monkeypatch):
     ],
 )
 def test_bad_options_are_one_line(words, expected, refused, run_log):
-    pytest.importorskip("PIL.Image")
     assert expected in refused("view", run_log, *words)
 
 

@@ -151,24 +151,14 @@ KINDS = ("straight", "drawn")
 
 
 def drag(browser, selector, right, down):
-    x, y = browser.do(
-        f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
-        " e.scrollIntoView({block: 'center'}); const r = e.getBoundingClientRect();"
-        " return [r.x + r.width / 2, r.y + r.height / 2]; })()"
-    )
-    mouse = {"button": "left", "clickCount": 1}
-    browser.send("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, **mouse)
-    browser.send(
-        "Input.dispatchMouseEvent",
-        type="mouseMoved",
-        x=x + right,
-        y=y + down,
-        buttons=1,
-        **mouse,
-    )
-    browser.send(
-        "Input.dispatchMouseEvent", type="mouseReleased", x=x + right, y=y + down, **mouse
-    )
+    mouse, element = browser.page.mouse, browser.page.locator(selector).first
+    element.scroll_into_view_if_needed()
+    box = element.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    mouse.move(x, y)
+    mouse.down()
+    mouse.move(x + right, y + down)
+    mouse.up()
     browser.do("new Promise((go) => requestAnimationFrame(() => requestAnimationFrame(go)))")
 
 
@@ -182,7 +172,7 @@ def test_machines_that_the_page_cannot_simulate_are_refused():
         render_studio({"schema": "ves-other/1"})
 
 
-@pytest.mark.parametrize("armature", [0.0, 1.0], ids=["no rotors", "with friction"])
+@pytest.mark.parametrize("armature", [pytest.param(0.0, marks=pytest.mark.slow), 1.0])
 def test_an_arm_from_a_urdf_is_simulated_as_the_simulator_does(browser, tmp_path, armature):
     """With rotors its friction counts; without, it is left out, since links are so light."""
     file, page = six_joint_urdf(tmp_path / "maker6.urdf", armature), tmp_path / "own.html"

@@ -143,7 +143,9 @@ def test_the_page_opens_what_is_json(browser, files, data, tmp_path):
     assert browser.errors == []
 
 
-@pytest.mark.parametrize("vehicle", ["bent", "bent-thesis"])
+@pytest.mark.parametrize(
+    "vehicle", ["bent", pytest.param("bent-thesis", marks=pytest.mark.slow)]
+)
 def test_the_drawn_path_is_played_on_its_machine(browser, tmp_path, capsys, vehicle):
     """What the page saves gives, by the line that it names, the energy that it shows.
 

@@ -99,10 +99,9 @@ def test_a_platform_that_stopped_says_so(browser, data, tmp_path):
     )
 
 
-def test_the_player_of_a_benchmark_draws_the_platform(browser, make_result, tmp_path):
+def test_the_player_of_a_benchmark_draws_the_platform(browser, result, tmp_path):
     pictures = []
     for platform in (None, platform_data(LAB)):
-        result = make_result(queries=2, points=9)
         for run in result["scenes"][0]["runs"]:
             run["platform"] = platform
         write_page(result, tmp_path / "report.html")

@@ -63,8 +63,11 @@ def doctor(at: Context) -> Answer:
 
 def _checks(out: Path) -> Iterator[tuple[float, Check]]:
     core, extras, python = requirements()
+    version = platform.python_version()
+    good = SpecifierSet(python).contains(version, prereleases=True)
     parts = (
-        lambda: [check_python(python), check_processor()],
+        lambda: [Check("python", OK if good else FAIL, f"{version} (needs {python})")],
+        lambda: [check_processor()],
         lambda: [check_version(needed) for needed in core],
         lambda: [check_import("mujoco")],
         lambda: [check_import("ompl.geometric")] if installed("ompl") else [],
@@ -108,13 +111,6 @@ def requirements() -> tuple[list[Requirement], dict[str, list[Requirement]], str
 
 def _parsed(texts: Iterable[str]) -> list[Requirement]:
     return [Requirement(text) for text in texts if not text.startswith("ves-gym")]
-
-
-def check_python(ranges: str) -> Check:
-    """The interpreter's version."""
-    version = platform.python_version()
-    good = SpecifierSet(ranges).contains(version, prereleases=True)
-    return Check("python", OK if good else FAIL, f"{version} (needs {ranges})")
 
 
 def check_version(needed: Requirement, extra: str = "") -> Check:

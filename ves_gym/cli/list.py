@@ -6,13 +6,31 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
-from ves_gym._util.params import ParameterError
+from ves_gym._util.params import ParameterError, read_table
 from ves_gym._util.tables import table
+from ves_gym.baselines.policy import RELEASED
 from ves_gym.cli.flags import Answer, Context, Flag, one_of
 from ves_gym.cli.machine import MACHINE
+from ves_gym.cli.main import COMMANDS
+from ves_gym.effects import EFFECTS
+from ves_gym.engine.backends.base import BACKENDS
+from ves_gym.envs.build import build_task
+from ves_gym.envs.registration import ENTRY_POINT
+from ves_gym.envs.spaces import goal_space, observation_space
+from ves_gym.hardware.leg_response import bandwidth, gain_margin
+from ves_gym.hardware.leg_servo import LEG_SERVOS, leg_clock
+from ves_gym.mechanics.arm_library import arm_names, get_arm
+from ves_gym.mechanics.servo import own_gains
+from ves_gym.mechanics.vehicle import VEHICLES
 from ves_gym.planners.case import Case
+from ves_gym.planners.coupling import modes
+from ves_gym.planners.registry import PLANNERS
+from ves_gym.planners.suites import SUITES, get_suite
+from ves_gym.simulation.emulation_loop import EmulationLoop
+from ves_gym.system.system import System
 
 BLOCKS = "blocks"  # of an emulation loop; `KINDS` has all that exists once
 UNITS = {"hz": "Hz", "s": "s"}  # endings of the keys of quantities
@@ -34,8 +52,6 @@ def show(at: Context, *, what: str | None = None) -> Answer:
 
 def _blocks(case: Case) -> dict[str, Rows]:
     """Blocks of an emulation loop, and the wires between them."""
-    from ves_gym.simulation.emulation_loop import EmulationLoop
-
     mode = case.system.mode
     if mode != "emulated":
         raise ParameterError(f"list {BLOCKS} is about --mode emulated, got {mode}")
@@ -47,9 +63,6 @@ def _blocks(case: Case) -> dict[str, Rows]:
 
 
 def _arms() -> Rows:
-    from ves_gym.mechanics.arm_library import arm_names, get_arm
-    from ves_gym.mechanics.servo import own_gains
-
     return [
         {
             "name": name,
@@ -64,10 +77,6 @@ def _arms() -> Rows:
 
 
 def _vehicles() -> Rows:
-    from ves_gym.mechanics.vehicle import VEHICLES
-    from ves_gym.planners.coupling import modes
-    from ves_gym.system.system import System
-
     rows = []
     for name, vehicle in VEHICLES.items():
         system = System(vehicle=vehicle)
@@ -84,16 +93,7 @@ def _vehicles() -> Rows:
     return rows
 
 
-def _planners() -> Rows:
-    from ves_gym.planners.registry import PLANNERS
-
-    return [{"name": name, "summary": p.summary} for name, p in PLANNERS.items()]
-
-
 def _suites() -> Rows:
-    from ves_gym.planners.suites import SUITES, get_suite
-    from ves_gym.system.system import System
-
     return [
         {
             "name": name,
@@ -107,8 +107,6 @@ def _suites() -> Rows:
 
 
 def _effects() -> Rows:
-    from ves_gym.effects import EFFECTS
-
     def parameter(field: Any) -> str:
         (low, high), unit = field.metadata["bounds"], field.metadata["unit"]
         size = " x ".join("any" if k is None else str(k) for k in field.metadata["shape"])
@@ -126,9 +124,6 @@ def _effects() -> Rows:
 
 
 def _platforms() -> Rows:
-    from ves_gym.hardware.leg_response import bandwidth, gain_margin
-    from ves_gym.hardware.leg_servo import LEG_SERVOS, leg_clock
-
     rows: Rows = [{"name": "a number", "kind": "pose", "source": "second-order pose servo, Hz"}]
     for name, servo in LEG_SERVOS.items():
         control_dt, _ = leg_clock(servo)
@@ -139,12 +134,6 @@ def _platforms() -> Rows:
 
 
 def _environments() -> Rows:
-    import gymnasium as gym
-
-    from ves_gym.envs.build import build_task
-    from ves_gym.envs.registration import ENTRY_POINT
-    from ves_gym.envs.spaces import goal_space, observation_space
-
     rows = []
     for id, spec in gym.registry.items():
         if spec.entry_point != ENTRY_POINT:  # another package's, or the user's own
@@ -168,16 +157,7 @@ def _environments() -> Rows:
     return rows
 
 
-def _backends() -> Rows:
-    from ves_gym.engine.backends.base import BACKENDS
-
-    return [{"name": name} for name in BACKENDS]
-
-
 def _policies() -> Rows:
-    from ves_gym._util.params import read_table
-    from ves_gym.baselines.policy import RELEASED
-
     return [
         {
             "environment": plain["about"]["env"],
@@ -190,23 +170,17 @@ def _policies() -> Rows:
     ]
 
 
-def _commands() -> Rows:
-    from ves_gym.cli.main import COMMANDS
-
-    return [{"name": name, "summary": text} for name, (_, text) in COMMANDS.items()]
-
-
 KINDS: dict[str, Callable[[], Rows]] = {
     "arms": _arms,
     "vehicles": _vehicles,
-    "planners": _planners,
+    "planners": lambda: [{"name": k, "summary": p.summary} for k, p in PLANNERS.items()],
     "suites": _suites,
     "effects": _effects,
     "platforms": _platforms,
     "environments": _environments,
-    "backends": _backends,
+    "backends": lambda: [{"name": name} for name in BACKENDS],
     "policies": _policies,
-    "commands": _commands,
+    "commands": lambda: [{"name": k, "summary": text} for k, (_, text) in COMMANDS.items()],
 }
 
 

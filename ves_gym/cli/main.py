@@ -21,45 +21,31 @@ from ves_gym._util.params import write_text
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.version import __version__
 from ves_gym.cli.flags import Answer, Context, Flag, integer, path, say, values
+from ves_gym.report.figures import write_figures
 
 COMMANDS = {  # name -> its module, loaded when it is asked for, and what it does
     "benchmark": ("planning", "planners x queries x durations: table, figures, HTML report"),
     "simulate": ("simulate", "play one motion on one system and record a run log"),
     "plan": ("planning", "find one path with one planner"),
     "studio": ("planning", "draw a path in a page, and the energy of the base follows"),
-    "map": ("machine_checks", "coupling-map pictures and arrays"),
+    "map": ("checks", "coupling-map pictures and arrays"),
     "train": ("learning", "learn policies for an environment, by PPO or from a controller"),
     "evaluate": ("learning", "controllers and policies side by side on the same episodes"),
-    "dataset": (
-        "learning",
-        "episodes as Minari data sets: made from recipes, checked, replayed",
-    ),
+    "dataset": ("learning", "episodes as Minari data sets: made from recipes and replayed"),
     "policy": ("learning", "policies as ONNX for other engines, and their model cards"),
-    "leaderboard": (
-        "leaderboard",
-        "entries that anybody can repeat, their verification, and the board",
-    ),
-    "sweep": (
-        "sweeps",
-        "many units of work, on this machine or a cluster; goes on where it stopped",
-    ),
+    "leaderboard": ("leaderboard", "entries that anybody can repeat, checked, and the board"),
+    "sweep": ("sweeps", "many units of work, here or on a cluster; goes on where it stopped"),
     "matrix": (
         "sweeps",
-        "methods x machines x tasks x seeds: one page with intervals; goes on",
+        "methods x machines x tasks x seeds: a page with intervals; goes on",
     ),
     "search": ("sweeps", "the settings of a sweep that do best, found with Optuna"),
     "merge": ("sweeps", "one table of the results of sweeps"),
-    "pped": ("machine_checks", "joint gains that take vibration out of the base (thesis 4.3)"),
+    "pped": ("checks", "joint gains that take vibration out of the base (thesis 4.3)"),
     "diagnose": ("diagnose", "where logs and description disagree, and what is missing"),
-    "calibrate": (
-        "machine_checks",
-        "gravity parameters and sensor matrix from a log of poses",
-    ),
-    "structure": ("machine_checks", "a vehicle file from M and K of a finite-element model"),
-    "emulation-check": (
-        "machine_checks",
-        "is an emulation stable, and how true, before it runs",
-    ),
+    "calibrate": ("checks", "gravity parameters and sensor matrix from a log of poses"),
+    "structure": ("checks", "a vehicle file from M and K of a finite-element model"),
+    "emulation-check": ("checks", "is an emulation stable, and how true, before it runs"),
     "list": ("list", "what exists: vehicles, planners, suites, effects"),
     "doctor": ("doctor", "what is broken on this machine"),
     "view": ("watch", "watch a run log: window, GIF or MP4"),
@@ -187,37 +173,30 @@ def _carry_out(args: argparse.Namespace) -> int:
         at = replace(at, pictures=not taken.pop("no_figures", False))
         answer = args.run(at, **taken)
         if answer.figures is not None and at.pictures:
-            answer = _draw(answer, form)
+            if missing := lacking("drawing", "matplotlib"):
+                answer = replace(answer, text=f"{answer.text}\nno pictures: {missing}")
+            else:
+                drawn = write_figures(answer.figures(), form)
+                answer = replace(answer, files=[*answer.files, *drawn])
     return _print(answer, at.json)
-
-
-def _draw(answer: Answer, form: str) -> Answer:
-    """Write the pictures of an answer, or say what is missing for them."""
-    assert answer.figures is not None
-    if sentence := lacking("drawing", "matplotlib"):
-        return replace(answer, text=f"{answer.text}\nno pictures: {sentence}")
-    from ves_gym.report.figures import write_figures
-
-    return replace(answer, files=[*answer.files, *write_figures(answer.figures(), form)])
 
 
 def _print(answer: Answer, file: str | None) -> int:
     """Write an answer as JSON and print it; the exit status."""
     files = [str(path) for path in answer.files] + ([file] if file not in (None, "-") else [])
+    lines = [str(answer.text)] if str(answer.text) else []
+    if answer.files:
+        lines.append(f"written: {'  '.join(files)}")
+    lines += [f"next: {shlex.join(['ves-gym', *map(str, words)])}" for words in answer.then]
     if file is not None and answer.plain is not None:
         plain = {**answer.plain, "files": files} if answer.files else answer.plain
         text = json.dumps(plain, indent=1, allow_nan=False)
         if file == "-":
-            print(text)
+            lines = [text]
         else:
             write_text(file, text + "\n")
-    if file != "-":
-        if text := str(answer.text):
-            print(text)
-        if answer.files:
-            print(f"written: {'  '.join(files)}")
-        for words in answer.then:
-            print(f"next: {shlex.join(['ves-gym', *map(str, words)])}")
+    for line in lines if file != "-" or answer.plain is not None else ():
+        print(line)
     return NEGATIVE if answer.negative else DONE
 
 
@@ -240,19 +219,16 @@ class Bars:
         name = " ".join(map(str, (self.command, *words[:at])))
         note = " ".join(map(str, words[at + 1 :]))
         if self.bars is None:
-            self.bars = self.stack.enter_context(_bars())
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TimeRemainingColumn
+
+            percent, notes = "{task.percentage:3.0f} %", "{task.fields[note]}"
+            columns = "{task.description}", BarColumn(), percent, TimeRemainingColumn(), notes
+            bars = Progress(*columns, console=Console(stderr=True), transient=True)
+            self.bars = self.stack.enter_context(bars)
         if name not in self.tasks:
             self.tasks[name] = self.bars.add_task(name, total=1.0, note=note)
         self.bars.update(self.tasks[name], completed=words[at], note=note)
-
-
-def _bars() -> Any:
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TimeRemainingColumn
-
-    percent, note = "{task.percentage:3.0f} %", "{task.fields[note]}"
-    columns = ("{task.description}", BarColumn(), percent, TimeRemainingColumn(), note)
-    return Progress(*columns, console=Console(stderr=True), transient=True)
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *where: Any) -> None:
@@ -278,15 +254,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
     except (ValueError, OSError, ArithmeticError) as error:
         # parameters, limits, logs, files and runs that diverge: all say what is wrong
-        return _refuse(str(error))
+        sentence: str | None = str(error)
     except ImportError as error:
         sentence = explain(error)
         if sentence is None:
             raise  # no optional package: ours to repair
-        return _refuse(sentence)
-
-
-def _refuse(sentence: str) -> int:
     say(on_one_line(sentence), "error")
     return BAD_INPUT
 

@@ -55,6 +55,7 @@ class Drawing:
             self._measure(system.vehicle)
         self.model = self._model()
         self.data = mujoco.MjData(self.model)
+        self.scene = mujoco.MjvScene(self.model, maxgeom=2000)  # of this frame
 
     def _measure(self, vehicle: Beam | FlexibleBase) -> None:
         """Centreline at rest, per base coordinate and per internal mode."""
@@ -79,14 +80,9 @@ class Drawing:
             physics_dt=system.physics_dt,
         )
         spec.add_texture(
-            name="sky",
-            type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-            builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-            rgb1=BACKGROUND,
-            rgb2=BACKGROUND,
-            width=32,
-            height=192,
-        )
+            name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, rgb1=BACKGROUND,
+            rgb2=BACKGROUND, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT, width=32, height=192,
+        )  # fmt: skip
         spec.visual.headlight.ambient = [0.35] * 3
         spec.visual.headlight.diffuse = [0.35] * 3
         spec.visual.headlight.specular = [0.1] * 3
@@ -96,12 +92,9 @@ class Drawing:
         spec.stat.center, spec.stat.extent = [0.0, 0.0, 0.0], 4.0
         spec.visual.map.znear, spec.visual.map.zfar = 0.02, 100.0
         spec.worldbody.add_light(
-            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-            pos=[2, -4, 6],
-            dir=[-0.35, 0.6, -0.75],
-            diffuse=[0.6] * 3,
-            castshadow=False,
-        )
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=[2, -4, 6],
+            dir=[-0.35, 0.6, -0.75], diffuse=[0.6] * 3, castshadow=False,
+        )  # fmt: skip
         self._add_base(spec)
         self._add_arm(spec)
         if self.feet is None:
@@ -153,7 +146,7 @@ class Drawing:
         r, last = self._radius(self.system.arm.n), self.system.arm.links[-1]
         along = np.array([1.0, 0, 0]) if abs(last.a) > 1e-6 else np.array([0.0, 0, 1])
         across = np.array([0.0, 1, 0])
-        _sphere(body, end, 1.1 * r, _TOOL)
+        _add(body, "SPHERE", _TOOL, size=[1.1 * r, 0, 0], pos=end)
         for side in (-1, 1):
             root = end + side * 0.8 * r * across
             _rod(body, "CAPSULE", root, root + 2.6 * r * along, 0.3 * r, _TOOL)
@@ -253,11 +246,10 @@ class Drawing:
         head = top @ np.swapaxes(rotation(y), -1, -2) + y[..., None, :3]
         return np.stack([np.broadcast_to(self.feet, head.shape), head], axis=-2)
 
-    def add_support(self, scene: Any, y: Array, extent: float, u: Array | None = None) -> None:
+    def add_support(self, y: Array, extent: float, u: Array | None = None) -> None:
         """Add what carries the arm and is no rigid body: the bent beam, or the legs.
 
         Args:
-            scene: MuJoCo's, of this frame.
             y: (6,) base pose [m, rad].
             extent: size of what the camera sees [m].
             u: see `pose`; None: internal modes rest on the base's flange.
@@ -266,21 +258,19 @@ class Drawing:
         if legs is not None:
             for foot, head in legs:
                 middle = foot + 0.55 * (head - foot)
-                connect(scene, "CAPSULE", foot, middle, 0.05, _DARK)
-                connect(scene, "CAPSULE", middle, head, 0.028, _METAL)
+                self.connect("CAPSULE", foot, middle, 0.05, _DARK)
+                self.connect("CAPSULE", middle, head, 0.028, _METAL)
         elif centreline is not None:
             radius = max(self.thick / 2, 0.004 * extent)
             for a, b in itertools.pairwise(self.rest_beam):
-                connect(scene, "CAPSULE", a, b, 0.5 * radius, _GHOST)
+                self.connect("CAPSULE", a, b, 0.5 * radius, _GHOST)
             for a, b in itertools.pairwise(centreline):
-                connect(scene, "CAPSULE", a, b, radius, _BEAM)
+                self.connect("CAPSULE", a, b, radius, _BEAM)
 
-    def add_payload(self, scene: Any, pose: Array) -> None:
+    def add_payload(self, pose: Array) -> None:
         """Add the payload as the surfaces that the tool meets, or a box; its grip as a ball.
 
-        Args:
-            scene: MuJoCo's, of this frame.
-            pose: (7,) place of its origin [m], unit quaternion.
+        Its pose (7,): place of its origin [m], unit quaternion.
         """
         payload, contact = self.system.payload, self.system.contact
         if payload is None:
@@ -289,18 +279,17 @@ class Drawing:
         if contact is not None and contact.on == "payload":
             for shape in contact.target:
                 at = place + turn @ np.array(shape.place.position)
-                _show(scene, *geom_of(shape), at, turn @ shape.place.rotation, _PAYLOAD)
+                self._show(*geom_of(shape), at, turn @ shape.place.rotation, _PAYLOAD)
         else:
             middle = place + turn @ np.array(payload.inertial.com)
-            _show(scene, mujoco.mjtGeom.mjGEOM_BOX, payload.edges / 2, middle, turn, _PAYLOAD)
+            self._show(mujoco.mjtGeom.mjGEOM_BOX, payload.edges / 2, middle, turn, _PAYLOAD)
         grip = place + turn @ np.array(payload.grip.position)
-        ball(scene, grip, 0.12 * float(payload.edges.min()), _TOOL)
+        self.ball(grip, 0.12 * float(payload.edges.min()), _TOOL)
 
-    def add_path(self, scene: Any, poses: Array, extent: float) -> None:
+    def add_path(self, poses: Array, extent: float) -> None:
         """Add the path of a point on the plate's rim.
 
         Args:
-            scene: MuJoCo's, of this frame.
             poses: (N, 6) base poses up to now [m, rad].
             extent: size of what the camera sees [m].
         """
@@ -309,17 +298,14 @@ class Drawing:
         points = poses[:, :3] + rotation(poses) @ self._rim
         for i, (a, b) in enumerate(itertools.pairwise(points)):
             fade = (*PATH[:3], 0.15 + 0.85 * (i + 1) / len(points))
-            connect(scene, "CAPSULE", a, b, 0.005 * extent, fade)
+            self.connect("CAPSULE", a, b, 0.005 * extent, fade)
 
-    def add_wrench(
-        self, scene: Any, y: Array, w: Array, most: tuple[float, float], longest: float
-    ) -> None:
+    def add_wrench(self, y: Array, w: Array, most: tuple[float, float], longest: float) -> None:
         """Add force and moment on the base.
 
         They begin on the plate's rim: at its centre the arm would hide them.
 
         Args:
-            scene: MuJoCo's, of this frame.
             y: (6,) base pose [m, rad].
             w: (6,) wrench [N, N m].
             most: [N], [N m] drawn as long as `longest`.
@@ -330,7 +316,35 @@ class Drawing:
         for part, largest, rgba in zip((w[:3], w[3:]), most, (FORCE, MOMENT), strict=True):
             arrow = longest * (turn @ part) / max(largest, 1e-12)
             if np.linalg.norm(arrow) > 0.02:
-                connect(scene, "ARROW", origin, origin + arrow, 0.025, rgba)
+                self.connect("ARROW", origin, origin + arrow, 0.025, rgba)
+
+    def _show(self, form: Any, size: Array, at: Array, axes: Array, rgba: Any) -> Any:
+        """Add a shape to this frame."""
+        geom, colour = self.scene.geoms[self.scene.ngeom], np.array(rgba, np.float32)
+        mujoco.mjv_initGeom(geom, form, np.ascontiguousarray(size), at, axes.flatten(), colour)
+        self.scene.ngeom += 1
+        return geom
+
+    def connect(self, kind: str, a: Array, b: Array, radius: float, rgba: Any) -> None:
+        """Add a shape from a to b (3,) [m] to this frame; none where they coincide.
+
+        Args:
+            kind: name of MuJoCo's geom type, like CAPSULE.
+            a, b: (3,) [m].
+            radius: [m].
+            rgba: colour, each from 0 to 1.
+        """
+        if np.linalg.norm(b - a) > 1e-9:
+            form = getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")
+            geom = self._show(form, np.zeros(3), np.zeros(3), np.eye(3), rgba)
+            mujoco.mjv_connector(geom, form, radius, a, b)
+
+    def ball(self, at: Array, radius: float, rgba: Any) -> None:
+        """Add a sphere around (3,) [m] to this frame."""
+        form = mujoco.mjtGeom.mjGEOM_SPHERE
+        self._show(form, np.full(3, radius), at, np.eye(3), rgba)
+
+    # ------------------------------------------------------------------ cameras
 
     def camera(
         self, points: Array, margin: float, azimuth: float, elevation: float, aspect: float
@@ -375,12 +389,9 @@ class Drawing:
         """
         base, margin, home = self.system.base, 0.6, np.zeros(6)
         legs, centreline = self.legs(home), self.beam(home)
-        if legs is not None:
-            return np.vstack([arm, legs.reshape(-1, 3)]), margin
-        if centreline is not None:
-            return np.vstack([arm, centreline]), margin
-        if base.body is None:
-            return arm, margin
+        support = centreline if legs is None else legs.reshape(-1, 3)
+        if support is not None or base.body is None:
+            return (arm if support is None else np.vstack([arm, support])), margin
         points = [arm, np.array([base.body.com])]
         for part in base.carried:
             if isinstance(part, Appendage) and part.body.mass > LEAST:
@@ -409,44 +420,10 @@ def _rod(body: Any, kind: str, a: Any, b: Any, radius: float, rgba: Any) -> None
     _add(body, kind, rgba, size=[radius, 0, 0], fromto=[*a, *b])
 
 
-def _sphere(body: Any, at: Any, radius: float, rgba: Any) -> None:
-    _add(body, "SPHERE", rgba, size=[radius, 0, 0], pos=at)
-
-
 def _box(body: Any, at: Any, half: Array, axes: Array, rgba: Any) -> None:
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, axes.flatten())
     _add(body, "BOX", rgba, size=half, pos=at, quat=quat)
-
-
-def _show(scene: Any, form: Any, size: Array, at: Array, axes: Array, rgba: Any) -> Any:
-    """Add a shape to this frame of the scene."""
-    geom, colour = scene.geoms[scene.ngeom], np.array(rgba, np.float32)
-    mujoco.mjv_initGeom(geom, form, np.ascontiguousarray(size), at, axes.flatten(), colour)
-    scene.ngeom += 1
-    return geom
-
-
-def connect(scene: Any, kind: str, a: Array, b: Array, radius: float, rgba: Any) -> None:
-    """Add a shape from a to b (3,) [m] to this frame of the scene; none where they coincide.
-
-    Args:
-        scene: MuJoCo's, of this frame.
-        kind: name of MuJoCo's geom type, like CAPSULE.
-        a, b: (3,) [m].
-        radius: [m].
-        rgba: colour, each from 0 to 1.
-    """
-    if np.linalg.norm(b - a) > 1e-9:
-        form = getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")
-        geom = _show(scene, form, np.zeros(3), np.zeros(3), np.eye(3), rgba)
-        mujoco.mjv_connector(geom, form, radius, a, b)
-
-
-def ball(scene: Any, at: Array, radius: float, rgba: Any) -> None:
-    """Add a sphere around (3,) [m] to this frame of the scene."""
-    form = mujoco.mjtGeom.mjGEOM_SPHERE
-    _show(scene, form, np.full(3, radius), at, np.eye(3), rgba)
 
 
 def _frame_along(x: Array) -> Array:

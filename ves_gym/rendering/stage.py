@@ -15,16 +15,7 @@ import mujoco
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.rendering.drawing import (
-    BACKGROUND,
-    FORCE,
-    MOMENT,
-    PATH,
-    TARGET,
-    Drawing,
-    ball,
-    connect,
-)
+from ves_gym.rendering.drawing import BACKGROUND, FORCE, MOMENT, PATH, TARGET, Drawing
 from ves_gym.rendering.live import LiveSettings
 
 MAIN = 0.62  # of the width is the arm's; the rest shows the whole, its base magnified
@@ -62,7 +53,7 @@ class Stage:
         self.settings = settings
         self.drawing = Drawing(settings.system, settings.width, settings.height)
         self.context = mujoco.MjrContext(self.drawing.model, _font_scale(settings.height))
-        self.scene = mujoco.MjvScene(self.drawing.model, maxgeom=2000)
+        self.scene = self.drawing.scene
         self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         self.option = mujoco.MjvOption()
         self.strip = _strip()
@@ -127,14 +118,14 @@ class Stage:
                 self.drawing.model, self.drawing.data, self.option, None, camera,
                 mujoco.mjtCatBit.mjCAT_ALL, self.scene,
             )  # fmt: skip
-            self.drawing.add_support(self.scene, k * y[-1], extent, modes)
+            self.drawing.add_support(k * y[-1], extent, modes)
             if rect is arm:
                 self._wrench(sample, k * y[-1])
                 self._marker(sample, extent)
                 if sample.get("payload") is not None:
-                    self.drawing.add_payload(self.scene, np.array(sample["payload"]))
+                    self.drawing.add_payload(np.array(sample["payload"]))
             else:
-                self.drawing.add_path(self.scene, k * y, extent)
+                self.drawing.add_path(k * y, extent)
             mujoco.mjr_render(rect, self.scene, self.context)
         mujoco.mjr_rectangle(mujoco.MjrRect(0, strip, width, band), *BACKGROUND, 1.0)
         for i, text in enumerate(sample["text"][: self.settings.lines]):
@@ -177,7 +168,7 @@ class Stage:
         mass = sum(k.inertial.mass for k in self.settings.system.arm.links)
         sizes = np.linalg.norm(self._all("w").reshape(-1, 2, 3), axis=2)
         force, moment = sizes.max(axis=0, initial=0.3 * mass)
-        self.drawing.add_wrench(self.scene, y, np.array(sample["w"]), (force, moment), _ARROW)
+        self.drawing.add_wrench(y, np.array(sample["w"]), (force, moment), _ARROW)
 
     def _marker(self, sample: dict[str, Any], extent: float) -> None:
         """The first point as a ball, what follows it as a line."""
@@ -186,8 +177,8 @@ class Stage:
         points = np.array(sample["marker"])
         colour = (*TARGET[:3], 0.45)
         for a, b in itertools.pairwise(points):
-            connect(self.scene, "CAPSULE", a, b, 0.006 * extent, colour)
-        ball(self.scene, points[0], 0.02 * extent, TARGET)
+            self.drawing.connect("CAPSULE", a, b, 0.006 * extent, colour)
+        self.drawing.ball(points[0], 0.02 * extent, TARGET)
 
     # ------------------------------------------------------------------- words
 
