@@ -254,11 +254,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
     except (ValueError, OSError, ArithmeticError) as error:
         # parameters, limits, logs, files and runs that diverge: all say what is wrong
-        sentence: str | None = str(error)
+        sentence = str(error)
     except ImportError as error:
-        sentence = explain(error)
-        if sentence is None:
+        if not (known := explain(error)):
             raise  # no optional package: ours to repair
+        sentence = known
     say(on_one_line(sentence), "error")
     return BAD_INPUT
 

@@ -12,7 +12,7 @@ from ves_gym.damping.configurations import DampingMap
 from ves_gym.damping.free_vibration import FreeVibration
 from ves_gym.damping.gain_comparison import GainComparison
 from ves_gym.damping.plant import Complexes
-from ves_gym.report.figures import IN_SPACE, darker, panels_of
+from ves_gym.report.figures import IN_SPACE, darker, key_below, panels_of
 from ves_gym.report.planner_styles import COLOURS
 from ves_gym.simulation.stability import poles_in_space
 
@@ -86,6 +86,8 @@ def response_figure(
     Returns:
         The figure: [mm], [J] and [J s] over [s].
     """
+    from matplotlib.lines import Line2D
+
     figure, panels = panels_of(3, 8.4, 2.9, columns=1)
     labels = ("translation [mm]", "strain energy [J]", "its integral [J s]")
     end = min(_RESPONSE_TIME, linear.t[-1])
@@ -101,7 +103,10 @@ def response_figure(
     for axes in panels:
         axes.set_ylim(bottom=0)
     panels[-1].set_xlabel("time after release [s]")
-    _response_legend(figure, names, simulated is not None)
+    lines = {name: Line2D([], [], color=_colour(k), lw=3) for k, name in enumerate(names)}
+    if simulated is not None:
+        lines["by the linear model"] = Line2D([], [], color="black", **IN_SPACE)
+    key_below(figure, lines, 2)
     return figure
 
 
@@ -145,17 +150,6 @@ def _draw_response(panels: Sequence[Axes], run: FreeVibration, k: int, **style: 
     total = cumulative_trapezoid(run.strain[k], run.t, initial=0.0)
     for axes, values in zip(panels, (distance, run.strain[k], total), strict=True):
         axes.plot(run.t, values, **style)
-
-
-def _response_legend(figure: Figure, names: Sequence[str], both: bool) -> None:
-    from matplotlib.lines import Line2D
-
-    lines = [Line2D([], [], color=_colour(k), linewidth=3) for k in range(len(names))]
-    labels = list(names)
-    if both:
-        lines.append(Line2D([], [], color="black", **IN_SPACE))
-        labels.append("by the linear model")
-    figure.legend(lines, labels, loc="outside lower center", ncols=2, frameon=False)
 
 
 def _colour(k: int) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import math
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -116,52 +116,46 @@ def benchmark_figures(result: Result) -> dict[str, Figure]:
     Raises:
         ParameterError: matplotlib is not installed.
     """
-    figures = {}
-    if result.get("rows"):
-        figures["ratio"] = ratio_figure(result)
-    if result.get("traces"):
-        figures["energy"] = time_figure(result, "E")
-    if result.get("maps"):
-        figures["coupling"] = coupling_figure(result["maps"], _planners(result))
-    if result.get("rows"):
-        figures["prediction"] = prediction_figure(result)
-    if result.get("anytime"):
-        figures["anytime"] = anytime_figure(result)
-    if any(s.get(f"{k}_ratio_median") for s in result.get("summary", ()) for k in TRADED):
-        figures["pareto"] = pareto_figure(result)
-    if result.get("traces") and result.get("mode") == "emulated":
-        figures["base_motion_emulated"] = time_figure(result, "distance")
-        figures["strain_energy_emulated"] = time_figure(result, "strain")
-    return figures
+    rows, traces = result.get("rows"), result.get("traces")
+    emulated = traces and result.get("mode") == "emulated"
+    summary = result.get("summary", ())
+    traded = any(s.get(f"{k}_ratio_median") for s in summary for k in TRADED)
+    kinds: dict[str, tuple[Any, Callable[[], Figure]]] = {
+        "ratio": (rows, lambda: ratio_figure(result)),
+        "energy": (traces, lambda: time_figure(result, "E")),
+        "coupling": (
+            result.get("maps"),
+            lambda: coupling_figure(result["maps"], _planners(result)),
+        ),
+        "prediction": (rows, lambda: prediction_figure(result)),
+        "anytime": (result.get("anytime"), lambda: anytime_figure(result)),
+        "pareto": (traded, lambda: pareto_figure(result)),
+        "base_motion_emulated": (emulated, lambda: time_figure(result, "distance")),
+        "strain_energy_emulated": (emulated, lambda: time_figure(result, "strain")),
+    }
+    return {name: draw() for name, (data, draw) in kinds.items() if data}
 
 
 def ratio_figure(result: Result) -> Figure:
     """E_mean over the straight line's, every query a dot, the median a bar."""
-    rows, names = result["rows"], _planners(result)
-    vehicles = list(dict.fromkeys(r["vehicle"] for r in rows))
-    durations = {
-        v: sorted({r["duration"] for r in rows if r["vehicle"] == v}) for v in vehicles
-    }
-    columns = max(len(d) for d in durations.values())
+    names, ratios = _planners(result), _ratios(result["rows"])
+    vehicles = {r["vehicle"]: sorted({k for v, k in ratios if v == r["vehicle"]})
+                for r in result["rows"]}  # fmt: skip
+    columns = max(map(len, vehicles.values()))
     figure, panels = panels_of(len(vehicles), 2.4 + 2.1 * columns, 3.8, columns=1)
-    straight = {
-        (r["vehicle"], r["query"]): r["E_mean"] or 0.0 for r in rows if r["planner"] == BASELINE
-    }
     jitter = np.random.default_rng(0)
-    for axes, vehicle in zip(panels, vehicles, strict=True):
+    for axes, (vehicle, durations) in zip(panels, vehicles.items(), strict=True):
         axes.axhline(1.0, color=COLOURS[0], linewidth=1)
-        for place, duration in enumerate(durations[vehicle]):
+        for place, duration in enumerate(durations):
             for k, name in enumerate(names):
-                ratios = _ratios(rows, straight, (vehicle, duration, name))
-                if len(ratios):
+                if values := ratios[vehicle, duration].get(name):
                     at = place + 0.8 * ((k + 0.5) / len(names) - 0.5)
-                    _strip(axes, at, ratios, 0.5 / len(names), colour_of(name, names), jitter)
+                    colour = colour_of(name, names)
+                    _strip(axes, at, np.array(values), 0.5 / len(names), colour, jitter)
         axes.set(yscale="log", ylabel="E_mean / straight line's", title=vehicle)
         plain_log(axes.yaxis)
         axes.margins(y=0.12)
-        axes.set_xticks(
-            range(len(durations[vehicle])), [f"T = {d:g} s" for d in durations[vehicle]]
-        )
+        axes.set_xticks(range(len(durations)), [f"T = {d:g} s" for d in durations])
         axes.grid(visible=False, axis="x")
     planner_legend(figure, names)
     return figure
@@ -192,11 +186,7 @@ def time_figure(result: Result, key: str) -> Figure:
     figure, panels = panels_of(len(result["traces"]), *size, grid=False)
     for axes, trace in zip(panels, result["traces"], strict=True):
         axes.axvspan(0, trace["duration"], color="0.93")
-        end = max(
-            s["t"][-1]
-            for played in trace["series"]
-            for s in (played, played.get("ideal", played))
-        )
+        end = max(s.get("ideal", s)["t"][-1] for s in trace["series"])
         for series in trace["series"]:
             colour, values = colour_of(series["planner"], names), factor * np.array(series[key])
             style = line_style(series["planner"], names)
@@ -308,8 +298,7 @@ def pareto_figure(result: Result) -> Figure:
         axes.set_title(f"{case[0]}, T = {case[1]:g} s")
     lines = {str(curve.get_label()): curve for axes in panels for curve in axes.lines}
     lines = {name: curve for name, curve in lines.items() if not name.startswith("_")}
-    place: dict[str, Any] = {"loc": "outside lower center", "frameon": False}
-    figure.legend(list(lines.values()), list(lines), ncols=min(3, len(lines) or 1), **place)
+    key_below(figure, lines, min(3, len(lines) or 1))
     return figure
 
 
@@ -348,17 +337,18 @@ def _tradeoff(axes: Axes, points: dict[str, tuple[float, float]], names: Sequenc
 # ---------------------------------------------------------------------------- pieces
 
 
-def _ratios(
-    rows: Sequence[Result], straight: dict[tuple[str, str], float], key: tuple[str, float, str]
-) -> Array:
-    """Positive ratios to the straight line of one vehicle, duration and planner."""
-    out = []
+def _ratios(rows: Sequence[Result]) -> dict[tuple[str, float], dict[str, list[float]]]:
+    """Positive ratios to the straight line's energy, by vehicle and duration, then planner."""
+    straight = {
+        (r["vehicle"], r["query"]): r["E_mean"] or 0.0 for r in rows if r["planner"] == BASELINE
+    }
+    out: dict[tuple[str, float], dict[str, list[float]]] = {}
     for r in rows:
-        if (r["vehicle"], r["duration"], r["planner"]) == key:
-            base = straight.get((r["vehicle"], r["query"]), 0.0)
-            if base > 0 and r["E_mean"] is not None and r["E_mean"] > 0:
-                out.append(r["E_mean"] / base)
-    return np.array(out)
+        ratios = out.setdefault((r["vehicle"], r["duration"]), {}).setdefault(r["planner"], [])
+        base = straight.get((r["vehicle"], r["query"]), 0.0)
+        if base > 0 and r["E_mean"] is not None and r["E_mean"] > 0:
+            ratios.append(r["E_mean"] / base)
+    return out
 
 
 def _strip(
@@ -434,11 +424,18 @@ def planner_legend(
     """Put the planners below a figure: those of `names` that are `drawn`."""
     from matplotlib.lines import Line2D
 
-    entries = [name for name in names if drawn is None or name in drawn]
-    lines = [Line2D([], [], linewidth=3, **line_style(name, names)) for name in entries]
+    lines = {
+        name: Line2D([], [], linewidth=3, **line_style(name, names))
+        for name in names
+        if drawn is None or name in drawn
+    }
     if in_space:
-        lines.append(Line2D([], [], color="black", **IN_SPACE))
-        entries.append("the same in space")
-    wide = max(1.6, 0.09 * max(map(len, entries)))  # inch per name
-    columns = max(1, int(figure.get_figwidth() / wide))
-    figure.legend(lines, entries, loc="outside lower center", ncols=columns, frameon=False)
+        lines["the same in space"] = Line2D([], [], color="black", **IN_SPACE)
+    wide = max(1.6, 0.09 * max(map(len, lines)))  # inch per name
+    key_below(figure, lines, max(1, int(figure.get_figwidth() / wide)))
+
+
+def key_below(figure: Figure, lines: Mapping[str, Any], columns: int) -> None:
+    """Put a legend below a figure: lines by what they are of."""
+    place: dict[str, Any] = {"loc": "outside lower center", "frameon": False}
+    figure.legend(list(lines.values()), list(lines), ncols=columns, **place)
