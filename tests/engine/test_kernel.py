@@ -400,7 +400,8 @@ sys.stdout.write(sim.backend_name + b"".join(part.tobytes() for part in state).h
 """
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(50, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [50])
 def test_processes_that_start_together_share_an_empty_cache(count, empty_store):
     """All give the same answer, and one whole file is left."""
     environment = {**os.environ, "VES_GYM_CACHE": str(empty_store), "OMP_NUM_THREADS": "1"}
