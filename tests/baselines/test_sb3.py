@@ -11,8 +11,7 @@ pytest.importorskip("stable_baselines3")
 import stable_baselines3
 from stable_baselines3.common.env_checker import check_env
 
-from ves_gym.baselines.policy import load_policy
-from ves_gym.baselines.sb3 import Sb3VecEnv, from_sb3, read_sb3_zip
+from ves_gym.baselines.sb3 import Sb3VecEnv, from_sb3
 
 SHORT = {"duration": 0.5, "tail": 0.5}  # 40 steps
 
@@ -179,20 +178,3 @@ def test_acts_like_the_torch_network(algorithm):
         np.testing.assert_allclose(got, expected, atol=1e-6)
         observation = env.step(got)[0]
     assert largest > 0.01
-
-
-def test_an_sb3_zip_is_read_only_where_it_is_trusted(tmp_path):
-    env = gym.make_vec(
-        "ves/PumaRestToRest-v0", num_envs=2, autoreset_mode="SameStep", threads=1
-    )
-    model = stable_baselines3.PPO(
-        "MlpPolicy", Sb3VecEnv(env), n_steps=8, batch_size=16, device="cpu"
-    )
-    model.save(tmp_path / "model.zip")
-    with pytest.raises(ParameterError, match="trusted=True"):
-        read_sb3_zip(tmp_path / "model.zip", "PPO", trusted=False)
-    policy = read_sb3_zip(tmp_path / "model.zip", "PPO", trusted=True)
-    observation, _ = env.reset(seed=0)
-    np.testing.assert_array_equal(policy(observation), from_sb3(model)(observation))
-    with pytest.raises(ParameterError, match="pickles are not read"):
-        load_policy(tmp_path / "model.zip")

@@ -2,8 +2,8 @@
 
 A policy is two files: `NAME.json` says what it is (a closed list of architectures) and
 `NAME.safetensors` holds the weights; the first names the second's SHA-256. Nothing in them
-is ever executed. A Stable-Baselines3 zip is a pickle: `sb3.read_sb3_zip` opens one only where
-the caller says that its origin is trusted.
+is ever executed. A Stable-Baselines3 zip is a pickle: whoever vouches for its origin loads it
+with that library, and `sb3.from_sb3` makes a policy of it.
 """
 
 from __future__ import annotations
@@ -273,7 +273,7 @@ def _json(path: str | os.PathLike[str]) -> Path:
     if path.suffix != ".json":
         raise ParameterError(
             f"{path}: a policy is a .json file with a .safetensors file beside it, got"
-            f" {path.suffix!r}; pickles are not read (but see sb3.read_sb3_zip)"
+            f" {path.suffix!r}; pickles are not read (but see baselines.from_sb3)"
         )
     return path
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import stable_baselines3
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -180,24 +178,3 @@ def _layers(modules: Sequence[Any]) -> tuple[list[tuple[Array, Array]], set[str]
     if len(kinds) > 1:
         raise ParameterError(f"a policy has one kind of activation, got {', '.join(kinds)}")
     return linear, kinds
-
-
-def read_sb3_zip(path: str | Path, algorithm: str, *, trusted: bool) -> Policy:
-    """The actor in a zip saved by Stable-Baselines3.
-
-    Such a file holds pickles: reading it runs whatever code its author put there.
-
-    Args:
-        path: of the file.
-        algorithm: PPO or SAC.
-        trusted: True says that you made it, or would run a program from where it comes.
-    """
-    if trusted is not True:
-        raise ParameterError(
-            f"{path}: reading it would run code from the file; pass trusted=True only if you"
-            " would run a program from the same source"
-        )
-    if algorithm not in ("PPO", "SAC"):
-        raise ParameterError(f"algorithm must be PPO or SAC, got {algorithm!r}")
-    model = getattr(stable_baselines3, algorithm).load(path, device="cpu")
-    return from_sb3(model, name=Path(path).stem)
