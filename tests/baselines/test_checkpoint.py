@@ -96,9 +96,10 @@ def forged(tree):
 )
 def test_a_file_cannot_name_what_to_build(tmp_path, name):
     path = tmp_path / "x"
-    path.write_bytes(forged({"~": "object", "class": name, "of": [["command", "true"]]}))
-    with pytest.raises(ParameterError, match=f"has no {name}"):
-        load_state(path)
+    for fields in ([["command", "true"]], []):
+        path.write_bytes(forged({"~": "object", "class": name, "of": fields}))
+        with pytest.raises(ParameterError, match=f"has no {name}"):
+            load_state(path)
 
 
 @pytest.mark.parametrize("data", [b"", b"\x80\x04K\x01.", struct.pack("<Q", 2) + b"{}"])

@@ -98,14 +98,10 @@ class _Packer:
             items = [[self.pack(k), self.pack(v)] for k, v in value.items()]
             return {_TAG: "dict", "of": items}
         cls = type(value)
-        if _is_ours(cls):
-            names = _names(cls)
+        if (names := _fields(cls)) is not None:
             items = [[k, self.pack(getattr(value, k))] for k in names]
-            return {
-                _TAG: "object",
-                "class": f"{cls.__module__}:{cls.__qualname__}",
-                "of": items,
-            }
+            name = f"{cls.__module__}:{cls.__qualname__}"
+            return {_TAG: "object", "class": name, "of": items}
         raise ParameterError(f"a checkpoint cannot hold {cls.__module__}.{cls.__qualname__}")
 
     def _array(self, array: Array) -> dict[str, Any]:
@@ -149,17 +145,13 @@ def _unpack(
     return _build(tree["class"], dict(map(unpack_all, tree["of"])))
 
 
-def _is_ours(cls: type) -> bool:
-    """Data classes and named tuples of `ves_gym`."""
-    ours = cls.__module__.split(".")[0] == "ves_gym"
-    return ours and (dataclasses.is_dataclass(cls) or hasattr(cls, "_fields"))
-
-
-def _names(cls: type) -> tuple[str, ...]:
+def _fields(cls: Any) -> tuple[str, ...] | None:
+    """Names of the fields of a data class or named tuple of `ves_gym`, None of all else."""
+    if not isinstance(cls, type) or cls.__module__.split(".")[0] != "ves_gym":
+        return None
     if dataclasses.is_dataclass(cls):
         return tuple(f.name for f in dataclasses.fields(cls))
-    fields: tuple[str, ...] = cls._fields  # type: ignore[attr-defined]
-    return fields
+    return getattr(cls, "_fields", None)
 
 
 def _build(name: str, values: dict[str, Any]) -> Any:
@@ -167,11 +159,12 @@ def _build(name: str, values: dict[str, Any]) -> Any:
     cls: Any = None
     if module.split(".")[0] == "ves_gym":
         cls = getattr(importlib.import_module(module), qualname, None)
-    if not (isinstance(cls, type) and _is_ours(cls) and set(_names(cls)) == set(values)):
+    names = _fields(cls)
+    if names is None or set(names) != set(values):
         raise ParameterError(f"a checkpoint of this version has no {name}")
     if not dataclasses.is_dataclass(cls):
         return cls(**values)
-    out = object.__new__(cls)
+    out: Any = object.__new__(cls)  # type: ignore[arg-type]
     for key, value in values.items():
         object.__setattr__(out, key, value)  # frozen, and complete as it was
     return out

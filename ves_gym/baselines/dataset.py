@@ -177,13 +177,7 @@ def differences(got: Mapping[str, Any], expected: Mapping[str, Any]) -> list[str
 
 def recipes() -> dict[str, Recipe]:
     """Recipes that come with the package, by id."""
-    out: dict[str, Recipe] = {}
-    for path in sorted(RECIPES.glob("*.toml")):
-        for recipe in read_recipes(path):
-            if recipe.id in out:
-                raise ParameterError(f"{path}: {recipe.id} is the id of another recipe")
-            out[recipe.id] = recipe
-    return out
+    return {r.id: r for path in sorted(RECIPES.glob("*.toml")) for r in read_recipes(path)}
 
 
 def read_recipes(path: str | os.PathLike[str]) -> list[Recipe]:
