@@ -92,9 +92,12 @@ SLOW = {"control": {"kind": "acceleration", "a_max": [6.0, 6.0, 12.0]}}
     [
         ("homing", "resolved", "ves/PumaReach-v0", 20, SLOW, 0.75),
         ("closing", "resolved", "ves/PumaReach-v0", 20, {}, 0.9),
-        ("closing-pose", "resolved-pose", "ves/PoseReach-v0", 6, {}, 0.95),
+        pytest.param(
+            "closing-pose", "resolved-pose", "ves/PoseReach-v0", 6, {}, 0.95,
+            marks=pytest.mark.slow,
+        ),
     ],
-)
+)  # fmt: skip
 def test_laws_without_a_plan_reach_every_target_and_spare_the_base(
     name, reference, id, episodes, settings, most
 ):

@@ -144,7 +144,12 @@ def test_an_action_is_held_and_rewards_add_up():
     assert not alive.all()
 
 
-@pytest.mark.parametrize("id", IDS)
+FEW = ("ves/PumaReachGoal-v0", "ves/PumaDampEmulated-v0")
+
+
+@pytest.mark.parametrize(
+    "id", [*FEW, *(pytest.param(k, marks=pytest.mark.slow) for k in IDS if k not in FEW)]
+)
 def test_check_env_has_nothing_to_say(id):
     """Stable-Baselines3's own check, warnings being errors; and goals only where they are."""
     env = gym.make(id)

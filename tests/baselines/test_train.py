@@ -99,7 +99,11 @@ def same_runs(a, b):
     ) == curve(b)
 
 
-@pytest.mark.parametrize("config", [PPO, IMITATING, DAGGER], ids=lambda c: c.label)
+@pytest.mark.parametrize(
+    "config",
+    [pytest.param(PPO, marks=pytest.mark.slow), IMITATING, DAGGER],
+    ids=lambda c: c.label,
+)
 def test_a_stopped_run_ends_as_if_it_had_not_been(config, tmp_path):
     uninterrupted, parts = tmp_path / "uninterrupted", tmp_path / "parts"
     rows = run(config, uninterrupted)
@@ -171,7 +175,7 @@ def expected_events(rows):
     return out
 
 
-@pytest.mark.parametrize("from_the_start", [True, False])
+@pytest.mark.parametrize("from_the_start", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_resumed_run_shows_each_row_once(tmp_path, from_the_start):
     pytest.importorskip("tensorboard")
     board = tmp_path / "board"

@@ -12,10 +12,11 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
-from ves_gym._util.params import Array, Index, Mask
+from ves_gym._util.params import Array, Index
 from ves_gym.baselines.controllers import Controller
-from ves_gym.baselines.evaluate import Evaluation, evaluate
+from ves_gym.baselines.evaluate import Evaluation, evaluate, make_vector, run_episodes
 from ves_gym.baselines.registry import get_controller
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.leaderboard.entry import Code, Refused, Results
@@ -33,15 +34,22 @@ class TaskTrack(Track):
         return (task_of(_id(self.problem), self.method.settings).action_width,)
 
     def answer(self, agents: Sequence[Controller], progress: Progress = no_progress) -> Answers:
-        out, root = [], self.seeds.root
+        out, first, count = [], self.seeds.root, self.problem.count
         for group, agent in enumerate(agents):
-            recorder = Recorded(agent)
-
-            def step(done: float, group: int = group) -> None:
-                progress("episodes", (group + done) / len(agents))
-
-            self._evaluated(recorder, progress=step)
-            out.append([recorder.actions(root + k) for k in range(self.problem.count)])
+            env = make_vector(
+                _id(self.problem), count, AutoresetMode.DISABLED, **self.method.settings
+            )
+            actions: list[list[Array]] = [[] for _ in range(count)]
+            ended = 0
+            for period in run_episodes(agent, env, range(first, first + count)):
+                for i in np.flatnonzero(period.seeds >= 0).tolist():
+                    # as the environment takes them
+                    done = np.clip(period.actions[i], -1.0, 1.0)
+                    actions[int(period.seeds[i]) - first].append(done)
+                ended += int(period.ended.sum())
+                progress("episodes", (group + ended / count) / len(agents))
+            env.close()
+            out.append([np.array(k) for k in actions])
         return Answers(out)
 
     def replay(self, recording: Recording) -> Results:
@@ -51,7 +59,9 @@ class TaskTrack(Track):
                 if actions.size and np.abs(actions).max() > 1 + _SLACK:
                     raise Refused(Code.BAD_RECORDING, f"episode {k}: an action beyond +-1")
             by_seed = {self.seeds.root + k: actions for k, actions in enumerate(group)}
-            evaluation = self._evaluated(Replayed(by_seed))
+            evaluation = _evaluated(
+                Replayed(by_seed), self.problem, self.seeds, **self.method.settings
+            )
             for k, (row, actions) in enumerate(zip(evaluation.rows, group, strict=True)):
                 if row["length"] != len(actions):
                     raise Refused(
@@ -61,12 +71,6 @@ class TaskTrack(Track):
             names = ("success", "failed", "E_mean", "E_peak", "E_res", "E_int")
             parts.append(self._scored({k: _column(evaluation, k) for k in names}))
         return {name: np.stack([part[name] for part in parts]) for name in parts[0]}
-
-    def _evaluated(self, controller: Controller, **options: Any) -> Evaluation:
-        """The episodes of the problem by a controller."""
-        return _evaluated(
-            controller, self.problem, self.seeds, **options, **self.method.settings
-        )
 
     def _scored(self, measured: Results) -> Results:
         """Results of one group, each (episodes,)."""
@@ -113,33 +117,6 @@ def _column(evaluation: Evaluation, name: str) -> Array:
     return np.array([float(row[name]) for row in evaluation.rows])
 
 
-class Recorded:
-    """Acts as another controller does, and keeps its actions.
-
-    Args:
-        inner: the controller.
-    """
-
-    def __init__(self, inner: Controller) -> None:
-        self.inner, self.name, self.privileged = inner, inner.name, inner.privileged
-        self._recorded: dict[int, list[Array]] = {}
-
-    def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        self.inner.reset(env, ids)
-
-    def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        """See `Controller`; out of bounds is brought back, as the environment would."""
-        actions = np.clip(env.batch.check(self.inner.act(env, observation)), -1.0, 1.0)
-        roots = env.batch.episodes.root
-        for i in np.flatnonzero(_in_episode(env)).tolist():
-            self._recorded.setdefault(int(roots[i]), []).append(actions[i].copy())
-        return actions
-
-    def actions(self, seed: int) -> Array:
-        """(steps, width) of the episode of a seed."""
-        return np.array(self._recorded[seed])
-
-
 class Replayed:
     """Acts as was recorded; an action too few is none at all.
 
@@ -159,13 +136,8 @@ class Replayed:
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         episodes = env.batch.episodes
         out = np.zeros((env.num_envs, env.batch.width))
-        for i in np.flatnonzero(_in_episode(env)).tolist():
+        for i in np.flatnonzero(episodes.number == 0).tolist():
             recorded = self._actions[int(episodes.root[i])]
             if episodes.steps[i] < len(recorded):
                 out[i] = recorded[episodes.steps[i]]
         return out
-
-
-def _in_episode(env: VesVectorEnv) -> Mask:
-    """(n,) environments in an episode that counts: a seed's first."""
-    return np.asarray(env.batch.episodes.number == 0, dtype=bool)
