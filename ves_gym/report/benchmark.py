@@ -12,17 +12,7 @@ from ves_gym._util.tables import table
 from ves_gym.report.pages import page, part, require_schema
 
 SCHEMA = "ves-benchmark/1"
-_SCRIPTS = (
-    "dom.js",
-    "drawing.js",
-    "page.js",
-    "tables.js",
-    "charts.js",
-    "scene.js",
-    "platform.js",
-    "player.js",
-    "scenes.js",
-)  # one module, in this order
+_SCRIPTS = "dom drawing page tables charts scene platform player scenes"  # in this order
 
 
 def write_page(result: dict[str, Any], path: str | os.PathLike[str]) -> None:
@@ -35,7 +25,7 @@ def write_page(result: dict[str, Any], path: str | os.PathLike[str]) -> None:
     text = page(
         "report/page.html",
         title=f"Energy in the base: {result.get('suite', 'benchmark')}",
-        scripts=[f"report/{name}" for name in _SCRIPTS],
+        scripts=[f"report/{name}.js" for name in _SCRIPTS.split()],
         data=result,
         scene_controls=part("report/scene_controls.html"),
     )
@@ -105,12 +95,13 @@ def _energy_columns(result: Result, emulated: bool) -> Columns:
         out["base\nerror"] = lambda row: (
             "-" if _stopped(row) else _number(row["base_error_median"], ".2%")
         )
-    out["off"] = _median("prediction_error", ".2%")
-    out["success"] = lambda row: f"{100 * row['success_rate']:.0f} %"
-    out["plan [s]\nmost"] = lambda row: (
-        f"{row['plan_seconds_median']:.2f} {row['plan_seconds_max']:6.2f}"
-    )
-    return out
+    return out | {
+        "off": _median("prediction_error", ".2%"),
+        "success": lambda row: f"{100 * row['success_rate']:.0f} %",
+        "plan [s]\nmost": lambda row: (
+            f"{row['plan_seconds_median']:.2f} {row['plan_seconds_max']:6.2f}"
+        ),
+    }
 
 
 def _median(name: str, form: str) -> Callable[[Result], str]:
@@ -129,10 +120,8 @@ def _tables(result: Result, what: str, columns: Columns) -> list[str]:
             duration = row["duration"]
             cells = [cell(row) for cell in columns.values()]
             rows.append([f"{duration:g}", row["planner"], *cells])
-        title, head = (
-            f"{what}: suite {result['suite']}, {vehicle}",
-            ("T [s]", "planner", *columns),
-        )
+        title = f"{what}: suite {result['suite']}, {vehicle}"
+        head = ("T [s]", "planner", *columns)
         out.append(table(head, rows, title=title, left=(0, 1), width=164))
     return out
 

@@ -48,7 +48,7 @@ def write_page(result: Result, path: str | os.PathLike[str]) -> None:
 def render_page(result: Result) -> str:
     """The text of the page."""
     require_schema(result, SCHEMA)
-    better = bool(result["effects"])
+    better, count = bool(result["effects"]), len(result["logs"])
     shares = ", ".join(
         f"{k} {_probability(p)}" for k, p in result["hypotheses"].items() if p >= _LIKELY
     )
@@ -56,7 +56,10 @@ def render_page(result: Result) -> str:
         "report/diagnosis.html",
         title=f"Diagnosis: {result['verdict']}",
         styles=("report/diagnosis.css",),
-        eyebrow=escaped(_eyebrow(result)),
+        eyebrow=escaped(
+            f"ves-gym diagnose: {result['machine']}; {count} log{'s' * (count != 1)},"
+            f" {len(result['held_back'])} of them held back to the end"
+        ),
         sentence=escaped(result["sentence"]),
         null=escaped(result["null"]["sentence"]),
         hypotheses=escaped(f"Probabilities: {shares}."),
@@ -81,30 +84,25 @@ def render_page(result: Result) -> str:
 # --------------------------------------------------------------------------- sections
 
 
-def _eyebrow(result: Result) -> str:
-    held_back = result["held_back"]
-    count = len(result["logs"])
-    logs = (
-        f"{count} log{'s' if count != 1 else ''}, {len(held_back)} of them held back to the end"
-    )
-    return f"ves-gym diagnose: {result.get('machine', 'machine')}; {logs}"
-
-
 def _tiles(result: Result) -> str:
     tiles = []
     for effect in result["effects"]:
-        rivals = effect["class"]
-        p = effect["probability"]
-        big = "> 99 %" if p > 0.99 else f"{100 * p:.0f} %"
-        big = f"one of {len(rivals)}" if len(rivals) > 1 else big
-        small = "; ".join(rivals) if len(rivals) > 1 else "probability of this kind"
+        rivals, p = effect["class"], effect["probability"]
+        big, small = "> 99 %" if p > 0.99 else f"{100 * p:.0f} %", "probability of this kind"
+        if len(rivals) > 1:
+            big, small = f"one of {len(rivals)}", "; ".join(rivals)
         tiles.append((effect["name"], big, small))
     before, after, _ = _chosen_gaps(result)
     if before:
         worst = max(before, key=lambda k: before[k])
         low = f" to {after[worst]:.2f}" if result["effects"] else ""
-        size = f"{before[worst]:.3g}{low}"
-        tiles.append((f"largest gap: {worst}", size, "standard deviations of noise"))
+        tiles.append(
+            (
+                f"largest gap: {worst}",
+                f"{before[worst]:.3g}{low}",
+                "standard deviations of noise",
+            )
+        )
     return "".join(
         f'<div class="tile" style="--colour: var(--s{1 + k % 6})">'
         f'<div class="who">{escaped(who)}</div><div class="big">{escaped(big)}</div>'
@@ -295,26 +293,20 @@ def _free(result: Result) -> str:
         [g["channel"], g["unit"], *(f"{g[k]:.3g}" for k in ("before", "after", "noise"))]
         for g in free["gaps"]
     ]
+    head = ("channel", "unit", "before", "after", "noise")
     return (
         "<p>Measured less simulated, root mean square up to the band, when the loop as a whole"
         " is simulated from the log's start state with the references logged, no measured"
         f" signal fed in: {escaped(', '.join(free['runs']))}. A controller hides here what the"
         " ports show. The file written, read back, plays the same within"
         f" {max(free['difference'], result['replay_difference']):.0e}.</p>"
-        + html_table(
-            ("channel", "unit", "before", "after", "noise"),
-            rows,
-            numbers=(2, 3, 4),
-            kind="narrow",
-        )
+        + html_table(head, rows, numbers=(2, 3, 4), kind="narrow")
     )
 
 
 def _untested(result: Result) -> str:
-    lines = [
-        f"port {port}: the logs lack {', '.join(lacks)}"
-        for port, lacks in result["untestable"].items()
-    ]
+    untestable = result["untestable"].items()
+    lines = [f"port {port}: the logs lack {', '.join(lacks)}" for port, lacks in untestable]
     lines += [f"{name}: the runs move too little to show it" for name in result["weak"]]
     lines += [f"held back, so opened last: {text}" for text in result.get("doubts", ())]
     return _list(lines) or (
@@ -338,11 +330,11 @@ def _change(result: Result) -> str:
 
 def _provenance(result: Result) -> str:
     rows = [
-        ["ves-gym", result.get("version", "")],
-        ["command", result.get("command", "")],
+        ["ves-gym", result["version"]],
+        ["command", result["command"]],
         ["seed of the noise draws", str(result["seed"])],
         ["description (SHA-256)", result["described"]],
-        ["better description (SHA-256)", result.get("better", "")],
+        ["better description (SHA-256)", result["better"]],
         *(
             [f"{name}{' (held back)' if name in result['held_back'] else ''}", digest]
             for name, digest in result["logs"].items()

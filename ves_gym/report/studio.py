@@ -33,22 +33,13 @@ from ves_gym.system.energy import TAIL
 from ves_gym.system.system import System
 
 SCHEMA = "ves-studio/1"
-_SCRIPTS = (
-    "dom.js",
-    "drawing.js",
-    "studio_dynamics.js",
-    "studio_motion.js",
-    "studio_base.js",
-    "scene.js",
-    "platform.js",
-    "player.js",
-    "studio_map.js",
-    "studio_charts.js",
-    "studio_files.js",
-    "studio.js",
-)  # one module, in this order
+_SCRIPTS = (  # one module, in this order
+    "dom drawing studio_dynamics studio_motion studio_base scene platform player studio_map"
+    " studio_charts studio_files studio"
+)
 SHOWN = 4.0  # s after the motion that the page shows
 _RECORD = 0.0125  # s between samples of the motions that the page's energies are compared with
+_JOINT = ("damping", "friction", "q_min", "q_max", "v_max", "tau_max")
 _DETOURS = (-0.4, -0.2, 0.0, 0.2, 0.4)  # rad
 _SHARES = {"position": 1.0, "velocity": 1.0, "torque": 0.7}  # of limits
 _SLOWER = (1.0, 1.5)  # durations of these, over that of the motion shown
@@ -128,24 +119,17 @@ def _arm(arm: Arm) -> dict[str, Any]:
         names = [name[: -len("_joint")] for name in names]
     links = []
     for name, link in zip(names, arm.links, strict=True):
-        alpha, beta = link.alpha or 0.0, link.beta or 0.0
+        turns = {"a": link.alpha or 0.0, "b": link.beta or 0.0}
         links.append(
             {
                 "name": name,
-                "d": link.d,
-                "a": link.a,
                 # rounded, so that a right angle is one
-                "ca": round(math.cos(alpha), 15),
-                "sa": round(math.sin(alpha), 15),
-                "cb": round(math.cos(beta), 15),
-                "sb": round(math.sin(beta), 15),
-                "offset": link.offset,
+                **{f"c{k}": round(math.cos(x), 15) for k, x in turns.items()},
+                **{f"s{k}": round(math.sin(x), 15) for k, x in turns.items()},
                 "slides": bool(link.slides),
                 **_inertial(link.inertial),
                 "rotor": link.rotor_inertia,
-                "damping": link.damping or 0.0,
-                "friction": link.friction or 0.0,
-                **{x: getattr(link, x) for x in ("q_min", "q_max", "v_max", "tau_max")},
+                **{x: getattr(link, x) or 0.0 for x in ("d", "a", "offset", *_JOINT)},
             }
         )
     return {
@@ -295,7 +279,7 @@ def render_studio(data: dict[str, Any]) -> str:
         "report/studio.html",
         title=f"Studio: {data['machine']['name']}",
         styles=("report/studio.css",),
-        scripts=[f"report/{name}" for name in _SCRIPTS],
+        scripts=[f"report/{name}.js" for name in _SCRIPTS.split()],
         data=data,
         scene_controls=part("report/scene_controls.html"),
     )

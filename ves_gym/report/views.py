@@ -56,12 +56,14 @@ def _axes(ax: Any, titles: Sequence[str], size: tuple[float, float]) -> list[Axe
     return panels
 
 
-def _key(axes: Axes, columns: int, **options: Any) -> None:
+def _key(axes: Axes, columns: int) -> None:
     """Put the legend above the axes, where it hides nothing."""
-    place: dict[str, Any] = {"bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
-    axes.legend(
-        loc="lower right", **place, ncols=columns, frameon=False, fontsize="small", **options
-    )
+    look: dict[str, Any] = {
+        "bbox_to_anchor": (1.0, 1.0),
+        "borderaxespad": 0.2,
+        "ncols": columns,
+    }
+    axes.legend(loc="lower right", frameon=False, fontsize="small", **look)
 
 
 # ------------------------------------------------------------------------- run logs
