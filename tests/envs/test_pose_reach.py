@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from tests.envs.runs import EMULATED, controlled, unscaled
 from ves_gym._util.params import ParameterError
 from ves_gym.baselines.registry import get_controller
-from ves_gym.baselines.resolved_pose import inverse_sparing
+from ves_gym.baselines.resolved import inverse_sparing
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.arm_library import get_arm

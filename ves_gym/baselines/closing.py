@@ -9,13 +9,15 @@ from gymnasium.envs.registration import EnvSpec
 
 from ves_gym._util.params import Array, Index
 from ves_gym.baselines.controllers import remember, require_fit
-from ves_gym.baselines.resolved import carried, damped_inverse, seen_from_base
-from ves_gym.baselines.resolved_pose import (
+from ves_gym.baselines.resolved import (
     STARTS,
+    carried,
     configurations_for,
+    damped_inverse,
     inverse_sparing,
     joints_at,
     pose_from_base,
+    seen_from_base,
 )
 from ves_gym.envs.pose_reach import PoseReach, goal_pose
 from ves_gym.envs.reach import Reach

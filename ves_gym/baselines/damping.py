@@ -30,10 +30,8 @@ from ves_gym.planners.sequential import minimise
 
 _NODES = 60  # of the momentum over a horizon
 # of `Receding`
-_PERIOD, _DELAY = (
-    0.25,
-    0.1,
-)  # s between plans, and from a measurement to the plan that it leads to
+_PERIOD = 0.25  # s between plans
+_DELAY = 0.1  # s from a measurement to the plan that it leads to
 _HORIZON, _FREE, _ITERATIONS = 3.0, 14, 3  # of a plan: s, coefficients, steps of optimisation
 _STARTS = 8  # of a search for gains: the best of 24 is 0.1 % better
 

@@ -59,7 +59,7 @@ CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
     "closing": _of("closing:Closing"),
     "closing-pose": _of("closing:ClosingPose"),
     "braced": _of("resolved:Resolved", "braced", FOLLOW, True),
-    "resolved-pose": _of("resolved_pose:ResolvedPose"),
+    "resolved-pose": _of("resolved:ResolvedPose"),
     "servicer": _of("servicer:Servicer"),
 }
 
