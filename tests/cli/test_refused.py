@@ -58,7 +58,7 @@ simulate --via 1,1,1 | --via needs --goal
 simulate --zero | --zero needs --mode emulated
 simulate --grasp 0.1 | a latch needs a system with a payload
 simulate --effect joint/coulomb:torque=3 | must be 3 numbers, one per joint, got 1
-simulate --vehicle bent-thesis --disturb 1000,0,0,0,0,0 | diverged
+simulate --vehicle bent-thesis --disturb 10000,0,0,0,0,0 | diverged
 simulate --platform-motion x.toml | cannot be read
 simulate --learn 2 | --learn needs --mode emulated
 simulate --mode emulated --learn 2 --poses 3 | two experiments
@@ -117,7 +117,7 @@ evaluate PumaDamp-v0 --controller zero,zero | controllers must differ
 evaluate PumaDamp-v0 --controller lqr | acts on task lqr
 evaluate PumaDamp-v0 --policy none.json | cannot be read
 evaluate PumaDamp-v0 --policy model.zip | pickles are not read
-evaluate PumaDamp-v0 --policy genius | none released
+evaluate PumaDamp-v0 --policy genius | must be a file or folder of policies
 evaluate PumaDamp-v0 --policy . | no seed-*/best.json
 evaluate PumaDamp-v0 --episodes 0 | episodes must be a whole number from 1
 train nothing.toml | cannot be read
