@@ -130,6 +130,7 @@ def test_poles_of_the_two_masses_are_those_of_the_arm():
     assert simple.worst == pytest.approx(full.worst, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_no_joint_is_left_free():
     """Six joints, J_vm of rank 3: the least gains hold the rest."""
     system = System(arm=six_joint_arm(), vehicle=DECOUPLED)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, DECOUPLED, VEHICLES
+from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, DECOUPLED
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
@@ -46,12 +46,6 @@ def test_a_step_too_long_for_the_fastest_mode_is_refused(integrator):
     Simulator(system.replace(physics_dt=0.99 * longest, control_dt=0.99 * longest))
     with pytest.raises(ParameterError, match="physics_dt"):
         Simulator(system.replace(physics_dt=1.01 * longest, control_dt=1.01 * longest))
-
-
-def test_every_named_vehicle_runs_with_the_default_step():
-    for vehicle in VEHICLES.values():
-        state = Simulator(System(vehicle=vehicle)).step(0.0)
-        assert (state.y == 0).all()
 
 
 def test_a_system_is_frozen_hashable_and_picklable():
