@@ -21,8 +21,8 @@ from ves_gym.envs.base_control import BaseControl
 from ves_gym.envs.build import build_task
 from ves_gym.envs.control import CONTROLS, Control
 from ves_gym.envs.env import VesEnv
-from ves_gym.envs.objectives import WEIGHTS, described
 from ves_gym.envs.registration import IDS
+from ves_gym.envs.signals import WEIGHTS, described
 from ves_gym.envs.task import Task
 from ves_gym.mechanics.vehicle import VEHICLES
 

@@ -2,44 +2,14 @@
 
 import gymnasium as gym
 import numpy as np
-import pytest
 
 from tests.envs.runs import EMULATED, controlled, unscaled
-from ves_gym._util.params import ParameterError
 from ves_gym.baselines.registry import get_controller
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.kinematics import joint_positions, tool_jacobian
+from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.spatial import matvec, rotation, twist
-
-
-class Pull:
-    """Pulls the reference to the inverse kinematics of the target as the base sees it now."""
-
-    KP, KD = 9.0, 6.0  # 1/s^2, 1/s: critically damped
-
-    def reset(self, env, ids):
-        self.q = np.tile(env.task.home, (env.num_envs, 1))
-        for _ in range(30):
-            self._nearer(env)
-
-    def _nearer(self, env):
-        """One round of Newton's method."""
-        s, arm = env.batch.scene, env.task.system.arm
-        point = matvec(np.swapaxes(rotation(s.y_seen), -1, -2), s.goal - s.y_seen[:, :3])
-        error = point - joint_positions(arm, self.q)[:, -1]
-        J = tool_jacobian(arm, self.q)
-        across = np.swapaxes(J, -1, -2)
-        step = matvec(across @ np.linalg.inv(J @ across + 1e-4 * np.eye(3)), error)
-        self.q = self.q + np.clip(step, -0.3, 0.3)
-
-    def act(self, env, observation):
-        self._nearer(env)
-        q, v, _ = env.batch.scene.ref.swapaxes(0, 1)
-        a = self.KP * (self.q - q) - self.KD * v
-        return np.clip(a / np.asarray(env.task.control.a_max), -1, 1)
-
 
 # ------------------------------------------------------------------------- contract
 
@@ -81,13 +51,6 @@ def test_options_choose_start_and_target():
     np.testing.assert_array_equal(s.q[0], q)
     np.testing.assert_array_equal(s.goal[0], target)
     np.testing.assert_array_equal(env.task.marker(s), [[target]])
-    for options, why in (
-        ({"target": [2.0, 0, 0]}, "that the tool reaches"),
-        ({"q": [3.0, 0, 0]}, "joint 1 must be within"),
-        ({"y": np.zeros(6)}, "unknown option 'y'; known: index, q, target"),
-    ):
-        with pytest.raises(ParameterError, match=why):
-            env.reset(options=options)
 
 
 def test_momentum_stays_zero():
@@ -128,17 +91,3 @@ def test_tumbling_is_a_failure():
     y = env.unwrapped.batch.scene.y[0]
     assert terminated and info["reward/failure"] == -2
     assert 0.01 < np.abs(y[3:]).max() < 0.02
-
-
-@pytest.mark.parametrize("settings", [{}, {**EMULATED, "randomize": {}}])
-def test_a_pull_to_the_inverse_kinematics_arrives(settings):
-    """Docstring: 999 of 1000 starts in space, -0.44; the base has turned by degrees."""
-    n = 32 if not settings else 8
-    env, total, terms, info = controlled(Pull(), n, "free_flyer", **settings)
-    s = env.batch.scene
-    left = np.linalg.norm(s.goal - s.tool, axis=1)
-    print("solved", info["success"].mean(), "return", total.mean(), "left", left.max())
-    print({k: v.mean() for k, v in terms.items()}, "turned", np.abs(s.y[:, 3:]).max())
-    assert info["success"].all()
-    assert -0.6 < total.mean() < -0.3
-    assert 0.02 < np.abs(s.y[:, 3:]).max() < 0.2

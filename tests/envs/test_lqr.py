@@ -4,9 +4,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from tests.envs.runs import EMULATED, controlled, unscaled
+from tests.envs.runs import controlled, unscaled
 from tests.envs.walks import part
-from ves_gym._util.params import ParameterError
 from ves_gym.baselines.registry import get_controller
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
@@ -53,20 +52,6 @@ def test_options_choose_the_start():
         assert np.count_nonzero(np.abs(x) > 1e-9) == np.count_nonzero(
             np.asarray(value) - start[name]
         )
-    with pytest.raises(ParameterError, match="joint 1 must be within"):
-        env.reset(options={"q": [3.0, 0, 0]})
-    with pytest.raises(ParameterError, match="unknown option 'goal'"):
-        env.reset(options={"goal": [0, 0, 0]})
-
-
-def test_what_does_not_fit_is_refused():
-    for settings, why in (
-        ({"control": "pd_gains"}, "control must be torque"),
-        ({"effort": 0.0}, "effort"),
-        ({"home": [3.0, 0, 0]}, "must start within the joint limits"),
-    ):
-        with pytest.raises(ParameterError, match=why):
-            build_task("lqr", **settings)
 
 
 # --------------------------------------------------------------------- the problem
@@ -166,15 +151,6 @@ def test_no_start_saturates_the_optimal_torque():
     task = build_task("lqr")
     most = (np.abs(task.optimum.gains) * task._spread).sum(axis=2).max(axis=0)
     assert (most < task.control.fraction * task.system.arm.column("tau_max")).all()
-
-
-def test_in_the_laboratory_it_costs_more():
-    """Closed form left behind by the platform's lag: docstring 1.08 against 1.02."""
-    settings = {**EMULATED, "randomize": {}}
-    ideal = controlled(get_controller("lqr"), 16, "lqr")[1].mean()
-    real = controlled(get_controller("lqr"), 16, "lqr", **settings)[1].mean()
-    print("return ideal, emulated", ideal, real)
-    assert 1.2 * ideal < real < 1.02 * ideal
 
 
 def test_the_unit_of_the_reward_is_that_of_the_machine_as_described():

@@ -7,7 +7,7 @@ import pytest
 from tests.envs.walks import SHORT, actions, each_kind, part, same
 from ves_gym._util.params import ParameterError
 from ves_gym.baselines.registry import get_controller
-from ves_gym.envs.objectives import OBJECTIVES, CostBounds
+from ves_gym.envs.signals import OBJECTIVES, CostBounds
 
 
 def pair(name, **settings):

@@ -4,13 +4,9 @@ import numpy as np
 import pytest
 
 from tests.envs.runs import controlled, unscaled
-from ves_gym._util.params import ParameterError
 from ves_gym.baselines.registry import get_controller
-from ves_gym.envs.build import build_task
 from ves_gym.envs.payload_transfer import BOX
 from ves_gym.envs.vector import VesVectorEnv
-from ves_gym.mechanics.vehicle import BENT_THESIS
-from ves_gym.system.system import System
 
 TASK = "payload_transfer"
 
@@ -35,12 +31,6 @@ def test_the_reference_berths_it(n, seed):
     assert off[solved].max() <= env.task.tolerance
     assert not cargo.velocity[solved].any()
     assert np.ptp(cargo.mass) > 5  # kg
-
-
-@pytest.mark.parametrize("name", ["zero", "random"])
-def test_doing_nothing_and_anything_berths_nothing(name):
-    *_, info = controlled(get_controller(name), 24, TASK)
-    assert not info["success"].any()
 
 
 def test_in_the_laboratory_the_weight_is_taken_for_a_force():
@@ -96,18 +86,3 @@ def test_a_state_returned_to_continues_with_what_is_carried():
     batch.set_state(state)
     again = env.step(np.full((2, 3), 0.5))
     assert np.array_equal(after[0], again[0]) and np.array_equal(after[1], again[1])
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"mass": (0.0, 3.0)}, "mass must be 0 < from <= to"),
-        ({"mass": (3.0,)}, r"shape \(2,\)"),
-        ({"rest": 0.0}, "rest must be > 0"),
-        ({"control": "guided"}, "control must be acceleration"),
-        ({"system": System(vehicle=BENT_THESIS)}, "needs a system with a payload"),
-    ],
-)
-def test_refused(settings, message):
-    with pytest.raises(ParameterError, match=message):
-        build_task(TASK, **settings)

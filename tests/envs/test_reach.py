@@ -47,16 +47,6 @@ def test_observation_shows_what_is_missing():
     np.testing.assert_allclose(10 ** seen["energy_scale"], scene.goal[:, 3:], rtol=1e-5)
 
 
-def test_reward_is_distance_and_energy():
-    """The terms add up to the mean distance and to E_mean in its scale."""
-    env, total, terms, info = controlled(Resolved(), 8, "reach")
-    np.testing.assert_allclose(sum(terms.values()), total, rtol=1e-12)
-    scale = env.batch.scene.goal[:, 3]
-    expected = -env.task.thrift * info["energy/E_mean"] / scale
-    np.testing.assert_allclose(terms["energy"] + terms["tail"], expected, rtol=1e-2)
-    assert (terms["failure"] == 0).all()
-
-
 # --------------------------------------------------------------------- what is solved
 
 
@@ -69,10 +59,6 @@ def test_resolved_motion_solves_it_and_needs_to_see_the_base():
     print(f"solved {share:.0%}, blind {blind:.0%}; median {1e3 * np.median(left):.2f} mm left")
     assert share >= 0.95
     assert blind <= 0.8
-
-
-def test_resolved_motion_solves_it_in_the_laboratory():
-    assert controlled(Resolved(), 8, "reach", **EMULATED)[3]["success"].all()
 
 
 def test_success_is_to_stay():
@@ -104,42 +90,6 @@ def test_start_and_target_can_be_chosen():
     vector = VesVectorEnv(2, "reach")
     vector.reset(seed=0, options={"target": [[0.5, 0.3, 0.9], [0.3, -0.4, 1.1]]})
     np.testing.assert_allclose(vector.batch.scene.goal[1, :3], [0.3, -0.4, 1.1], atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"target": [3.0, 0.0, 0.9]}, r"target.* must be a point .* misses by 2\."),
-        ({"target": [0.5, 0.3]}, "target"),
-        ({"q": [0.0, 2.0, 0.0]}, "joint 2 must be within"),
-        ({"goal": [0.0, 0.0, 0.0]}, "unknown option 'goal'; known: index, q, target"),
-    ],
-)
-def test_bad_options_are_refused_and_change_nothing(options, message):
-    env = gym.make("ves/PumaReach-v0").unwrapped
-    env.reset(seed=0)
-    first = env.batch.scene.goal.copy()
-    with pytest.raises(ParameterError, match=message):
-        env.reset(seed=1, options=options)
-    env.reset(seed=0)
-    np.testing.assert_array_equal(env.batch.scene.goal, first)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"tolerance": 0.0}, "tolerance"),
-        ({"thrift": -1.0}, "thrift"),
-        (
-            {"control": "pd_gains"},
-            "control must be acceleration or joint_velocity or tool_velocity or",
-        ),
-        ({"span": [4.0]}, "joint limits"),
-    ],
-)
-def test_bad_settings_are_refused(settings, message):
-    with pytest.raises(ParameterError, match=message):
-        build_task("reach", **settings)
 
 
 # --------------------------------------------------------------------- goal variant
@@ -184,9 +134,5 @@ def test_goal_variant_ends_at_the_deadline_only():
     outcomes = [env.step([1.0, 1.0, -1.0]) for _ in range(env.task.steps)]
     assert [o[2] for o in outcomes] == [False] * (len(outcomes) - 1) + [True]
     assert outcomes[-1][4]["energy/E_mean"] > 0
-    with pytest.raises(
-        ParameterError, match=r"reach_goal: control must be acceleration or .* or pd"
-    ):
-        build_task("reach_goal", control="torque")
     with pytest.raises(ParameterError, match="no goal-conditioned variant"):
         gym.make("ves/PumaReach-v0", goal=True)

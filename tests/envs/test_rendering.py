@@ -13,7 +13,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from tests.display import require_opengl, virtual_display
-from tests.envs.walks import IDS, actions, same, walk
+from tests.envs.walks import actions, each_kind, same, walk
 from ves_gym.envs.recording import Renderer
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.rendering import opengl as gl
@@ -123,11 +123,7 @@ def test_a_vector_shows_every_environment_as_it_would_be_alone(make):
         VesVectorEnv(2, render_mode="human")
 
 
-_SOME = ("ves/PumaReachGoal-v0", "ves/MacroMicro-v0", "ves/PayloadTransferEmulated-v0")
-_EACH = [k if k in _SOME else pytest.param(k, marks=pytest.mark.slow) for k in IDS]
-
-
-@pytest.mark.parametrize("name", _EACH)
+@each_kind
 def test_observations_can_be_pictures(name, make):
     """Gymnasium's AddRenderObservation, alone and beside what else is observed."""
     env = gym.wrappers.AddRenderObservation(make(name), render_only=True)
@@ -143,6 +139,7 @@ def test_observations_can_be_pictures(name, make):
     np.testing.assert_array_equal(observation["pixels"], seen[0])
 
 
+@pytest.mark.slow
 def test_videos_are_recorded(make, tmp_path):
     """Gymnasium's RecordVideo, of one environment and of a vector."""
     pytest.importorskip("moviepy")
@@ -163,8 +160,7 @@ def test_videos_are_recorded(make, tmp_path):
 # -------------------------------------------------------------------- what it promises
 
 
-@pytest.mark.parametrize("backend", ["kernel", "mujoco"])
-@pytest.mark.parametrize("name", [IDEAL, EMULATED])
+@pytest.mark.parametrize(("name", "backend"), [(IDEAL, "mujoco"), (EMULATED, "kernel")])
 def test_drawing_changes_nothing(name, backend, make):
     drawn, plain = make(name, backend=backend), make(name, backend=backend, render_mode=None)
     for env in (drawn, plain):
@@ -175,11 +171,11 @@ def test_drawing_changes_nothing(name, backend, make):
         assert same(walk(drawn, 5, k), walk(plain, 5, k))
 
 
-@pytest.mark.parametrize("name", [IDEAL, EMULATED])
-def test_check_env_has_nothing_to_say_about_pictures(name, monkeypatch, make):
+def test_check_env_has_nothing_to_say_about_pictures(monkeypatch, make):
     """Without a display there is one mode to check."""
     monkeypatch.setattr(gl, "has_display", lambda: False)
-    env = make(name)
+    env = make(EMULATED)
+    assert env.metadata["render_fps"] == 80
     assert env.metadata["render_modes"] == ["rgb_array"]
     check_env(env)
 

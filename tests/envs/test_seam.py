@@ -4,9 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tests.envs.runs import EMULATED, Blind, controlled
-from ves_gym._util.params import ParameterError
-from ves_gym.baselines.controllers import Random, Zero
+from tests.envs.runs import Blind, controlled
 from ves_gym.baselines.resolved import Resolved, base_torque
 from ves_gym.engine.mjcf import TO_Y
 from ves_gym.envs.build import build_task
@@ -56,37 +54,18 @@ def test_the_boom_is_released_with_the_stated_energy(forty):
     assert np.ptp(scene.y[:, :3], axis=0).min() > 5e-3
 
 
-def test_resolved_motion_solves_it_and_nothing_else_does():
-    """100 episodes: reference controller >= 95 %, doing nothing and anything 0 %."""
-    errors = {}
-    for controller in (Resolved(), Zero(), Random(0)):
-        env, *_, info = controlled(controller, 100, "seam")
-        errors[controller.name] = np.sqrt(env.batch.scene.memory[:, 1] / env.task.duration)
-        share = info["success"].mean()
-        assert share >= 0.95 if controller.name == "resolved" else share == 0
-    print({name: f"{1e3 * np.median(e):.1f} mm" for name, e in errors.items()})
-
-
 def test_the_plan_without_the_boom_is_not_enough():
     """The same controller blind to the boom's motion: most seams are missed."""
 
     assert controlled(Blind(), 40, "seam")[3]["success"].mean() < 0.2
 
 
-def test_it_is_solved_in_the_laboratory():
-    assert controlled(Resolved(), 6, "seam", **EMULATED)[3]["success"].all()
-
-
-def test_it_takes_the_wrist_and_any_base_that_holds():
-    assert controlled(Resolved(), 6, "seam", arm="puma560-wrist")[3]["success"].all()
+def test_it_takes_any_base_that_holds():
     task = build_task("seam", vehicle="bent")
     assert task.system.vehicle == VEHICLES["bent"]
-    with pytest.raises(ParameterError, match="seam needs a base that holds its place"):
-        build_task("seam", vehicle="free-floating")
-    with pytest.raises(ParameterError, match=r"seam\.length must be 0 < low <= high"):
-        build_task("seam", length=(0.5, 0.1))
 
 
+@pytest.mark.slow
 def test_soft_servos_are_braced():
     """The UR5e on its 2 Hz servos: resolved motion alone is pushed aside by the boom."""
     braced, bare = (

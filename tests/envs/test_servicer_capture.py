@@ -6,17 +6,14 @@ import pytest
 
 from tests.envs.runs import controlled, unscaled
 from tests.envs.walks import actions
-from ves_gym._util.params import ParameterError
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.registry import get_controller
-from ves_gym.envs.build import build_task
-from ves_gym.envs.servicer_capture import CLIENT, SERVICER, meeting
+from ves_gym.envs.servicer_capture import CLIENT, meeting
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.attitude import to_matrix
 from ves_gym.mechanics.kinematics import tool_frame
 from ves_gym.mechanics.latch import free_mass, to_point, tool_motion
-from ves_gym.system.system import System
 
 TASK, ID = "servicer_capture", "ves/ServicerCapture-v0"
 SIX = get_arm("puma560-wrist")
@@ -118,7 +115,7 @@ def test_the_reference_brings_both_to_rest(monkeypatch):
     assert form <= 1e-9  # losses of microjoules
 
 
-@pytest.mark.parametrize("name", ["zero", "random"])
+@pytest.mark.parametrize("name", ["random"])
 def test_doing_nothing_and_anything_catches_nothing(name):
     *_, info = controlled(get_controller(name), 20, TASK, duration=12.0)
     assert not info["capture/carried"].any()
@@ -215,7 +212,7 @@ def test_the_engines_agree_through_a_capture():
     assert worst <= 1e-9
 
 
-@pytest.mark.parametrize("arm", ["iiwa14", "ur5e"])
+@pytest.mark.parametrize("arm", ["iiwa14"])
 def test_any_arm_of_six_joints_and_any_satellite(arm):
     env = gym.make("ves/ServicerCapture-v0", arm=arm, duration=1.0)
     env.reset(seed=0)
@@ -225,31 +222,3 @@ def test_any_arm_of_six_joints_and_any_satellite(arm):
     bare = gym.make("ves/ServicerCapture-v0", vehicle="free-floating", base_control=None)
     assert "wheels" not in bare.unwrapped.task.columns
     bare.reset(seed=0)
-
-
-def test_no_laboratory_has_it():
-    assert "ves/ServicerCapture-v0" in gym.registry
-    assert not [k for k in gym.registry if k.startswith("ves/ServicerCaptureEm")]
-    with pytest.raises(ParameterError, match="knows a satellite's body, not its wheels"):
-        build_task(TASK, mode="emulated")
-    with pytest.raises(ParameterError, match="stand holds the target"):
-        build_task(TASK, mode="emulated", vehicle="free-floating", base_control=None)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"mass": (0.0, 3.0)}, "mass must be 0 < from <= to"),
-        ({"spin": (3.0,)}, r"shape \(2,\)"),
-        ({"meet": (9.0, 8.0)}, "meet must be 0 < from"),
-        ({"rest": 0.0}, "rest must be > 0"),
-        ({"arm": "puma560"}, "6 joints or more"),
-        ({"vehicle": "bent"}, "needs a satellite"),
-        ({"vehicle": "bent", "base_control": None}, "needs a satellite as its vehicle"),
-        ({"control": "guided"}, "control must be acceleration"),
-        ({"system": System(arm=SIX, vehicle=SERVICER)}, "needs a system with a payload"),
-    ],
-)
-def test_refused(settings, message):
-    with pytest.raises(ParameterError, match=message):
-        build_task(TASK, **settings)

@@ -107,15 +107,3 @@ def test_a_million_random_steps():
     growth = seen[-1] - seen[1]
     assert growth[0] < 10, seen
     assert growth[1] <= 0 and growth[2] <= 0, seen
-
-
-def test_random_effects_are_what_environments_take():
-    """The recipe of the soak itself: some of each mode, none refused."""
-    noise = np.random.default_rng(1)
-    for name in ("ves/PumaRestToRest-v0", "ves/PumaRestToRestEmulated-v0"):
-        for _ in range(3):
-            effects = random_effects(name, noise)
-            try:
-                gym.make(name, effects=effects, randomize={}, **SHORT).reset(seed=0)
-            except ParameterError as error:
-                pytest.fail(f"{effects}: {error}")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError
-from ves_gym.envs.spaces import split_goals
+from ves_gym.envs.signals import split_goals
 from ves_gym.envs.vector import VesVectorEnv
 
 

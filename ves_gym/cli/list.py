@@ -19,7 +19,7 @@ from ves_gym.effects import EFFECTS
 from ves_gym.engine.backends.base import BACKENDS
 from ves_gym.envs.build import build_task
 from ves_gym.envs.registration import ENTRY_POINT
-from ves_gym.envs.spaces import goal_space, observation_space
+from ves_gym.envs.signals import goal_space, observation_space
 from ves_gym.hardware.leg_response import bandwidth, gain_margin
 from ves_gym.hardware.leg_servo import LEG_SERVOS, leg_clock
 from ves_gym.mechanics.arm_library import arm_names, get_arm

@@ -239,9 +239,9 @@ class Batch:
             self._update_scene()
         some = s.rows(ids)
         s.tau[ids] = some.tau = self._command(some)
-        e.peaks[ids] = s.energies[ids]
+        e.peaks[ids] = some.energies
         if self._compiled is not None:
-            self._compiled.load(ids, s.rows(ids), e.rows(ids))
+            self._compiled.load(ids, some, e.rows(ids))
         if self._observation is not None:
             self._observation[ids] = scaled_observation(task, some, self.scale)
 

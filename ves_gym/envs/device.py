@@ -30,7 +30,7 @@ from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task, require_keywords
 from ves_gym.envs.compiled import Shape, width
 from ves_gym.envs.episode import outcome
-from ves_gym.envs.spaces import observation_space, require_seed
+from ves_gym.envs.signals import observation_space, require_seed
 from ves_gym.envs.tail import by_doubling
 from ves_gym.envs.task import Task
 

@@ -18,11 +18,12 @@ from gymnasium.envs.registration import EnvSpec
 from ves_gym._util.params import ParameterError
 from ves_gym.envs.batch import Batch, checked
 from ves_gym.envs.build import build_task, require_keywords
-from ves_gym.envs.objectives import WEIGHTS, Signals
 from ves_gym.envs.recording import Renderer, render_modes, require_display
 from ves_gym.envs.registration import DeadlineSpec, with_deadline
-from ves_gym.envs.spaces import (
+from ves_gym.envs.signals import (
+    WEIGHTS,
     GoalFunctions,
+    Signals,
     goal_space,
     observation_space,
     require_index,
@@ -124,7 +125,7 @@ class VesEnv(Episodic, gym.Env[Any, Any]):  # type: ignore[misc]
         render_mode: None, "human" or "rgb_array".
         goal: observations of a goal-conditioned task as a dictionary (for HER).
         dump: folder for run logs of episodes that diverge (`info["dump"]` names the file).
-        reward: "scalar", or "vector" by objective (`objectives.OBJECTIVES`): `reward_space`.
+        reward: "scalar", or "vector" by objective (`signals.OBJECTIVES`): `reward_space`.
         cost: entries `cost` and `cost_...` of the info: True, or some `CostBounds` by name.
         settings: see `build_task`: mode, vehicle, effects, control, randomize, ...
     """

@@ -17,7 +17,7 @@ from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.env import Episodic
 from ves_gym.envs.registration import Deadline
-from ves_gym.envs.spaces import require_seed
+from ves_gym.envs.signals import require_seed
 from ves_gym.envs.task import Task
 
 
