@@ -75,15 +75,6 @@ def test_jets_give_whole_pulses():
     assert used[-1] == pytest.approx(2 * pulse, rel=0.02)
 
 
-def test_without_it_the_pointing_law_commands_both():
-    env = VesVectorEnv(2, TASK, vehicle=SERVICER_FLEXIBLE)
-    env.reset(seed=0)
-    assert env.single_action_space.shape == (3,)
-    for _ in range(40):
-        *_, info = env.step(np.full((2, 3), 0.5))
-    assert np.abs(info["base/wheel_momentum"]).max() > 0.01
-
-
 def test_the_most_that_jets_give():
     """Pairs of 10 N: 20 N along each axis, a couple of 15 N m about each."""
     most = strongest(SERVICER.jets, SERVICER.body.com)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.envs.walks import SHORT, same
-from ves_gym._util.params import ParameterError, from_plain
+from ves_gym._util.params import ParameterError
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.registry import get_controller
 from ves_gym.effects import EFFECTS, LABORATORY_ERRORS
@@ -15,7 +15,6 @@ from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
 from ves_gym.envs.laboratories import LABORATORIES
 from ves_gym.envs.registration import IDS
-from ves_gym.envs.task import Task
 from ves_gym.mechanics.vehicle import BENT
 from ves_gym.simulation.loop_linearisation import EmulationWarning
 
@@ -115,15 +114,6 @@ def test_an_unstable_corner_is_warned_of_once_per_task():
         EmulationWarning, match=r"platform/bandwidth.*platform/damping.*together"
     ):
         gym.make_vec(ID, 2, vehicle="straight-vertical-thesis", randomize=soft)
-
-
-def test_a_laboratory_is_plain_data():
-    """The specification names it; the task holds all its numbers, and comes back from them."""
-    env = gym.make(ID)
-    assert env.spec.kwargs["laboratory"] == "lab"
-    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
-    task = env.unwrapped.task
-    assert from_plain(Task, task.to_dict(), "task") == again.unwrapped.task == task
 
 
 def test_energies_in_the_laboratory_are_those_in_space():

@@ -12,9 +12,9 @@ from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.kinematics import pose_dexterity, tool_frame, tool_speeds, tool_twists
+from ves_gym.mechanics.kinematics import pose_dexterity, tool_frame, tool_twists
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
-from ves_gym.mechanics.spatial import rotation, twist
+from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.tool_pose import tool_pose
 
 SIX, SEVEN = "puma560-wrist", "iiwa14"
@@ -68,21 +68,6 @@ def test_observation_and_memory_show_what_is_missing():
     np.testing.assert_allclose(seen["to_turn"], expected, atol=1e-6)
     np.testing.assert_allclose(seen["turn_cosine"][:, 0], np.cos(angle), atol=1e-6)
     np.testing.assert_allclose(seen["to_target"], s.goal[:, :3] - s.tool_seen, atol=1e-6)
-
-
-def test_speeds_of_the_tool_are_differences_of_its_pose():
-    env = VesVectorEnv(4, "pose_reach", arm=SEVEN)
-    env.reset(seed=0)
-    for _ in range(40):
-        env.step(np.full((4, 7), 0.3))
-    s, arm, dt = env.batch.scene, env.task.system.arm, 1e-6
-    speeds = tool_speeds(arm, s.q, s.v, twist(s.y, s.yd))
-    place, turn = in_space(env)
-    s.q, s.y = s.q + dt * s.v, s.y + dt * s.yd
-    later, turned = in_space(env)
-    linear = np.linalg.norm(later - place, axis=1) / dt
-    angular = (turned * turn.inv()).magnitude() / dt
-    np.testing.assert_allclose(np.sqrt(speeds), np.column_stack([linear, angular]), rtol=1e-4)
 
 
 def test_options_choose_start_and_pose():

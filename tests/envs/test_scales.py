@@ -46,16 +46,6 @@ def test_straight_motions_return_about_minus_one(vehicle, duration, least):
     assert np.median(np.abs(total + ratio)) < 0.05  # what is left of them: the miss
 
 
-@pytest.mark.parametrize(
-    "vehicle",
-    ["decoupled", *(pytest.param(k, marks=pytest.mark.slow) for k in ("straight-vertical",))],
-)
-def test_other_vehicles_are_of_the_same_order(vehicle):
-    ratio, _ = straight(vehicle=vehicle)
-    print(f"{vehicle}: median {np.median(ratio):.2f}")
-    assert 1 / 5 < np.median(ratio) < 5
-
-
 def test_scale_is_even_and_never_zero():
     scale = straight_energy(System(vehicle=BENT_THESIS), 2.0, 10.0)
     a, b = np.random.default_rng(0).uniform(-1, 1, (2, 20, 3))

@@ -8,7 +8,6 @@ from ves_gym.effects import LABORATORY_ERRORS
 from ves_gym.effects.sensor import SensorBias
 from ves_gym.envs.teleop import SPEEDS, Press, Teleop, read_script
 from ves_gym.mechanics.vehicle import BENT_THESIS
-from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
 START = np.deg2rad([0.0, 60.0, -90.0])
@@ -68,19 +67,6 @@ def test_the_reference_stays_within_rates_accelerations_and_limits():
 # -------------------------------------------------------------------------------- base
 
 
-def test_the_base_reacts_alike_in_space_and_in_the_laboratory():
-    """Nominal machine: within 2 % of the largest displacement."""
-    space, lab = (
-        driven(SWING, 3.0, System(vehicle=BENT_THESIS, mode=mode))
-        for mode in ("ideal", "emulated")
-    )
-    a, b = space.log(), lab.log()
-    np.testing.assert_array_equal(a.q_cmd, b.q_cmd)
-    size = np.linalg.norm(a.y[:, :3], axis=1).max()
-    assert size > 1e-3
-    assert np.linalg.norm((a.y - b.y)[:, :3], axis=1).max() < 0.02 * size
-
-
 def test_zeroing_takes_the_sensors_offset_out():
     """App. E steps 9 and 10: measured and estimated wrench then agree."""
     bias = SensorBias(force=(5.0, -3.0, 8.0), moment=(1.0, 2.0, -1.0))
@@ -120,15 +106,6 @@ def test_a_script_does_the_same_every_time():
     first, again = (driven(SWING, 1.0, LABORATORY, seed=3).log() for _ in range(2))
     assert first.digest == again.digest
     assert driven(SWING, 1.0, LABORATORY, seed=4).log().digest != first.digest
-
-
-def test_a_log_survives_the_disk(tmp_path):
-    log = driven(SWING, 1.0, LABORATORY).log()
-    log.save(tmp_path / "run.csv")
-    again = RunLog.load(tmp_path / "run.csv")
-    assert again.digest == log.digest and again.meta["note"] == "teleoperation"
-    assert System.from_dict(again.meta["system"]) == LABORATORY
-    assert len(again) == 81 and again.wg is not None
 
 
 def test_lines_of_a_script():

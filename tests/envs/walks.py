@@ -28,6 +28,8 @@ def same(a, b) -> bool:
     """Whether two nested structures are equal bit for bit, types and shapes included."""
     if type(a) is not type(b):
         return False
+    if isinstance(a, np.ndarray) and a.dtype == object:
+        return a.shape == b.shape and same(a.tolist(), b.tolist())
     if isinstance(a, np.ndarray):
         return (a.dtype, a.shape) == (b.dtype, b.shape) and a.tobytes() == b.tobytes()
     if isinstance(a, Mapping):

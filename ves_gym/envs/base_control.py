@@ -42,11 +42,7 @@ class BaseControl:
             raise ParameterError(f"BaseControl.wrench must be > 0, got {self.wrench}")
 
     def check(self, system: System) -> None:
-        """Raise ParameterError where a system has nothing to command, or commands itself.
-
-        Args:
-            system: whose vehicle it is.
-        """
+        """Raise ParameterError where a system has nothing to command, or commands itself."""
         vehicle = system.vehicle
         if not isinstance(vehicle, Satellite) or system.mode != "ideal":
             got = vehicle.kind if system.mode == "ideal" else f"mode {system.mode}"
@@ -67,19 +63,11 @@ class BaseControl:
             )
 
     def width(self, system: System) -> int:
-        """Return the number of numbers in an action.
-
-        Args:
-            system: whose vehicle it is.
-        """
+        """Return the number of numbers in an action."""
         return self._motors(system) + _AXES * self.jets
 
     def scale(self, system: System) -> Array:
-        """Return what 1 stands for (width,): torques [N m], then force [N] and moment [N m].
-
-        Args:
-            system: whose vehicle it is.
-        """
+        """Return what 1 stands for (width,): torques [N m], then force [N] and moment [N m]."""
         vehicle = system.vehicle
         assert isinstance(vehicle, Satellite)
         parts = [wheel.torque_max for wheel in vehicle.wheels or ()] if self.wheels else []
@@ -103,14 +91,12 @@ class BaseControl:
         wrench = None
         if self.jets:
             wrench = asked[:, motors:].copy()
-            wrench[:, 3:] += np.cross(_centre(vehicle), wrench[:, :3])  # about the platform
+            wrench[:, 3:] += np.cross(
+                np.asarray(vehicle.body.com, float), wrench[:, :3]
+            )  # about the platform
         torque = asked[:, :motors] if motors else None
         acts.command(wrench, torque)
 
     def _motors(self, system: System) -> int:
         wheels = getattr(system.vehicle, "wheels", None)
         return len(wheels or ()) if self.wheels else 0
-
-
-def _centre(vehicle: Satellite) -> Array:
-    return np.asarray(vehicle.body.com, dtype=np.float64)

@@ -316,9 +316,9 @@ class Batch:
             self._compiled = self._observation = None
         if self._compiled is not None:
             out = self._compiled.step(actions, over, self.goals, lambda: self.free_decay)
-            self._observation = out.observation
-            out.info.update(self.account(out.stopped, over))
-            return out.reward, out.terminated, out.truncated, out.info
+            self._observation = self._compiled.observation
+            out[3].update(self.account(self._compiled.stopped, over))
+            return out
         e, s, task = self.episodes, self.scene, self.task
         actions = bounded(e, actions)
         before = s.energies

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -48,17 +48,6 @@ def signals_of(sim: Simulator) -> tuple[tuple[str, ...], tuple[str, ...]] | None
     return first, second
 
 
-class StepOutcome(NamedTuple):
-    """What a period of n simulations gives."""
-
-    reward: Array  # (n,)
-    terminated: Mask  # (n,)
-    truncated: Mask  # (n,)
-    info: dict[str, Any]
-    observation: npt.NDArray[np.float32]  # (n, observations)
-    stopped: Mask | None  # (n,) platforms that stand still for good, in the laboratory
-
-
 class CompiledStep:
     """The rows of n simulations' episodes, and the programs that bring them on by a period.
 
@@ -72,6 +61,8 @@ class CompiledStep:
         FormulaError: task or control say that they are formulas, and are not.
     """
 
+    observation: npt.NDArray[np.float32]  # (n, observations) after the last period
+    stopped: Mask | None = None  # (n,) platforms that stand still for good, in the laboratory
     ahead = False  # the rows are later than scene and episodes
     _tailed: tuple[Index, Index] | None = None  # where energies after an end stand in the rows
     _made_of: tuple[object, object] = (None, None)  # code of the loop, and its version
@@ -278,7 +269,7 @@ class CompiledStep:
 
     def step(
         self, actions: Array, over: Mask | None, goals: Array, decay: Callable[[], FreeDecay]
-    ) -> StepOutcome:
+    ) -> tuple[Array, Mask, Mask, dict[str, Any]]:
         """Bring all simulations on by a period, see `Batch.step`.
 
         Args:
@@ -307,22 +298,21 @@ class CompiledStep:
         rows = numbers(self._outputs, self.n)
         flags = rows[self._flags] != 0
         info: dict[str, Any] = {}
-        some, stopped = bool(np.count_nonzero(flags[5])), None
+        some = bool(np.count_nonzero(flags[5]))
         if some and flags[4].any():
             sim.note_divergence()
             self._note_diverged()
         if loop is not None:
             loop.ran_elsewhere(unlane(self._reading, self.n) if some else None)
-            stopped = loop.frozen
+            self.stopped = loop.frozen
         if some:
             rows, flags, info = self._end(rows, flags, decay)
         for key, at in self._terms:
             info[key] = rows[at]
         last, failed, info["success"], info["success_once"] = flags[:4]
         info["clipped"] = self._next[:, self._clipped].astype(np.int64).reshape(-1)[: self.n]
-        observation = rows[self._observed].T.astype(np.float32, order="C")
-        ends = outcome(self.task, last, failed)
-        return StepOutcome(rows[self._reward], *ends, info, observation, stopped)
+        self.observation = rows[self._observed].T.astype(np.float32, order="C")
+        return rows[self._reward], *outcome(self.task, last, failed), info
 
     def _note_diverged(self) -> None:
         """Those that have diverged stay where they are, and have failed."""

@@ -64,8 +64,8 @@ class Control:
         """Numbers in an action."""
         return arm.n
 
-    def check(self, system: System, duration: float) -> None:
-        """Raise ParameterError where the control does not fit a system or a duration [s]."""
+    def check(self, system: System) -> None:
+        """Raise ParameterError where the control does not fit a system."""
         if system.drive not in self.drives:
             kinds = " or ".join(self.drives)
             raise ParameterError(f"control {self.kind} needs drive {kinds}, got {system.drive}")
@@ -220,9 +220,9 @@ class SmoothReference(Control):
     drives: ClassVar[tuple[str, ...]] = ("motor", "prescribed")
     a_max: Vector | None = unit("rad/s^2", default=None)  # None: the arm's own
 
-    def check(self, system: System, duration: float) -> None:
+    def check(self, system: System) -> None:
         """See `Control`; one a_max > 0 per joint."""
-        super().check(system, duration)
+        super().check(system)
         if self.a_max is None:
             return
         name = f"{type(self).__name__}.a_max"
@@ -230,11 +230,7 @@ class SmoothReference(Control):
             raise ParameterError(f"{name} must be > 0 rad/s^2, got {self.a_max}")
 
     def limits(self, arm: Arm) -> Array:
-        """Return the largest acceleration of every joint (joints,) [rad/s^2].
-
-        Args:
-            arm: whose joints.
-        """
+        """Return the largest acceleration of every joint (joints,) [rad/s^2]."""
         return arm.column("a_max") if self.a_max is None else np.asarray(self.a_max, float)
 
     def asked(self, s: Moving, action: Array, arm: Arm, dt: float, rate: Array) -> Array:

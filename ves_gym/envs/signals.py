@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -149,15 +149,6 @@ class CostBounds:
         require_positive(self, "displacement", "acceleration")
 
 
-class PeriodOutcome(NamedTuple):
-    """Reward, ends and info of a control period of n simulations."""
-
-    reward: Array  # (n,), or (n, 3) by objective
-    terminated: Mask  # (n,)
-    truncated: Mask  # (n,)
-    info: dict[str, Any]
-
-
 class Signals:
     """Steps of a batch with reward and costs in the form that was asked for.
 
@@ -199,8 +190,10 @@ class Signals:
         low, low[at], high[at] = -low, -1.0, 0.0
         return gym.spaces.Box(low, high, dtype=np.float64)
 
-    def step(self, batch: Batch, actions: Array, over: Mask | None = None) -> PeriodOutcome:
-        """Bring a batch on by a period.
+    def step(
+        self, batch: Batch, actions: Array, over: Mask | None = None
+    ) -> tuple[Array, Mask, Mask, dict[str, Any]]:
+        """Bring a batch on by a period; reward (n,), or (n, 3) by objective, ends and info.
 
         Args:
             batch: whose episodes.
@@ -213,7 +206,7 @@ class Signals:
             info.update(self._costs(batch, before, over))
         if self.vector:
             reward = objectives(batch, info, over)
-        return PeriodOutcome(reward, terminated, truncated, info)
+        return reward, terminated, truncated, info
 
     def _costs(self, batch: Batch, before: Array, over: Mask | None) -> dict[str, Array]:
         """Entries (n,) of an info.

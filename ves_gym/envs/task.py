@@ -146,7 +146,7 @@ class Task(ABC):
                 f"{self.kind}.duration must be whole control periods of"
                 f" {self.system.control_dt:g} s, got {self.duration:g} s"
             )
-        self.control.check(self.system, self.duration)
+        self.control.check(self.system)
         if self.base_control is not None:
             self.base_control.check(self.system)
         for spread in self.randomize:
