@@ -238,7 +238,7 @@ def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
         body = body.add_body(
             name=f"link_{i}" if driven else f"part_{bent}",
             pos=position.tolist(),
-            quat=_quaternion(rotation),
+            quat=quaternion(rotation),
         )
         body.add_joint(
             name=f"q_{i}" if driven else f"f_{bent}",
@@ -251,7 +251,7 @@ def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
         set_inertial(body, regularised_inertial(link.inertial_at_joint))
         if driven:
             _add_drive(spec, f"drive_{i}", f"q_{i}", 1.0, link.tau_max)
-    body.add_site(name="tool", pos=tip.tolist(), quat=_quaternion(tool))
+    body.add_site(name="tool", pos=tip.tolist(), quat=quaternion(tool))
 
 
 def _add_drive(
@@ -324,10 +324,11 @@ def set_inertial(body: Any, inertial: Inertial) -> None:
     body.explicitinertial = True
 
 
-def _quaternion(rotation: Array) -> list[float]:
-    quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
-    return [float(k) for k in quaternion]
+def quaternion(rotation: Array) -> list[float]:
+    """Attitude of a rotation (3, 3), as MuJoCo's elements take it."""
+    out = np.zeros(4)
+    mujoco.mju_mat2Quat(out, np.ascontiguousarray(rotation).ravel())
+    return [float(k) for k in out]
 
 
 # ----------------------------------------------------- what a satellite carries

@@ -15,7 +15,7 @@ import numpy as np
 
 from ves_gym._util.mujoco_loader import mujoco
 from ves_gym._util.params import Array
-from ves_gym.engine.mjcf import set_inertial
+from ves_gym.engine.mjcf import quaternion, set_inertial
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.payload import Contact, ContactShape, Payload
 
@@ -126,13 +126,11 @@ def add_shape(
         options: further attributes, such as a name.
     """
     form, size = geom_of(shape)
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(turn @ shape.place.rotation).ravel())
     body.add_geom(
         type=form,
         size=size.tolist(),
         pos=(place + turn @ np.array(shape.place.position)).tolist(),
-        quat=quat.tolist(),
+        quat=quaternion(turn @ shape.place.rotation),
         mass=0.0,
         contype=0,
         conaffinity=0,

@@ -26,19 +26,11 @@ _SAMPLES = 201  # of a reference motion
 THREE_JOINTS = (60.0, 40.0, -30.0)  # deg, where three joints go that have been told no goal
 _SAID = ("joint", "time", "value", "limit")  # of an extreme, in a file
 _SHARE = 0.5  # of speed, acceleration and torque limits that `default_goal` takes at most
-_UNITS = {  # unit in messages, and its factor
-    "position": ("deg", math.degrees(1)),
-    "velocity": ("deg/s", math.degrees(1)),
-    "acceleration": ("rad/s^2", 1.0),
-    "torque": ("N m", 1.0),
-}
-
-
-_SLIDING = {
-    "position": ("mm", 1e3),
-    "velocity": ("mm/s", 1e3),
-    "acceleration": ("m/s^2", 1.0),
-    "torque": ("N", 1.0),
+_UNITS = {  # unit in messages and its factor, of a joint that turns and of one that slides
+    "position": (("deg", math.degrees(1)), ("mm", 1e3)),
+    "velocity": (("deg/s", math.degrees(1)), ("mm/s", 1e3)),
+    "acceleration": (("rad/s^2", 1.0), ("m/s^2", 1.0)),
+    "torque": (("N m", 1.0), ("N", 1.0)),
 }
 
 
@@ -75,12 +67,15 @@ class Extreme:
         return f"{self.kind} of joint {self.joint} reaches {ratio} of its limit"
 
     def __str__(self) -> str:
-        symbol, factor = (_SLIDING if self.slides else _UNITS)[self.kind]
         middle = " from the middle of its range" if self.kind == "position" else ""
-        return (
-            f"{self.short} at t = {self.time:.3f} s ({self.value * factor:.1f} {symbol},"
-            f" allowed +-{self.limit * factor:.1f} {symbol}{middle})"
-        )
+        return f"{self.short} at t = {self.time:.3f} s ({self.allowed}{middle})"
+
+    @property
+    def allowed(self) -> str:
+        """Like '128.9 deg/s, allowed +-122.0 deg/s'."""
+        symbol, factor = _UNITS[self.kind][self.slides]
+        value, limit = self.value * factor, self.limit * factor
+        return f"{value:.1f} {symbol}, allowed +-{limit:.1f} {symbol}"
 
 
 @dataclass(frozen=True)
@@ -291,9 +286,7 @@ def require_limits(
     limits = limits_of(arm, a_max=tuple(arm.column("a_max")))
     check = check_reference(arm, motion, {k: limits[k] for k in limits if k in names})
     for e in check.broken:
-        symbol, factor = (_SLIDING if e.slides else _UNITS)[e.kind]
         raise LimitError(
             f"motion breaks the {e.kind} limit of joint {e.joint} at t = {e.time:.3f} s:"
-            f" {e.value * factor:.1f} {symbol}, allowed +-{e.limit * factor:.1f} {symbol}"
-            + (" about the middle of its range" if e.kind == "position" else "")
+            f" {e.allowed}" + (" about the middle of its range" if e.kind == "position" else "")
         )

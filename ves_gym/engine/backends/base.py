@@ -23,7 +23,8 @@ class BackendWarning(UserWarning):
 class Backend(Protocol):
     """Engine as `Simulator` uses it. Leading axis = simulation.
 
-    Arrays handed out are copies or read-only views; `z` stacks (Y, q), `zd` its rate.
+    Arrays handed out are copies or read-only views; `z` stacks (Y, q), `zd` its rate. `ids`
+    are the simulations (k,) that a call is about; of steps None stands for all.
     """
 
     name: str  # as in `BACKENDS`
@@ -34,92 +35,39 @@ class Backend(Protocol):
         """Time (n,) [s], z (n, 6 + joints), zd (n, 6 + joints)."""
 
     def write(self, ids: Index, time: Array, z: Array, zd: Array) -> None:
-        """Set the state of some simulations and clear their fault.
-
-        Gears are relaxed then, and oscillators at rest on the vehicle.
-
-        Args:
-            ids: (k,) which.
-            time: (k,) [s].
-            z, zd: (k, 6 + joints) state and its rate.
-        """
+        """Set time, z and zd (k, 6 + joints) and clear faults; gears are relaxed then, and
+        oscillators at rest on the vehicle."""
 
     def set_gear_state(self, d: Array, rate: Array) -> None:
-        """Set the gears' deflections of all simulations.
-
-        Args:
-            d, rate: (n, g) [rad], [rad/s].
-        """
+        """Set the gears' deflections of all simulations, (n, g) [rad], [rad/s]."""
 
     def set_base(self, ids: Index, y: Array, yd: Array) -> None:
-        """Set the base's pose and rate, and nothing else.
-
-        Args:
-            ids: (k,) which simulations.
-            y, yd: (k, 6) [m, rad] and their rates.
-        """
+        """Set the base's pose and rate (k, 6), and nothing else."""
 
     def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
-        """Set servo gains, active at every physics step.
-
-        Args:
-            ids: (k,) which simulations.
-            kp, kd: (k, joints) [N m/rad], [N m s/rad].
-        """
+        """Set servo gains (k, joints), active at every physics step [N m/rad], [N m s/rad]."""
 
     def set_carried(self, ids: Index, at: Array, rate: Array) -> None:
-        """Set coordinates and rates of wheels and appendages.
-
-        Args:
-            ids: (k,) which simulations.
-            at, rate: (k, c).
-        """
+        """Set coordinates and rates (k, c) of wheels and appendages."""
 
     def set_rates(self, ids: Index, zd: Array, gears: Array) -> None:
-        """Let the rates of some simulations jump, nothing else (`mechanics/latch.py`).
-
-        Args:
-            ids: (k,) which.
-            zd: (k, 6 + joints).
-            gears: (k, g + c) rates of the gears' deflections [rad/s], of wheels, appendages.
-        """
+        """Let rates jump, nothing else (`mechanics/latch.py`): zd (k, 6 + joints), and those
+        (k, g + c) of the gears' deflections [rad/s], of wheels and appendages."""
 
     def set_last_link(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
-        """Change the last link of some simulations: it carries something, or no longer.
-
-        Args:
-            ids: (k,) which.
-            mass: (k,) [kg].
-            com: (k, 3) in the link's frame [m].
-            inertia: (k, 3, 3) about it [kg m^2].
-        """
+        """Change the last link, which carries something, or no longer: mass (k,) [kg], com
+        (k, 3) in its frame [m], inertia (k, 3, 3) about that [kg m^2]."""
 
     def set_actuators(self, ids: Index, wrench: Array | None, torque: Array | None) -> None:
-        """Set what jets and wheels do from now on.
-
-        Args:
-            ids: (k,) which simulations.
-            wrench: (k, 6) of the jets in platform axes at its origin [N, N m], or None.
-            torque: (k, w) on the wheels' rotors [N m], or None.
-        """
+        """Set what jets and wheels do from now on: a wrench (k, 6) in platform axes at its
+        origin [N, N m], and torque (k, w) on the wheels' rotors [N m]; None leaves them."""
 
     def assign(self, ids: Index, systems: Sequence[System]) -> None:
-        """Give simulations systems of their own (`Simulator.assign`); all or none of them.
-
-        State and servo gains stay.
-
-        Args:
-            ids: (k,) which.
-            systems: k of them, alike in structure (`require_alike`).
-        """
+        """Give simulations systems of their own, alike in structure (`require_alike`); all or
+        none of them. State and servo gains stay."""
 
     def assign_laws(self, ids: Index, rows: EffectRows) -> None:
-        """Give simulations torque laws with parameters of their own; bodies stay.
-
-        Args:
-            ids: (k,) which.
-            rows: of k simulations.
-        """
+        """Give simulations torque laws with parameters of their own; bodies stay."""
 
     def step(
         self,
@@ -129,7 +77,7 @@ class Backend(Protocol):
         substeps: int,
         ids: Index | None,
     ) -> None:
-        """Advance under a command and a generalised base force.
+        """Advance some physics steps.
 
         Args:
             command: (n, joints) torque or acceleration, held.
@@ -140,12 +88,7 @@ class Backend(Protocol):
         """
 
     def step_sequence(self, commands: Array, ids: Index | None) -> None:
-        """Advance k physics steps.
-
-        Args:
-            commands: (n, k + 1, joints), linear over each step.
-            ids: which simulations, None for all.
-        """
+        """Advance k physics steps under commands (n, k + 1, joints), linear over each."""
 
     def step_on_platform(self, commands: Array, base: Array, ids: Index | None) -> Array:
         """Advance k physics steps on a platform that moves as told (mode emulated).

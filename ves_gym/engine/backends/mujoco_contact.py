@@ -52,41 +52,26 @@ class ContactBatch:
         Args:
             ids: (k,) which.
             place, turn: (k, 3) [m], (k, 4) unit quaternions.
-            velocity, spin: (k, 3) of the centre of mass [m/s], in own axes [rad/s].
-            com: (k, 3) centres of mass in their own axes.
+            velocity, spin, com: (k, 3), the last two in own axes [m/s, rad/s, m].
         """
         self._qpos[ids, -7:-4], self._qpos[ids, -4:] = place, turn
         self._qvel[ids, -6:-3] = velocity - rotate(turn, np.cross(spin, com))
         self._qvel[ids, -3:] = spin
 
     def set_frame(self, ids: Index, place: Array, turn: Array) -> None:
-        """Put shapes that are fixed in space where the engine's frame has them.
-
-        Args:
-            ids: (k,) which.
-            place, turn: (k, 3) [m], (k, 4) of the engine's frame in space.
-        """
+        """Put shapes that are fixed in space where the engine's frame, at `place` (k, 3) [m]
+        and `turn` (k, 4), has them."""
         if self.contact.on != "space":
             return
         self.batch.bind("mocap_pos")[ids, 0] = rotate(conjugate(turn), -place)
         self.batch.bind("mocap_quat")[ids, 0] = conjugate(turn)
 
     def set_body(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
-        """Change mass properties of free bodies.
-
-        Args:
-            ids: (k,) which.
-            mass, com, inertia: (k,), (k, 3), (k, 3, 3) in their own axes.
-        """
+        """Change mass properties (k,), (k, 3), (k, 3, 3) of free bodies, in their own axes."""
         set_body(self.batch, ids, self.model.body(TARGET).id, mass, com, inertia)
 
     def set_touching(self, ids: Index, touching: Mask) -> None:
-        """Let the shapes of simulations touch, or pass through each other.
-
-        Args:
-            ids: (k,) which.
-            touching: (k,) bool.
-        """
+        """Let the shapes of simulations (k,) touch, or pass through each other."""
         margin = np.where(touching, 0.0, _APART)
         self.batch.expand("pair_margin")[ids] = margin[:, None]
 
