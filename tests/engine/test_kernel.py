@@ -378,17 +378,6 @@ def test_structures_differ():
     assert len(set(keys.values())) == len(keys)
 
 
-def test_systems_of_one_structure_keep_their_own_values():
-    """They share one library and still give the answers of the other engine."""
-    for system in (System(vehicle=BENT_THESIS), VALUES["mass"], VALUES["beam"], VALUES["step"]):
-        states = []
-        for name in ("kernel", "mujoco"):
-            sim = Simulator(system, backend=name)
-            sim.reset(q=[0.3, -0.2, 0.5], v=0.2, yd=0.01)
-            states.append(np.concatenate([part[0] for part in sim.step(20.0)[1:]]))
-        np.testing.assert_allclose(*states, rtol=1e-10, atol=1e-12)
-
-
 _SCRIPT = """
 import sys
 from ves_gym.simulation.simulator import Simulator

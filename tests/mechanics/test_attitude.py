@@ -99,13 +99,3 @@ def test_a_free_body_follows_jacobis_elliptic_functions():
     np.testing.assert_allclose(free_body(inertia, w0, np.zeros(1))[0], w0, atol=1e-12)
     np.testing.assert_allclose(w, reference, atol=1e-9)
     np.testing.assert_allclose(attitude.rotate(q, J @ w), momentum, rtol=1e-12)
-
-
-def test_a_batch_is_its_members():
-    turns = np.random.default_rng(0).normal(size=(3, 2, 3))
-    q = attitude.exp(turns)
-    together = attitude.torque_free_step(q, turns, np.diag([3.0, 2.0, 1.5]), 0.1)
-    for i, j in np.ndindex(3, 2):
-        alone = attitude.torque_free_step(q[i, j], turns[i, j], np.diag([3.0, 2.0, 1.5]), 0.1)
-        for a, b in zip(together, alone, strict=True):
-            np.testing.assert_allclose(a[i, j], b, **ROUNDING)

@@ -141,16 +141,6 @@ def test_configurations_reach_the_pose_inside_the_limits(arm):
     np.testing.assert_allclose(nearest, goal, atol=1e-9)
 
 
-def test_a_place_alone_leaves_more_freedom():
-    arm = six_joint_arm()
-    pose = ToolPose(position=tool_pose(arm, np.full(6, 0.3)).position)
-    found = configurations_at(arm, pose)
-    assert pose.size == 3 and pose.rotation is None
-    assert len(found) > 30
-    turns = tool_frame(arm, found)[1][:, :, 2]
-    assert (turns @ turns.T).min() < 0  # the tool points all over
-
-
 def test_bad_poses_are_refused():
     with pytest.raises(ParameterError, match=r"ToolPose\.position must have shape \(3,\)"):
         ToolPose(position=(1.0, 2.0))

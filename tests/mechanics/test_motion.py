@@ -61,15 +61,6 @@ def test_outside_its_time_a_motion_is_held():
         assert (samples.a == 0).all()
 
 
-def test_velocity_and_acceleration_are_the_derivatives():
-    """Central differences of step h, error h^2."""
-    motion, h = wavy(), 1e-4
-    t = np.linspace(0.1, 1.9, 37)
-    s, ahead, back = motion.at(t), motion.at(t + h), motion.at(t - h)
-    np.testing.assert_allclose((ahead.q - back.q) / (2 * h), s.v, atol=2e-4)
-    np.testing.assert_allclose((ahead.v - back.v) / (2 * h), s.a, atol=2e-2)
-
-
 # ------------------------------------------------------------------- constructions
 
 

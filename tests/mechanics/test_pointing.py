@@ -62,12 +62,6 @@ def test_a_pulse_is_no_smaller_than_the_minimum_impulse_bit():
     assert not given[:9].any()
 
 
-def test_a_request_above_the_bit_is_given_at_once():
-    given = run(JETS[0], [0.06 / DT])
-    assert given[0] == pytest.approx(0.06)
-    assert run(JETS[0], [1e3])[0] == pytest.approx(THRUST * DT)  # no more than on all the time
-
-
 def test_a_pulse_longer_than_a_period_goes_on():
     """The smallest pulse takes 2.5 periods; the request ends with the first of them."""
     jet = replace(JETS[0], min_impulse=2.5 * THRUST * DT)
