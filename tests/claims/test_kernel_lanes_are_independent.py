@@ -11,7 +11,7 @@ import pickle
 import numpy as np
 import pytest
 
-from ves_gym.engine.kernel.emit import LANES
+from ves_gym.engine.kernel.build import LANES
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLYING
 from ves_gym.simulation.machines import Divergence
 from ves_gym.simulation.simulator import Simulator

@@ -4,8 +4,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from ves_gym.engine.kernel.build import LANES
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
-from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.symbolic import (
     Untraceable,
     batch_of_symbols,

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask
 from ves_gym.engine.backends.kernel import KernelBackend
+from ves_gym.engine.kernel.build import LANES
 from ves_gym.engine.kernel.compiled_function import (
     Piece,
     Program,
@@ -22,7 +23,6 @@ from ves_gym.engine.kernel.compiled_function import (
     numbers,
     unlane,
 )
-from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.maps import SceneMap, TorqueMap
 from ves_gym.envs import compiled
 from ves_gym.envs.compiled import WIDEST, Shape, carry_rows, compiles, width

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array
+from ves_gym.engine.kernel.build import LANES
 from ves_gym.engine.kernel.compiled_function import (
     CompiledFunction,
     Program,
@@ -26,7 +27,6 @@ from ves_gym.engine.kernel.compiled_function import (
     fill,
     unlane,
 )
-from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.maps import inertia_function
 from ves_gym.engine.kernel.numbers import parameters
 from ves_gym.mechanics.dynamics import inertia

@@ -17,8 +17,8 @@ from scipy.stats import qmc
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.engine.kernel.build import LANES
 from ves_gym.engine.kernel.compiled_function import CompiledFunction, aligned, everywhere
-from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.numbers import parameters, structure
 from ves_gym.engine.kernel.symbolic import column, symbols, traced
 from ves_gym.engine.kernel.trace import inertia_matrix

@@ -9,14 +9,15 @@ import itertools
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from ves_gym._util.params import Array, Index
 from ves_gym.engine.backends.base import MEANINGLESS
 from ves_gym.engine.backends.compiled import CompiledBackend
+from ves_gym.engine.kernel.build import LANES
 from ves_gym.engine.kernel.compiled_function import (
     Piece,
     Program,
@@ -26,10 +27,11 @@ from ves_gym.engine.kernel.compiled_function import (
     lanes,
     unlane,
 )
-from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.numbers import structure
-from ves_gym.engine.kernel.trace import equations
 from ves_gym.system.system import System
+
+if TYPE_CHECKING:
+    from ves_gym.engine.kernel.trace import Equations
 
 _SHORT = 64  # steps of a sequence whose memory is kept for the next
 _ALONE = 8  # blocks below which a second thread costs more than it brings
@@ -38,7 +40,13 @@ _ALONE = 8  # blocks below which a second thread costs more than it brings
 @lru_cache(maxsize=64)
 def stepper(system: System) -> Stepper:
     """The steps of a system; systems that differ in values only share their code."""
-    return Stepper(structure(system), partial(equations, system), system.integrator)
+
+    def trace() -> Equations:
+        from ves_gym.engine.kernel.trace import equations  # of what is in no store yet
+
+        return equations(system)
+
+    return Stepper(structure(system), trace, system.integrator)
 
 
 class _Ramp(NamedTuple):

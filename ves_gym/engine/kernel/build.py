@@ -35,6 +35,7 @@ _SOURCES = (
     "simulation/blocks",
     "system",
 )
+LANES = 8  # simulations side by side in a vector of compiled code
 _MARK = b"ves-code/1\n"
 # what compiling raises where it is not possible
 NOT_HERE = (ImportError, RuntimeError, OSError)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, Rows
 from ves_gym.engine.kernel import build
-from ves_gym.engine.kernel.emit import LANES, PROGRAM, emit_graph, emit_stepper
+from ves_gym.engine.kernel.build import LANES
 from ves_gym.engine.kernel.symbolic import column, symbols
 
 if TYPE_CHECKING:
@@ -88,9 +88,13 @@ class CompiledFunction:
         Raises:
             ImportError, RuntimeError, OSError: nothing compiles here.
         """
-        return build.code(
-            self.digest, lambda: emit_graph(self.graph, self._in_place), lambda: self._sizes
-        )
+
+        def text() -> str:
+            from ves_gym.engine.kernel.emit import emit_graph  # of what is in no store yet
+
+            return emit_graph(self.graph, self._in_place)
+
+        return build.code(self.digest, text, lambda: self._sizes)
 
     @property
     def _compiled(self) -> build.MachineCode | None:
@@ -262,6 +266,8 @@ class Stepper(CompiledFunction):
         """
 
         def text() -> str:
+            from ves_gym.engine.kernel.emit import emit_stepper
+
             graphs = self._equations
             return emit_stepper(graphs.motion, graphs.observe, self._integrator, graphs.order)
 
@@ -348,7 +354,7 @@ class Program:
         codes = [piece.code for piece in pieces if piece.code is not None]
         self._all: Piece | None = None
         if len(codes) == len(self._pieces):
-            program = build.code(build.digest("program"), lambda: PROGRAM, lambda: ((), ()))
+            program = build.code(build.digest("program"), _program, lambda: ((), ()))
             words = [len(codes)]
             for code, piece in zip(codes, pieces, strict=True):
                 words += [code.address, piece.where]
@@ -357,6 +363,12 @@ class Program:
     def __call__(self, lo: int, hi: int) -> None:
         for piece in (self._all,) if self._all is not None else self._pieces:
             piece(lo, hi)
+
+
+def _program() -> str:
+    from ves_gym.engine.kernel.emit import PROGRAM
+
+    return PROGRAM
 
 
 class Buffered:

@@ -15,11 +15,11 @@ from functools import partialmethod
 from typing import TYPE_CHECKING
 
 from ves_gym._util.params import ParameterError
+from ves_gym.engine.kernel.build import LANES
 
 if TYPE_CHECKING:
     import casadi
 
-LANES = 8
 _V = f"<{LANES} x double>"
 _BOOL = f"<{LANES} x i1>"
 _INT = f"<{LANES} x i64>"

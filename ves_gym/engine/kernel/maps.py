@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym.engine.kernel.build import LANES
 from ves_gym.engine.kernel.compiled_function import (
     CompiledFunction,
     Piece,
@@ -19,10 +21,8 @@ from ves_gym.engine.kernel.compiled_function import (
     fill,
     unlane,
 )
-from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.numbers import geometry, parameters, structure, symbolic_model
 from ves_gym.engine.kernel.symbolic import column, symbols
-from ves_gym.engine.kernel.trace import coupling, inertia_matrix, regressor
 from ves_gym.mechanics.arm import Arm, Chain, LinkBodies
 from ves_gym.mechanics.dynamics import newton_euler
 from ves_gym.mechanics.equations import base_energy
@@ -34,6 +34,11 @@ from ves_gym.system.system import System
 
 if TYPE_CHECKING:
     import casadi
+
+
+def _traced(name: str, subject: System | Arm) -> Callable[[], casadi.Function]:
+    """A graph of `trace`, which is loaded for what is in no store yet."""
+    return lambda: getattr(import_module("ves_gym.engine.kernel.trace"), name)(subject)
 
 
 def coupling_matrices(system: System, q: Array) -> Array:
@@ -55,13 +60,13 @@ def coupling_matrices(system: System, q: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def _coupling(system: System) -> CompiledFunction:
-    return CompiledFunction(f"coupling {structure(system)}", partial(coupling, system))
+    return CompiledFunction(f"coupling {structure(system)}", _traced("coupling", system))
 
 
 @lru_cache(maxsize=64)
 def inertia_function(system: System) -> CompiledFunction:
     """(q, p) -> entries of H(q) of arm and base link, row by row (`dynamics.inertia`)."""
-    return CompiledFunction(f"inertia {structure(system)}", partial(inertia_matrix, system))
+    return CompiledFunction(f"inertia {structure(system)}", _traced("inertia_matrix", system))
 
 
 class InertiaMap:
@@ -204,7 +209,7 @@ def inertia_regressor(
 
 @lru_cache(maxsize=16)
 def _regressor(arm: Arm) -> CompiledFunction:
-    return CompiledFunction(f"regressor {geometry(arm)}", partial(regressor, arm))
+    return CompiledFunction(f"regressor {geometry(arm)}", _traced("regressor", arm))
 
 
 # ---------------------------------- what an environment asks of every state, over and over

@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.engine.kernel.build import LANES
 from ves_gym.engine.kernel.compiled_function import Stepper, aligned, lanes, unlane
-from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.numbers import parameters, structure
 from ves_gym.engine.kernel.trace import tangents
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ves_gym._util.params import Array, Index, Rows
+from ves_gym.engine.kernel.build import LANES
 from ves_gym.engine.kernel.compiled_function import (
     CompiledFunction,
     Piece,
@@ -22,7 +23,6 @@ from ves_gym.engine.kernel.compiled_function import (
     put_rows,
     unlane,
 )
-from ves_gym.engine.kernel.emit import LANES
 from ves_gym.engine.kernel.symbolic import column, symbols, traced
 from ves_gym.simulation.blocks.block import Block
 from ves_gym.simulation.blocks.wiring import NamedArrays, Parameters, Wiring

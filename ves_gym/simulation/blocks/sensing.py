@@ -10,7 +10,6 @@ from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.engine.kernel.maps import inertia_function, weight_function
 from ves_gym.engine.kernel.numbers import geometry, parameters
 from ves_gym.engine.kernel.symbolic import Traced, column, traced
-from ves_gym.engine.kernel.trace import inertia_matrix
 from ves_gym.hardware.admittance import implicit_step
 from ves_gym.hardware.force_sensor import ForceSensor, low_pass, noise_steps
 from ves_gym.mechanics.arm import Arm
@@ -185,7 +184,7 @@ class ArmInertia(Block):
     def step(self, p: Values, x: Values, u: Values) -> Stepped:
         q, size = u["q"], 6 + self.system.arm.n
         if isinstance(q, Traced):  # the same text, traced
-            entries = inertia_matrix(self.system)(column(q), column(p["numbers"]))
+            entries = self._entries.graph(column(q), column(p["numbers"]))
             H = traced([entries[k] for k in range(size**2)], (1, size, size))
             return {}, {"inertia": p["scale"][:, None, None] * H}
         return {}, {"inertia": self.rows(p, q)}

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Rows
+from ves_gym.engine.kernel.build import LANES
 from ves_gym.engine.kernel.compiled_function import aligned, fill, put_rows, unlane
-from ves_gym.engine.kernel.emit import LANES
 from ves_gym.simulation.blocks.block import (
     TO_ENGINE,
     Block,
