@@ -193,7 +193,8 @@ def gains() -> dict[str, Probe]:
         "gains by worst": Probe(lambda: tuned("worst", vehicle="decoupled"), loose=about),
         # of nine gains instead of six the search ends elsewhere when rounding changes
         "full gains": Probe(lambda: tuned("strain", full=True), loose={"value": 1e-2}),
-        "damping map": Probe(mapped, loose={"tuned": 1e-3}),
+        # few starts a point: 1.6e-3 between processors with AVX-512 and those with AVX2
+        "damping map": Probe(mapped, loose={"tuned": 5e-3}),
     }
 
 
