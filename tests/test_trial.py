@@ -271,7 +271,16 @@ IMITATED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("mode", "kind"), [(m, k) for m in IMITATED for k in IMITATED[m]])
+@pytest.mark.parametrize(
+    ("mode", "kind"),
+    [
+        pytest.param(
+            m, k, marks=[pytest.mark.slow] * (k in ("payload/com", "sensor/calibration"))
+        )
+        for m in IMITATED
+        for k in IMITATED[m]
+    ],
+)
 def test_tolerances_that_imitate_an_effect_do_the_same(mode, kind, monkeypatch):
     """So no reader gains more than |x|^2 by the truth (`benchmarks/trial/imitation.py`)."""
     monkeypatch.setattr(write, "DURATION", 0.15)

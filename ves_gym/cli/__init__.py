@@ -1,1 +1,1 @@
-"""Command line: one file per command, each with `add_arguments` and `run`."""
+"""Command line: each module has a `TABLE` of its commands: what runs, and the options."""

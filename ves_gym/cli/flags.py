@@ -157,19 +157,18 @@ def integer(least: int = 0, most: int | None = None) -> Read:
     return reader
 
 
-def word_or(word: str, reader: Read, expected: str, meaning: Any = None) -> Read:
-    """Read a word that stands for something, or what another reader takes.
+def word_or(word: str, reader: Read, expected: str) -> Read:
+    """Read a word that stands for None, such as `auto`, or what another reader takes.
 
     Args:
-        word: such as `auto`.
+        word: that stands for None.
         reader: of anything else.
         expected: by both, for the sentence.
-        meaning: of the word.
     """
 
     def either(value: str, place: Place) -> Any:
         if value == word:
-            return meaning
+            return None
         try:
             return reader(value, place)
         except ParameterError:

@@ -117,9 +117,9 @@ def attempt(code: str, timeout: float, backend: str | None = None) -> tuple[bool
 
 
 @cache
-def probe(backend: str, timeout: float = _PATIENCE) -> Probe:
+def probe(backend: str) -> Probe:
     """Try to draw with a backend; asked again, the same outcome without another try."""
-    works, words = attempt(_TRY, timeout, backend)
+    works, words = attempt(_TRY, _PATIENCE, backend)
     library, _ = _LIBRARIES.get(backend, ("", ""))
     if not works and library and ctypes.util.find_library(library) is None:
         words = f"lib{library} is missing"
