@@ -25,7 +25,8 @@ import torch
 from benchmarks.device_ppo import Progress, train
 from ves_gym._util.mujoco_loader import mujoco
 from ves_gym._util.optional import installed, lacking
-from ves_gym.engine.backends.base import BackendWarning, make_backend
+from ves_gym.engine.backends import make_backend
+from ves_gym.engine.backends.base import BackendWarning
 from ves_gym.engine.backends.mujoco import compile_model
 from ves_gym.engine.kernel.warp_code import load_warp
 from ves_gym.engine.mjcf import TO_Y

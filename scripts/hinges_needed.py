@@ -17,7 +17,7 @@ import scipy
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.boom import NO_ARM, Boom, BoomJoint, BoomMember
-from ves_gym.mechanics.dynamics import expand
+from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.finite_elements import Material, Section
 
 LENGTH, STIFFNESS, MASS = 10.0, 2e6, 80.0  # m, EI [N m^2], kg

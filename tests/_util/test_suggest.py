@@ -9,7 +9,7 @@ from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.evaluate import spec_of
 from ves_gym.baselines.registry import get_controller
 from ves_gym.diagnosis.inference.candidates import without
-from ves_gym.engine.backends.base import make_backend
+from ves_gym.engine.backends import make_backend
 from ves_gym.envs.build import build_task, get_task
 from ves_gym.leaderboard.problems import get_problem, problems
 from ves_gym.mechanics.vehicle import get_vehicle, vehicle_from_plain

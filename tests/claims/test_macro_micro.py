@@ -18,7 +18,7 @@ from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.boom import REACHING_OUT, SHUTTLE_LIKE, Boom
-from ves_gym.mechanics.dynamics import expand
+from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS, JointServo, own_gains

@@ -14,7 +14,8 @@ from ves_gym.engine.kernel.maps import (
     weight_function,
 )
 from ves_gym.mechanics.arm_library import PUMA_560
-from ves_gym.mechanics.dynamics import expand, newton_euler
+from ves_gym.mechanics.dynamics import newton_euler
+from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench, minimal_model
 from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.modes import natural_modes

@@ -19,9 +19,10 @@ from ves_gym.mechanics.boom import (
     Boom,
     BoomMember,
 )
-from ves_gym.mechanics.dynamics import expand, inertia
+from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.finite_elements import Tube
 from ves_gym.mechanics.flexible_base import FlexibleBase, Polyline, Strut, beam_line
+from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.spatial import rotation

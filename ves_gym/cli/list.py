@@ -16,7 +16,7 @@ from ves_gym.cli.flags import Answer, Context, Flag, one_of
 from ves_gym.cli.machine import MACHINE
 from ves_gym.cli.main import COMMANDS
 from ves_gym.effects import EFFECTS
-from ves_gym.engine.backends.base import BACKENDS
+from ves_gym.engine.backends import BACKENDS
 from ves_gym.envs.build import build_task
 from ves_gym.envs.registration import ENTRY_POINT
 from ves_gym.envs.signals import goal_space, observation_space

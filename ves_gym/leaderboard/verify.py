@@ -36,8 +36,8 @@ from ves_gym.leaderboard.problems import PUBLIC, Problem, Seeds, get_problem, se
 from ves_gym.leaderboard.statistics import repeated
 from ves_gym.leaderboard.tracks.base import (
     Answers,
+    BoardTrack,
     Progress,
-    Track,
     no_progress,
     require_settings,
 )
@@ -119,7 +119,7 @@ def make_entry(
     return entry
 
 
-def track_of(problem: Problem, seeds: Seeds, method: Method, workers: int) -> Track:
+def track_of(problem: Problem, seeds: Seeds, method: Method, workers: int) -> BoardTrack:
     """The track of a problem that a method answers; `workers` are processes that plan."""
     kind = {"paths": PathTrack, "tasks": TaskTrack, "damping": DampTrack}[problem.track]
     if problem.track == "damping" and problem.environment is None:

@@ -13,7 +13,8 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -456,11 +457,10 @@ class Arm:
         Raises:
             ParameterError: names the link or the joint, and what is wrong with it.
         """
-        from ves_gym.mechanics.arm_files import read_file
-        from ves_gym.mechanics.arm_reader import ChainChoice
-
-        held, added = dict(locked or {}), dict(rotors or {})
-        return read_file(path, ChainChoice(tip, root, held, collision, check, added))
+        files, held, added = _files(), dict(locked or {}), dict(rotors or {})
+        choice = files.ChainChoice(tip, root, held, collision, check, added)
+        arm: Arm = files.read_file(path, choice)
+        return arm
 
     def to_urdf(self, path: str | os.PathLike[str]) -> None:
         """Write a URDF file: `from_file` gives this arm back, a capsule as three shapes.
@@ -468,9 +468,7 @@ class Arm:
         Raises:
             ParameterError: gears that give way, for which URDF has no words.
         """
-        from ves_gym.mechanics.arm_files import urdf_text
-
-        write_text(path, urdf_text(self))
+        write_text(path, _files().urdf_text(self))
 
     def to_mjcf(self, path: str | os.PathLike[str]) -> None:
         """Write an MJCF file: `from_file` gives this arm back.
@@ -478,9 +476,7 @@ class Arm:
         Raises:
             ParameterError: gears that give way.
         """
-        from ves_gym.mechanics.arm_files import mjcf_text
-
-        write_text(path, mjcf_text(self))
+        write_text(path, _files().mjcf_text(self))
 
     def to_pinocchio(self) -> pinocchio.Model:
         """Return the arm on a base that stands still in Pinocchio, its tool the frame `tool`.
@@ -488,9 +484,13 @@ class Arm:
         Raises:
             MissingPackageError: Pinocchio is not installed.
         """
-        from ves_gym.mechanics.arm_files import pinocchio_model
+        model: pinocchio.Model = _files().pinocchio_model(self)
+        return model
 
-        return pinocchio_model(self)
+
+def _files() -> Any:
+    """Readers and writers of URDF and MJCF, which most programs never need."""
+    return import_module("ves_gym.mechanics.arm_files")
 
 
 def read_arm(path: str | os.PathLike[str]) -> Arm:

@@ -17,7 +17,7 @@ from ves_gym.mechanics.arm import Arm, Capsule, Inertial
 from ves_gym.mechanics.arm_reader import ChainChoice, arm_of_tree
 from ves_gym.mechanics.attitude import from_matrix
 from ves_gym.mechanics.chain import angles_of, upright
-from ves_gym.mechanics.dynamics import expand
+from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.mjcf_arm import MjcfTree
 from ves_gym.mechanics.urdf import UrdfTree
 

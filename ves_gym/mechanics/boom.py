@@ -39,9 +39,9 @@ from ves_gym.mechanics.arm import (
 )
 from ves_gym.mechanics.chain import Joint, LinkMass, Lump, angles_of, arm_of
 from ves_gym.mechanics.craig_bampton import reduce
-from ves_gym.mechanics.dynamics import expand
 from ves_gym.mechanics.finite_elements import Material, Section, Tube
 from ves_gym.mechanics.flexible_base import REACH, FlexibleBase, Reduced
+from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.kinematics import frames
 
 _SOFTEST = 1e-9  # of the flange's ways, in compliance over the largest: below it none

@@ -10,7 +10,6 @@ Frame: the platform-top frame; wrench and twist at its origin, linear part first
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Arm, Mechanism
-from ves_gym.mechanics.kinematics import frames, joint_positions, joint_values, twists
+from ves_gym.mechanics.kinematics import frames, joint_values, twists
 from ves_gym.mechanics.spatial import cross, room
 
 # Spatial inertia (6, 6) by places in (0, m, h, -h, second moments), h the first moment
@@ -318,79 +317,3 @@ def inverse_dynamics(
 
     _in_chunks(part, *rows, tau.reshape(-1, arm.n), wrench.reshape(-1, 6))
     return tau, wrench
-
-
-# ------------------------------------------------------------------ links that bend
-#
-# An `Arm` with flexures is, for whatever does not ask, the arm with rigid links.
-
-
-class ExpandedChain(NamedTuple):
-    """An arm with all its joints as links, and which of them are passive."""
-
-    arm: Arm  # n + p links, none of them bends
-    driven: tuple[int, ...]  # (n,) place of each driven joint among all
-    passive: tuple[int, ...]  # (p,) of each flexure
-    stiffness: Array  # (p,) [N m/rad]
-    damping: Array  # (p,) [N m s/rad]
-
-    def angles(self, q: npt.ArrayLike, d: npt.ArrayLike = 0.0) -> Array:
-        """Return driven and passive coordinates, or rates, in the order of the chain.
-
-        Args:
-            q: (..., n) of the driven joints.
-            d: (..., p) deflections.
-
-        Returns:
-            (..., n + p).
-        """
-        driven, bent = np.asarray(q, float), np.asarray(d, float)
-        batch = np.broadcast_shapes(driven.shape[:-1], bent.shape[:-1])
-        out = np.empty((*batch, self.arm.n))
-        out[..., list(self.driven)], out[..., list(self.passive)] = driven, bent
-        return out
-
-    def inertia(self, q: npt.ArrayLike, d: npt.ArrayLike) -> Array:
-        """Return the inertia matrix over base twist, flexures and driven joints.
-
-        Args:
-            q: (..., n) [rad].
-            d: (..., p) deflections [rad].
-
-        Returns:
-            (..., 6 + p + n, 6 + p + n), rows in this order.
-        """
-        order = np.r_[:6, 6 + np.array(self.passive, int), 6 + np.array(self.driven, int)]
-        H = inertia(self.arm, self.angles(q, d))
-        out: Array = H[..., order[:, None], order]
-        return out
-
-    def tool(self, q: npt.ArrayLike, d: npt.ArrayLike) -> Array:
-        """Return the tool's place in the platform-top frame.
-
-        Args:
-            q: (..., n) [rad].
-            d: (..., p) deflections [rad].
-
-        Returns:
-            (..., 3) [m].
-        """
-        return joint_positions(self.arm, self.angles(q, d))[..., -1, :]
-
-
-@lru_cache(maxsize=64)
-def expand(arm: Arm) -> ExpandedChain:
-    """Return the chain of all joints of an arm whose links may bend.
-
-    Raises:
-        ParameterError: the parts beyond the flexures weigh more than their link.
-    """
-    if not arm.bends:
-        return ExpandedChain(arm, tuple(range(arm.n)), (), np.zeros(0), np.zeros(0))
-    from ves_gym.mechanics.chain import flexures_as_links  # few arms bend
-
-    rigid, driven, passive, springs = flexures_as_links(arm)
-    stiffness, damping = (
-        np.array([getattr(k, s) for k in springs]) for s in ("stiffness", "damping")
-    )
-    return ExpandedChain(rigid, tuple(driven), tuple(passive), stiffness, damping)

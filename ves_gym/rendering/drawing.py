@@ -19,7 +19,7 @@ from ves_gym.engine.mjcf import LEAST, TO_Y, add_carried, build_spec, places
 from ves_gym.engine.mjcf_contact import add_shape, geom_of, tool_in_link
 from ves_gym.mechanics.arm import Inertial
 from ves_gym.mechanics.attitude import to_matrix
-from ves_gym.mechanics.dynamics import expand
+from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import Appendage, Beam, FlexibleBase, beam_line
 from ves_gym.system.system import System

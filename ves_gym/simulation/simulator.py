@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError
-from ves_gym.engine.backends.base import Backend, make_backend
+from ves_gym.engine.backends import make_backend
+from ves_gym.engine.backends.base import Backend
 from ves_gym.hardware.admittance import Nonlinear
 from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo
 from ves_gym.mechanics.vehicle import has_jets
@@ -122,7 +123,7 @@ class Simulator:
 
     @property
     def backend_name(self) -> str:
-        """The engine that runs, as in `engine.backends.registry.BACKENDS` but for auto."""
+        """The engine that runs, as in `engine.backends.BACKENDS` but for auto."""
         return self.backend.name
 
     @property

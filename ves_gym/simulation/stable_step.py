@@ -10,7 +10,8 @@ import numpy as np
 from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.carried import Appendage, carried_inertia
-from ves_gym.mechanics.dynamics import drawn_configurations, expand, inertia
+from ves_gym.mechanics.dynamics import drawn_configurations, inertia
+from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.latch import tool_motion
 from ves_gym.mechanics.payload import Contact
 from ves_gym.system.system import PRESCRIBED_INERTIA, System

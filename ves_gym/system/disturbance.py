@@ -14,7 +14,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, unit
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import expand
+from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.spatial import matvec, rotation, twist, twist_rate
 from ves_gym.system.energy import (

@@ -19,7 +19,8 @@ import scipy
 
 from ves_gym._util.params import Array, ParameterError, unit
 from ves_gym.mechanics.carried import ReactionWheel, carried_energy
-from ves_gym.mechanics.dynamics import expand, inertia
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.spatial import quadratic, twist
 from ves_gym.mechanics.vehicle import BaseModel
 from ves_gym.system.runlog import RunLog

@@ -20,8 +20,9 @@ from ves_gym._util.params import Array
 from ves_gym.engine.kernel.symbolic import Traced, column, expressions, symbols, traced
 from ves_gym.mechanics.arm import STILL, Chain, JointFrame, LinkBodies
 from ves_gym.mechanics.carried import ReactionWheel
-from ves_gym.mechanics.dynamics import expand, merged
+from ves_gym.mechanics.dynamics import merged
 from ves_gym.mechanics.equations import InnerModes, Model, Springs
+from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.vehicle import has_jets
 from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.system import PRESCRIBED_INERTIA

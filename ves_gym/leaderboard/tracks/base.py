@@ -33,7 +33,7 @@ class Answers(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Track:
+class BoardTrack:
     """A problem to be answered and replayed; a track's own way is a subclass."""
 
     problem: Problem

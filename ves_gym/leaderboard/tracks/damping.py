@@ -19,7 +19,7 @@ from ves_gym.envs.damp import Damp
 from ves_gym.leaderboard.entry import Code, Refused, Results
 from ves_gym.leaderboard.files import Recording
 from ves_gym.leaderboard.problems import GAINS_VEHICLE, Problem, Seeds
-from ves_gym.leaderboard.tracks.base import Answers, Progress, Track, no_progress
+from ves_gym.leaderboard.tracks.base import Answers, BoardTrack, Progress, no_progress
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import get_vehicle
 from ves_gym.simulation.machines import Divergence
@@ -34,7 +34,7 @@ _MEASURES = ("score", "success", "E_decay", "E_peak", "E_res")
 Tuner = Callable[[System, Array, Array, int], GainMatrices]
 
 
-class GainTrack(Track):
+class GainTrack(BoardTrack):
     """Gains for every release: matrices K and B."""
 
     def shape(self) -> tuple[int, ...]:

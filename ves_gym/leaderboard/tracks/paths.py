@@ -19,7 +19,7 @@ from ves_gym._util.process_pool import Workers
 from ves_gym.leaderboard.entry import Code, Refused, Results, refusing
 from ves_gym.leaderboard.files import Recording
 from ves_gym.leaderboard.problems import DURATIONS, OBSTACLES, Problem, Seeds
-from ves_gym.leaderboard.tracks.base import Answers, Progress, Track, no_progress
+from ves_gym.leaderboard.tracks.base import Answers, BoardTrack, Progress, no_progress
 from ves_gym.mechanics.motion import DEGREE, Motion
 from ves_gym.planners.execution_check import executed_violation, solve_with_reserve
 from ves_gym.planners.query import Plan, Planner, Query, first_violation, solve
@@ -39,7 +39,7 @@ _MOST = 512  # control points of a motion
 _MEASURES = ("E_mean", "E_peak", "E_res")
 
 
-class PathTrack(Track):
+class PathTrack(BoardTrack):
     """Planners on queries of one vehicle and duration: control points, none of no motion."""
 
     def shape(self) -> tuple[int, ...]:

@@ -22,12 +22,12 @@ from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.leaderboard.entry import Code, Refused, Results
 from ves_gym.leaderboard.files import Recording
 from ves_gym.leaderboard.problems import Problem, Seeds
-from ves_gym.leaderboard.tracks.base import Answers, Progress, Track, no_progress, task_of
+from ves_gym.leaderboard.tracks.base import Answers, BoardTrack, Progress, no_progress, task_of
 
 _SLACK = 1e-12  # of an action's bound
 
 
-class TaskTrack(Track):
+class TaskTrack(BoardTrack):
     """Policies and controllers on a registered environment: actions."""
 
     def shape(self) -> tuple[int, ...]:
