@@ -14,6 +14,7 @@ from ves_gym.report.diagnosis import render_page
 pytest.importorskip("matplotlib")
 HOSTILE = "</script><script>alert(1)</script><!--<img src=x onerror=alert(2)>{{script}}"
 NAMES = ("joint/coulomb at joint 2", "joint/stribeck at joint 2")
+WRITTEN: dict[str, str] = {}  # pages, each written once
 
 
 def separation(where, likeness, sigma):
@@ -103,8 +104,12 @@ def page(request, tmp_path):
     """Write the page of a result, and return its file and the result."""
     result = request.getfixturevalue({"benchmark": "result"}.get(request.param, "diagnosis"))
     write = {"benchmark": benchmark, "diagnosis": report}[request.param].write_page
-    write(result, tmp_path / "page.html")
-    return tmp_path / "page.html", result, write
+    file = tmp_path / "page.html"
+    if request.param not in WRITTEN:
+        write(result, file)
+        WRITTEN[request.param] = file.read_text("utf-8")
+    file.write_text(WRITTEN[request.param], "utf-8")
+    return file, result, write
 
 
 @pytest.fixture
