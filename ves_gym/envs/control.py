@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
@@ -20,14 +20,22 @@ from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo, own_gains
 from ves_gym.system.system import System
 
 if TYPE_CHECKING:
-    from types import SimpleNamespace
-
-    from ves_gym.envs.task import Scene
     from ves_gym.simulation.simulator import Simulator
 
-    Moving: TypeAlias = Scene | SimpleNamespace  # a plan has less
-
 CONTROLS: dict[str, type[Control]] = {}
+
+
+class Moving(Protocol):
+    """Measured and reference state that a control reads and moves on: part of `Scene`."""
+
+    time: Array
+    q: Array
+    v: Array
+    ref: Array
+    goal: Array
+    tau: Array
+    kp: Array
+    kd: Array
 
 
 @dataclass(frozen=True, kw_only=True)
