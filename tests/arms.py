@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import pi
+from typing import Any
 
-from ves_gym.mechanics.arm import Arm, Inertial, Link, diagonal
+import numpy as np
+
+from ves_gym._util.params import Array
+from ves_gym.mechanics.arm import Arm, Inertial, Link, diagonal, matrix
 from ves_gym.mechanics.servo import JointServo
+from ves_gym.mechanics.vehicle import BENT_THESIS, MatrixVehicle
+from ves_gym.system.system import System
 
 
 def planar_arm() -> Arm:
@@ -84,3 +90,30 @@ SEVEN_GAINS = JointServo(
     kd=(50.0, 40.0, 30.0, 30.0, 5.0, 5.0, 5.0),
     source="test",
 )
+
+
+def heavier(system: System, share: float, link: int = 2) -> System:
+    """The system with one link's mass times a share."""
+    links = list(system.arm.links)
+    body = replace(links[link].inertial, mass=share * links[link].inertial.mass)
+    links[link] = replace(links[link], inertial=body)
+    return system.replace(arm=replace(system.arm, links=tuple(links)))
+
+
+def pinocchio_terms(model: Any, data: Any, z: Array, zd: Array) -> tuple[Array, Array]:
+    """Inertia matrix and bias force by Pinocchio, both in its order of coordinates."""
+    import pinocchio as pin
+
+    upper = np.triu(pin.crba(model, data, z))
+    return upper + np.triu(upper, 1).T, pin.nonLinearEffects(model, data, z, zd).copy()
+
+
+def with_modes(coupling: float) -> System:
+    """The PUMA on the bent beam with two internal modes tied to its pose, or to nothing."""
+    bent = System(vehicle=BENT_THESIS).base
+    vehicle = MatrixVehicle(
+        **{name: matrix(getattr(bent, name)) for name in "MDK"},
+        coupling=matrix(coupling * np.eye(6)[:, [0, 4]]),
+        omega=(2.0, 5.0),
+    )
+    return System(vehicle=vehicle)

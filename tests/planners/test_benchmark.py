@@ -11,12 +11,23 @@ import pytest
 
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import GravityScale
-from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, STRAIGHT_HORIZONTAL_THESIS
+from ves_gym.mechanics.vehicle import (
+    BENT_THESIS,
+    FREE_FLOATING,
+    STRAIGHT_HORIZONTAL_THESIS,
+    VEHICLES,
+)
+from ves_gym.planners import benchmark
 from ves_gym.planners.benchmark import (
     SCHEMA,
     _run_workers,
+    add_scores,
     anytime,
+    merge_best,
+    near_best,
+    packaged,
     rank_correlation,
+    read_best,
     run_benchmark,
     run_query,
     summarise,
@@ -26,7 +37,6 @@ from ves_gym.planners.query import NoPlan, Plan, Query
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import Suite, get_suite, reach100
 from ves_gym.simulation.playback import play_motions
-from ves_gym.system.energy import energies
 from ves_gym.system.system import System
 
 BENT = System(vehicle=BENT_THESIS)
@@ -41,20 +51,14 @@ def small_suite():
     return dataclasses.replace(reach, queries=queries)
 
 
-@pytest.fixture(scope="module")
-def progress_calls():
-    return []
+CALLS = []  # of progress
+OPTIONS = {"planners": ["direct"], "seed": 3, "command": "a test"}
 
 
 @pytest.fixture(scope="module")
-def result(progress_calls):
+def result():
     return run_benchmark(
-        small_suite(),
-        planners=["direct"],
-        seed=3,
-        workers=1,
-        command="a test",
-        progress=lambda stage, done: progress_calls.append((stage, done)),
+        small_suite(), **OPTIONS, workers=1, progress=lambda *k: CALLS.append(k)
     )
 
 
@@ -80,13 +84,18 @@ def test_the_schema(result):
     assert {"python", "mujoco", "numpy"} <= result["versions"].keys()
 
 
+def again(query, planner, seed, *systems):
+    """The plan, its runs on the systems, and what these measure."""
+    plan = solve_with_reserve(get_planner(planner), query, seed)
+    runs = [play_motions(s, [plan.motion], record_dt=12.5e-3) for s in systems]
+    return plan, runs, [r.energies()[0] for r in runs]
+
+
 def test_a_row_holds_what_its_motion_does(result):
     """Each row again on its own: planned, played and measured."""
     for row in result["rows"]:
         query = next(q for _, q in small_suite().queries if q.name == row["query"])
-        plan = solve_with_reserve(get_planner(row["planner"]), query, 3)
-        run = play_motions(query.system, [plan.motion], record_dt=12.5e-3)
-        measured = energies(run.system, run.t, run.q, run.y, run.yd, duration=query.duration)[0]
+        plan, _, (measured,) = again(query, row["planner"], 3, query.system)
         for name, value in measured.to_dict().items():
             same = row[name] == value if value is None else row[name] == pytest.approx(value)
             assert same, name
@@ -98,10 +107,10 @@ def test_a_row_holds_what_its_motion_does(result):
         assert row["plan_seconds"] > 0
 
 
-def test_progress_goes_through_its_stages(result, progress_calls):
-    assert [stage for stage, _ in progress_calls] == ["planning"] * 4 + ["simulating"] * 2
+def test_progress_goes_through_its_stages(result):
+    assert [stage for stage, _ in CALLS] == ["planning"] * 4 + ["simulating"] * 2
     for stage in ("planning", "simulating"):
-        done = [d for s, d in progress_calls if s == stage]
+        done = [d for s, d in CALLS if s == stage]
         assert done == sorted(done)
         assert done[-1] == 1.0
 
@@ -142,9 +151,7 @@ def timeless(result):
 
 @pytest.mark.slow
 def test_two_processes_give_the_same_result(result):
-    other = run_benchmark(
-        small_suite(), planners=["direct"], seed=3, workers=2, command="a test"
-    )
+    other = run_benchmark(small_suite(), **OPTIONS, workers=2)
     assert timeless(other) == timeless(result)
 
 
@@ -188,7 +195,7 @@ def test_a_free_base_and_a_query_that_goes_nowhere_are_strict_json_too():
 # --------------------------------------------------------------------------- summary
 
 
-def row(planner, query, mean, *, res=None, peak=None, success=True, duration=1.0, **extra):
+def row(planner, query, mean, *, res=None, success=True, duration=1.0, **extra):
     return {
         "planner": planner,
         "query": query,
@@ -196,7 +203,7 @@ def row(planner, query, mean, *, res=None, peak=None, success=True, duration=1.0
         "duration": duration,
         "E_mean": mean,
         "E_res": mean if res is None else res,
-        "E_peak": 10 * mean if peak is None else peak,
+        "E_peak": None if mean is None else 10 * mean,
         "prediction_error": 0.1,
         "plan_seconds": 1.0,
         "success": success,
@@ -219,34 +226,31 @@ def test_the_summary_of_hand_made_rows():
         row("direct", "c", 20.0, prediction_error=None, plan_seconds=9.0),
     ]
     straight, direct = summarise(rows)
-    assert (straight["planner"], straight["n"], straight["ratio_median"]) == (
-        "straight",
-        3,
-        1.0,
-    )
-    assert straight["ratio_low"] == straight["ratio_high"] == 1.0
-    assert straight["E_mean_median"] == 4.0
-    assert direct["planner"] == "direct"
-    assert direct["vehicle"] == "bent-thesis"
-    assert direct["ratio_median"] == 0.5
-    assert direct["E_mean_median"] == 1.0
-    assert direct["success_rate"] == pytest.approx(2 / 3)
-    assert direct["prediction_error_max"] == 0.3  # of the one that kept its limits
-    assert direct["plan_seconds_median"] == 4.0
-    assert direct["E_res_ratio_median"] == direct["E_peak_ratio_median"] == 0.5
+    ones = dict.fromkeys(("ratio_median", "ratio_low", "ratio_high"), 1.0)
+    expected = {"planner": "straight", "n": 3, "E_mean_median": 4.0, **ones}
+    assert {name: straight[name] for name in expected} == expected
+    expected = {
+        "planner": "direct",
+        "vehicle": "bent-thesis",
+        "ratio_median": 0.5,
+        "E_mean_median": 1.0,
+        "success_rate": pytest.approx(2 / 3),
+        "prediction_error_max": 0.3,  # of the one that kept its limits
+        "plan_seconds_median": 4.0,
+        "E_res_ratio_median": 0.5,
+        "E_peak_ratio_median": 0.5,
+    }
+    assert {name: direct[name] for name in expected} == expected
     assert 0.25 <= direct["ratio_low"] <= 0.5 <= direct["ratio_high"] <= 2.0
 
 
 def test_no_ratio_to_nothing():
-    rows = [row("straight", "a", 1.0, res=0.0), row("direct", "a", 0.5, res=0.0)]
-    straight, direct = summarise(rows)
-    assert straight["E_res_ratio_median"] is None
-    assert direct["E_res_ratio_median"] is None
-    assert direct["ratio_median"] == 0.5
-    json.dumps([straight, direct], allow_nan=False)
-    dead = [row("straight", "a", 0.0), row("direct", "a", 0.0)]
-    assert summarise(dead)[1]["ratio_median"] is None
-    assert summarise(dead)[1]["ratio_low"] is None
+    rows = summarise([row("straight", "a", 1.0, res=0.0), row("direct", "a", 0.5, res=0.0)])
+    assert [r["E_res_ratio_median"] for r in rows] == [None, None]
+    assert rows[1]["ratio_median"] == 0.5
+    json.dumps(rows, allow_nan=False)
+    _, dead = summarise([row("straight", "a", 0.0), row("direct", "a", 0.0)])
+    assert dead["ratio_median"] is dead["ratio_low"] is None
     assert summarise([]) == []
 
 
@@ -275,7 +279,7 @@ def test_ranks_in_the_laboratory_and_in_space():
     rows = [pair(p, "a", e, e) for p, e in zip("xyz", (1.0, 2.0, 3.0), strict=True)]
     rows += [pair(p, "b", e, -e) for p, e in zip("xyz", (1.0, 2.0, 3.0), strict=True)]
     rows += [pair("x", "c", 1.0, 1.0), pair("y", "c", 2.0, 2.0)]
-    rows += [row("w", "a", None, peak=1.0, E_mean_ideal=9.0)]  # stopped
+    rows += [row("w", "a", None, E_mean_ideal=9.0)]  # stopped
     (correlation,) = rank_correlation(rows)
     assert correlation == {"vehicle": "bent-thesis", "duration": 1.0, "n": 2, "rho_median": 0.0}
     assert rank_correlation(rows[:3])[0]["rho_median"] == pytest.approx(1.0)
@@ -376,36 +380,16 @@ def lab():
     return Suite(name="lab", queries=(("beam", question),), planners=("bad-path",))
 
 
-@pytest.fixture(scope="module")
-def emulated(lab):
-    return run_benchmark(lab, workers=1)
-
-
-def with_effects(suite, *effects):
-    """The suite on a machine with these errors."""
-    (vehicle, query), *_ = suite.queries
-    system = query.system.replace(effects=effects)
-    return dataclasses.replace(
-        suite, queries=((vehicle, dataclasses.replace(query, system=system)),)
-    )
-
-
-def test_an_emulated_row_stands_beside_the_same_motion_in_space(lab, emulated):
+def test_an_emulated_row_stands_beside_the_same_motion_in_space(lab):
     """Each run again on its own, in the laboratory and in space."""
+    emulated = run_benchmark(lab, workers=1)
     assert emulated["mode"] == "emulated"
     assert [r["planner"] for r in emulated["rows"]] == NAMES
     system = lab.queries[0][1].system
     query = dataclasses.replace(lab.queries[0][1], system=system.ideal())
     for row in emulated["rows"]:
         name = row["planner"]
-        plan = solve_with_reserve(get_planner(name), query, 0)
-        laboratory, space = (
-            play_motions(s, [plan.motion], record_dt=12.5e-3) for s in (system, query.system)
-        )
-        E, E_space = (
-            energies(run.system, run.t, run.q, run.y, run.yd, duration=2.0)[0]
-            for run in (laboratory, space)
-        )
+        plan, (laboratory, space), (E, E_space) = again(query, name, 0, system, query.system)
         assert row["mode"] == "emulated" and row["stopped"] is None
         assert row["success"] is (row["failure"] is None) is (name == "straight")
         assert row["success"] or "from the goal" in row["failure"]  # joint 2, by 0.01 rad
@@ -426,19 +410,98 @@ def test_an_emulated_row_stands_beside_the_same_motion_in_space(lab, emulated):
 
 def test_stopped_runs_have_a_reason_and_no_energy(lab):
     """A tenth of the weight drives the platform to the end of its legs."""
-    result = run_benchmark(with_effects(lab, GravityScale(error=0.1)), workers=1)
+    ((vehicle, query),) = lab.queries
+    heavy = query.system.replace(effects=(GravityScale(error=0.1),))
+    queries = ((vehicle, dataclasses.replace(query, system=heavy)),)
+    result = run_benchmark(dataclasses.replace(lab, queries=queries), workers=1)
     json.dumps(result, allow_nan=False)
     assert "gravity/scale" in result["machine"]["effects"]
     for row in result["rows"]:
         assert re.match(r"platform frozen at t = [\d.]+ s: .+", row["stopped"])
         assert row["success"] is False
-        for key in ("E_mean", "E_res", "t_5", "emulation_error", "base_error"):
-            assert row[key] is None
-        assert row["E_mean_ideal"] > 0
+        none = ("E_mean", "E_res", "t_5", "emulation_error", "base_error")
+        assert {row[name] for name in none} == {None} and row["E_mean_ideal"] > 0
     for row in result["summary"]:
-        assert row["stopped"] == row["n"] == 1
-        assert row["success_rate"] == 0
+        assert (row["stopped"], row["n"], row["success_rate"]) == (1, 1, 0)
         assert row["E_mean_median"] is row["ratio_median"] is row["ratio_low"] is None
     assert result["traces"][0]["series"][0]["t"][-1] < 2
     for run in result["scenes"][0]["runs"]:
         assert run["base"][-1] == run["base"][-2]  # stays where it stopped
+
+
+# ------------------------------------------------------------------------ best known
+
+HASH = "0123456789abcdef"
+
+
+def result_of(*rows, mode="ideal", seed=3):
+    systems = {"bent-thesis": {"hash": HASH}}
+    return {"mode": mode, "seed": seed, "systems": systems, "rows": list(rows)}
+
+
+def test_the_least_energy_stays(tmp_path):
+    path = tmp_path / "best.json"
+    assert merge_best(path, result_of(row("straight", "a", 1.0), row("direct", "a", 0.5))) == 1
+    assert merge_best(path, result_of(row("refined", "a", 0.4), row("straight", "b", 2.0))) == 2
+    assert merge_best(path, result_of(row("direct", "a", 0.45))) == 0
+    entries = read_best(path)
+    assert {k: (e["E_mean"], e["planner"], e["seed"]) for k, e in entries.items()} == {
+        benchmark.key(HASH, "a"): (0.4, "refined", 3),
+        benchmark.key(HASH, "b"): (2.0, "straight", 3),
+    }
+    assert json.loads(path.read_text())["format"] == "ves-best/1"
+
+
+def test_what_breaks_a_limit_or_has_no_energy_does_not_count(tmp_path):
+    path = tmp_path / "best.json"
+    rows = row("refined", "a", 0.1, success=False), row("ompl-q", "b", None, success=False)
+    assert merge_best(path, result_of(*rows)) == 0
+    assert read_best(path) == {}
+    assert read_best(tmp_path / "none.json") == {}
+
+
+def test_another_file_is_refused_and_so_are_motions_in_the_laboratory(tmp_path):
+    path = tmp_path / "best.json"
+    with pytest.raises(ParameterError, match="are of mode ideal, got emulated"):
+        merge_best(path, result_of(mode="emulated"))
+    path.write_text('{"format": "ves-motion/1"}')
+    with pytest.raises(ParameterError, match=r"best\.json: format must be 'ves-best/1'"):
+        read_best(path)
+    path.write_text('{"format": "ves-best/1", "entries": {"a": {"E_mean": "low"}}}')
+    with pytest.raises(ParameterError, match=r"best\.json: 'a' must hold a number E_mean"):
+        read_best(path)
+
+
+def test_scores(monkeypatch):
+    """0 for the straight line, 1 for the best known, above it for better still."""
+    best = {benchmark.key(HASH, "a"): {"E_mean": 0.2}}
+    monkeypatch.setattr(benchmark, "packaged", lambda: best)
+    rows = [
+        row("straight", "a", 1.0),
+        row("direct", "a", 0.6),
+        row("refined", "a", 0.2),
+        row("new", "a", 0.1),
+        row("broken", "a", None, success=False),
+        row("fast", "a", 0.15, success=False),
+        row("straight", "b", 1.0),
+    ]
+    add_scores(rows, {"bent-thesis": HASH})
+    assert [r["score"] for r in rows] == [
+        0.0, pytest.approx(0.5), 1.0, pytest.approx(1.125), None, None, None,
+    ]  # fmt: skip
+    assert [r["best_known"] for r in rows] == [0.2] * 6 + [None]
+    assert near_best(rows[:4]) == 0.5
+    assert near_best(rows[5:6]) == 0.0  # it breaks a limit
+    assert near_best(rows[6:]) is None
+
+
+def test_the_packaged_file_is_of_the_suite():
+    """Every entry is a question of reach100 on a bent beam or the straight one along x."""
+    names = set()
+    for vehicle in ("bent-thesis", "bent", "straight-horizontal"):
+        suite = get_suite("reach100", system=System(), obstacles="both", vehicle=vehicle)
+        described = System(vehicle=VEHICLES[vehicle]).hash
+        names |= {benchmark.key(described, q.name) for _, q in suite.queries}
+    entries = packaged()
+    assert entries.keys() <= names
+    assert all(e["E_mean"] > 0 and e["planner"] for e in entries.values())

@@ -1,5 +1,6 @@
-"""The coupling matrix, its spectral form, and maps of them."""
+"""The coupling matrix, its spectral form, maps of them, and their compiled forms."""
 
+import dataclasses
 from itertools import pairwise
 
 import numpy as np
@@ -7,18 +8,18 @@ import pytest
 import scipy.linalg
 import scipy.optimize
 
-from tests.arms import seven_joint_arm
+from tests.arms import planar_arm, seven_joint_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.arm_library import PUMA_560
+from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,
+    DECOUPLED,
     FREE_FLOATING,
-    STRAIGHT_HORIZONTAL_THESIS,
     STRAIGHT_VERTICAL_THESIS,
 )
 from ves_gym.planners.coupling import (
-    band_limited,
     blocks,
     coupling_length,
     coupling_matrix,
@@ -27,27 +28,26 @@ from ves_gym.planners.coupling import (
     modes,
 )
 from ves_gym.planners.coupling_map import CouplingMap, coupling_map
+from ves_gym.planners.metric import LEAST, Metric
+from ves_gym.planners.momentum import momentum, torque
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.system import System
 
 SYSTEM = System(vehicle=BENT_THESIS)
 CONFIGURATIONS = np.random.default_rng(2).uniform(-1.5, 1.5, (7, 3))
-BEAMS = [BENT_THESIS, STRAIGHT_VERTICAL_THESIS, STRAIGHT_HORIZONTAL_THESIS]
 
 # -------------------------------------------------------------------------- matrices
 
 
-@pytest.mark.parametrize("vehicle", BEAMS, ids=["bent-thesis", "vertical", "horizontal"])
 @pytest.mark.parametrize("duration", [None, 2.0])
-def test_q_is_symmetric_semidefinite_and_works_on_stacks(vehicle, duration):
-    system = System(vehicle=vehicle)
-    Q = metric(system, CONFIGURATIONS, duration)
+def test_q_is_symmetric_semidefinite_and_works_on_stacks(duration):
+    Q = metric(SYSTEM, CONFIGURATIONS, duration)
     assert Q.shape == (7, 3, 3)
     size = np.abs(Q).max()
     np.testing.assert_allclose(Q, np.swapaxes(Q, -1, -2), atol=1e-12 * size)
     assert np.linalg.eigvalsh(Q).min() > -1e-12 * size
     for q, matrix in zip(CONFIGURATIONS, Q, strict=True):
-        np.testing.assert_allclose(metric(system, q, duration), matrix, atol=1e-12 * size)
+        np.testing.assert_allclose(metric(SYSTEM, q, duration), matrix, atol=1e-12 * size)
 
 
 def test_q_is_the_strain_energy_of_a_joint_step():
@@ -73,23 +73,6 @@ def test_modes_solve_the_eigenproblem():
         assert (np.diff(solution.omega[k]) >= 0).all()
 
 
-def test_the_band_limited_form_tends_to_q_and_to_nothing():
-    Q = coupling_matrix(SYSTEM, CONFIGURATIONS)
-    fast = band_limited(SYSTEM, CONFIGURATIONS, 1e-5)
-    np.testing.assert_allclose(fast, Q, atol=1e-5 * np.abs(Q).max())
-    slow = band_limited(SYSTEM, CONFIGURATIONS, 100.0)
-    assert np.abs(slow).max() < 1e-6 * np.abs(Q).max()
-    for duration in (0.0, -1.0, np.nan):
-        with pytest.raises(ParameterError, match="duration must be > 0 s"):
-            band_limited(SYSTEM, CONFIGURATIONS, duration)
-
-
-def test_q_wants_configurations_of_the_arm():
-    for bad in (0.0, [0.0, 0.0], np.zeros((2, 4))):
-        with pytest.raises(ParameterError, match=r"q must have shape \(..., 3\)"):
-            coupling_matrix(SYSTEM, bad)
-
-
 def test_the_length_of_a_path():
     path = CONFIGURATIONS[:3]
     fine = np.vstack([np.linspace(a, b, 201)[:-1] for a, b in pairwise(path)])
@@ -108,9 +91,9 @@ def test_the_length_of_a_path():
 # ------------------------------------------------------------------------------ maps
 
 
-@pytest.fixture(scope="module", params=[None, 2.0], ids=["Q", "Q_T"])
-def section(request):
-    return coupling_map(SYSTEM, (0, 2), [0.1, 0.4, 0.0], duration=request.param, points=41)
+@pytest.fixture(scope="module")
+def section():
+    return coupling_map(SYSTEM, (0, 2), [0.1, 0.4, 0.0], duration=2.0, points=41)
 
 
 def block(section, angles):
@@ -287,3 +270,149 @@ def test_a_map_with_chosen_joints_comes_back_from_its_file(tmp_path):
     np.testing.assert_array_equal(again.angles, section.angles)
     with pytest.raises(ParameterError, match="others must be one of given, least, most"):
         coupling_map(SYSTEM, (0, 1), (0.0, 0.0, 0.3), points=5, others="best")
+
+
+# ----------------------------------------------------------------------------- compiled metrics
+
+CONSISTENT = dataclasses.replace(BENT_THESIS, mass_model="consistent")  # modes to 14 Hz
+
+
+def configurations(system, count=40):
+    rng = np.random.default_rng(0)
+    arm = system.arm
+    q = rng.uniform(arm.column("q_min"), arm.column("q_max"), (count, arm.n))
+    return q, rng.normal(size=(count, arm.n))
+
+
+def least(m):
+    """The share added to every direction, from a form without it."""
+    return m._p[-1]
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "duration", "arm"),
+    [
+        (BENT_THESIS, 0.5, PUMA_560),
+        (CONSISTENT, 2.0, PUMA_560),
+        (STRAIGHT_VERTICAL_THESIS, 4.0, six_joint_arm()),
+        (DECOUPLED, None, PUMA_560),
+    ],
+)
+def test_compiled_forms_are_those_of_the_matrices(vehicle, duration, arm):
+    """Another eigenvalue method (Jacobi against LAPACK): 1e-9 relative.
+
+    The straight beam's modes spread over four decades of frequency squared.
+    """
+    system = System(vehicle=vehicle, arm=arm)
+    q, dq = configurations(system)
+    m = Metric(system, "q" if duration is None else "qt", duration)
+    expected = np.einsum("ki,kij,kj->k", dq, metric(system, q, duration), dq)
+    expected += least(m) * np.sum(dq**2, axis=1)
+    np.testing.assert_allclose(m.squares(q, dq), expected, rtol=1e-9)
+
+
+def test_disturbance_is_the_rotation_of_a_free_base():
+    system = System(vehicle=FREE_FLOATING)
+    q, dq = configurations(system)
+    b = blocks(system, q)
+    turn = np.einsum("kij,kj->ki", np.linalg.solve(b.Mt, b.Hbm), dq)[:, 3:]
+    m = Metric(system, "disturbance")
+    expected = np.sum(turn**2, axis=1) + least(m) * np.sum(dq**2, axis=1)
+    np.testing.assert_allclose(m.squares(q, dq), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("kind", "duration"), [("q", None), ("qt", 2.0)])
+def test_a_base_without_stiffness_is_measured_by_its_kinetic_energy(kind, duration):
+    system = System(vehicle=FREE_FLOATING)
+    q, dq = configurations(system)
+    b = blocks(system, q)
+    u = np.einsum("kij,kj->ki", b.Hbm, dq)
+    expected = np.einsum("ki,ki->k", u, np.linalg.solve(b.Mt, u[..., None])[..., 0])
+    m = Metric(system, kind, duration)
+    expected += least(m) * np.sum(dq**2, axis=1)
+    np.testing.assert_allclose(m.squares(q, dq), expected, rtol=1e-12)
+
+
+def test_least_is_a_share_of_the_mean_coupling():
+    system = System(vehicle=BENT_THESIS)
+    q = configurations(system, 4000)[0]
+    mean = np.trace(metric(system, q, 2.0), axis1=-2, axis2=-1).mean() / 3
+    assert least(Metric(system, "qt", 2.0)) == pytest.approx(LEAST * mean, rel=0.1)
+
+
+def test_lengths_are_integrals():
+    """Against 4000 midpoints; eight Gauss nodes on 0.5 rad are good to 1e-6."""
+    system = System(vehicle=BENT_THESIS)
+    a, d = configurations(system, 5)
+    b = a + 0.5 * d / np.linalg.norm(d, axis=1)[:, None]
+    m = Metric(system, "qt", 2.0)
+    u = (np.arange(4000) + 0.5)[:, None, None] / 4000
+    fine = np.sqrt(m.squares(a + u * (b - a), np.broadcast_to(b - a, (4000, 5, 3)))).mean(
+        axis=0
+    )
+    np.testing.assert_allclose(m.lengths(a, b), fine, rtol=1e-6)
+    assert [m.edge(*ends) for ends in zip(a, b, strict=True)] == pytest.approx(m.lengths(a, b))
+    assert m.length([a[0], (a[0] + b[0]) / 2, b[0]]) == pytest.approx(
+        m.lengths(a, b)[0], rel=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("Q",), "metric must be one of q, qt, disturbance, got 'Q'"),
+        (("qt",), "metric qt needs a duration > 0 s, got None"),
+        (("qt", 0.0), "metric qt needs a duration > 0 s, got 0.0"),
+        (("qt", np.nan), "metric qt needs a duration > 0 s, got nan"),
+    ],
+)
+def test_a_metric_that_is_none(arguments, message):
+    with pytest.raises(ParameterError, match=message):
+        Metric(System(vehicle=BENT_THESIS), *arguments)
+
+
+# ------------------------------------------------------------------- momentum and torque
+
+ARMS = {"puma": PUMA_560, "planar": planar_arm(), "six joints": six_joint_arm()}
+H = 1e-6  # of central differences
+
+
+@pytest.fixture(params=ARMS)
+def arm(request):
+    return ARMS[request.param]
+
+
+def states(arm, count=5):
+    return np.random.default_rng(0).normal(size=(3, count, arm.n))
+
+
+def test_momentum_and_its_derivatives(arm):
+    q, v, _ = states(arm)
+    sample = momentum(arm, q, v)
+    Hbm = inertia(arm, q)[..., :6, 6:]
+    np.testing.assert_allclose(sample.by_v, Hbm, atol=1e-12)
+    np.testing.assert_allclose(sample.u, np.einsum("kij,kj->ki", Hbm, v), atol=1e-11)
+    for j, e in enumerate(np.eye(arm.n)):
+        change = (momentum(arm, q + H * e, v).u - momentum(arm, q - H * e, v).u) / (2 * H)
+        np.testing.assert_allclose(sample.by_q[..., j], change, atol=1e-7)
+
+
+def test_torque_and_its_derivatives(arm):
+    s = list(states(arm))
+    dynamics = torque(arm, *s)
+    np.testing.assert_allclose(dynamics.tau, inverse_dynamics(arm, *s)[0], atol=1e-11)
+    for k in range(3):
+        for j, e in enumerate(np.eye(arm.n)):
+            ahead, behind = list(s), list(s)
+            ahead[k], behind[k] = s[k] + H * e, s[k] - H * e
+            change = (torque(arm, *ahead).tau - torque(arm, *behind).tau) / (2 * H)
+            np.testing.assert_allclose(dynamics.by[:, k, :, j], change, atol=1e-6)
+
+
+def test_leading_axes():
+    q, v, a = states(PUMA_560, 6)
+    flat = momentum(PUMA_560, q, v)
+    stacked = momentum(PUMA_560, q.reshape(2, 3, 3), v.reshape(2, 3, 3))
+    np.testing.assert_array_equal(stacked.by_q.reshape(6, 6, 3), flat.by_q)
+    by = torque(PUMA_560, *(k.reshape(2, 3, 3) for k in (q, v, a))).by
+    assert by.shape == (2, 3, 3, 3, 3)

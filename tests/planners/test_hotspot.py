@@ -18,12 +18,7 @@ from ves_gym.system.system import System
 
 BENT = System(vehicle=BENT_THESIS)
 
-QUERIES = {q.name: q for _, q in reach100(BENT, "bent-thesis", 1, durations=(0.5, 4.0)).queries}
-
-
-@pytest.fixture(params=QUERIES)
-def query(request):
-    return QUERIES[request.param]
+QUERIES = [q for _, q in reach100(BENT, "bent-thesis", 1, durations=(0.5, 4.0)).queries]
 
 
 def sampled_length(query, motion, duration):
@@ -31,9 +26,18 @@ def sampled_length(query, motion, duration):
     return coupling_length(query.system, path, duration)
 
 
-@pytest.mark.parametrize("name", ["hotspot-q", "hotspot-qt"])
-def test_its_path_is_no_longer_than_the_straight_one(name, query):
+@pytest.mark.parametrize(
+    ("name", "which"),
+    [
+        ("hotspot-q", 0),
+        ("hotspot-qt", 1),
+        pytest.param("hotspot-q", 1, marks=pytest.mark.slow),
+        pytest.param("hotspot-qt", 0, marks=pytest.mark.slow),
+    ],
+)
+def test_its_path_is_no_longer_than_the_straight_one(name, which):
     """In its own metric; 1 % for the smoothing of the timed motion."""
+    query = QUERIES[which]
     plan = solve(get_planner(name), query)
     info = plan.info
     assert info["coupling_length"] <= info["straight_coupling_length"] * (1 + 1e-9)
@@ -70,12 +74,13 @@ def test_a_path_the_limits_forbid_is_drawn_towards_the_straight_line():
     assert bound.feasible
 
 
-def test_the_bad_path_is_longer_than_the_straight_one(query):
+def test_the_bad_path_is_longer_than_the_straight_one():
     """One joint after the other, all monotone; its corners are rounded by the timing."""
-    plan = solve(get_planner("bad-path"), query)
-    straight = sampled_length(query, query.straight, None)
-    assert plan.info["coupling_length"] >= straight
-    assert sampled_length(query, plan.motion, None) >= straight
+    for query in QUERIES:
+        plan = solve(get_planner("bad-path"), query)
+        straight = sampled_length(query, query.straight, None)
+        assert plan.info["coupling_length"] >= straight
+        assert sampled_length(query, plan.motion, None) >= straight
 
 
 def test_no_order_of_five_joints_is_longer_than_the_bad_paths():
@@ -119,11 +124,9 @@ def test_a_roadmap_reaches_every_corner():
     assert ((path >= low) & (path <= high)).all()
 
 
-@pytest.mark.parametrize("name", ["hotspot-q", "hotspot-qt"])
-@pytest.mark.parametrize("vehicle", ["free-floating", "free-flying"])
-def test_a_base_without_stiffness_has_no_hot_spots(name, vehicle):
-    system = System(vehicle=get_vehicle(vehicle))
+def test_a_base_without_stiffness_has_no_hot_spots():
+    system = System(vehicle=get_vehicle("free-flying"))
     query = Query(system=system, start=(0.0, 0, 0), goal=(0.5, 0.2, 0.3), duration=2.0)
-    plan = solve(get_planner(name), query)
+    plan = solve(get_planner("hotspot-q"), query)
     assert plan.motion is None and plan.failure.startswith("no hot spots: ")
     assert plan.failure.endswith("has no stiffness (Q = 0)")

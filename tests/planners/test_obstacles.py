@@ -1,10 +1,12 @@
 """Collisions: what is near what, how far, and what changes it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError, write_table
-from ves_gym.mechanics.kinematics import joint_positions
+from ves_gym.mechanics.kinematics import frames, joint_positions
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, STRAIGHT_HORIZONTAL_THESIS
 from ves_gym.planners.obstacles import (
     Box,
@@ -39,24 +41,20 @@ def test_distance_from_a_ball_is_that_of_capsules():
     compared = 0
     for q in rng.uniform(-1.0, 1.0, (200, 3)):
         near = checker.proximity(q, 0.3)
-        points = joint_positions(arm, q)
-        centre, by_hand = np.array(BALL.centre), []
+        p, axes, centre = joint_positions(arm, q), frames(arm, q).axis, np.array(BALL.centre)
         # each link is a capsule along its joint's axis, then one along its length
-        turned = [points[0], points[1]]
-        shoulder = points[1] + arm.links[1].d * axis(arm, q, 1)
-        elbow = points[2] + arm.links[2].d * axis(arm, q, 2)
+        shoulder = p[1] + arm.links[1].d * axes[1]
+        elbow = p[2] + arm.links[2].d * axes[2]
+        r = [link_radius(arm, i) for i in range(3)]
         pieces = [
-            (*turned, 0),
-            (points[1], shoulder, 1),
-            (shoulder, points[2], 1),
-            (points[2], elbow, 2),
-            (elbow, points[3], 2),
+            (p[0], p[1], r[0]),
+            (p[1], shoulder, r[1]),
+            (shoulder, p[2], r[1]),
+            (p[2], elbow, r[2]),
+            (elbow, p[3], r[2]),
+            (p[3], p[3], 1.1 * r[2]),  # the tool
         ]
-        for a, b, i in pieces:
-            by_hand.append(segment_distance(a, b, centre) - BALL.radius - link_radius(arm, i))
-        by_hand.append(
-            np.linalg.norm(points[3] - centre) - BALL.radius - 1.1 * link_radius(arm, 2)
-        )
+        by_hand = [segment_distance(a, b, centre) - BALL.radius - k for a, b, k in pieces]
         expected = min(by_hand)
         if expected < 0.25:
             compared += 1
@@ -64,12 +62,6 @@ def test_distance_from_a_ball_is_that_of_capsules():
             assert min(with_ball) == pytest.approx(expected, abs=1e-9)
             assert checker.is_clear(q) == (near.distance.min() >= 0)
     assert compared > 50
-
-
-def axis(arm, q, i):
-    from ves_gym.mechanics.kinematics import frames
-
-    return frames(arm, q).axis[i]
 
 
 def test_the_slope_is_that_of_the_distance():
@@ -105,15 +97,12 @@ def test_it_sees_the_arm_touch_the_vehicle(q, expected):
 
 def test_the_beam_counts():
     """The arm's shoulder low over a beam that lies along -x."""
-    arm = BENT.arm
-    low = System(vehicle=STRAIGHT_HORIZONTAL_THESIS)
-    q = np.array([np.pi * 0.85, -1.0, 0.0])
-    far = Collisions(low, Surroundings(clearance=0.0)).proximity(q, 3.0)
-    without = Collisions(System(vehicle=FREE_FLOATING), Surroundings(clearance=0.0)).proximity(
-        q, 3.0
+    q, alone = np.array([np.pi * 0.85, -1.0, 0.0]), Surroundings(clearance=0.0)
+    beam, none = (
+        Collisions(System(vehicle=k), alone).proximity(q, 3.0).distance.round(6)
+        for k in (STRAIGHT_HORIZONTAL_THESIS, FREE_FLOATING)
     )
-    assert arm.n == 3
-    assert not np.isin(np.round(far.distance, 6), np.round(without.distance, 6)).all()
+    assert not np.isin(beam, none).all()
 
 
 def test_the_forearm_passes_the_column():
@@ -132,13 +121,7 @@ def test_a_motion_is_checked_finely():
     tip = joint_positions(BENT.arm, np.zeros(3))[-1]
     thorn = Sphere(centre=tuple(tip.tolist()), radius=0.01)
     free = Query(system=BENT, start=start, goal=goal, duration=2.0)
-    query = Query(
-        system=BENT,
-        start=start,
-        goal=goal,
-        duration=2.0,
-        surroundings=Surroundings(obstacles=(thorn,), clearance=0.0),
-    )
+    query = replace(free, surroundings=Surroundings(obstacles=(thorn,), clearance=0.0))
     assert first_violation(free, free.straight) is None
     assert "obstacle 1 (sphere)" in first_violation(query, query.straight)
     path = sample_path(query.straight, 0.01)

@@ -140,7 +140,7 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("fault", ["hang", pytest.param("no start", marks=pytest.mark.slow)])
 def test_a_failure_in_the_child_is_reported(monkeypatch, fault):
     """As that of one query: the next one gets a new child."""
     code, message = FAULTS[fault]

@@ -1,24 +1,31 @@
-"""Queries, the registry, and what every planner promises."""
+"""Queries, the registry, what every planner promises; tool poses as goals."""
 
 import dataclasses
 import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import ves_gym as vg
+from tests.arms import seven_joint_arm, six_joint_arm
 from ves_gym._util.params import ParameterError, content_hash, from_plain, to_plain
+from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.tool_pose import ToolPose, pose_error, tool_pose
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING
 from ves_gym.planners.case import load_case
 from ves_gym.planners.direct import Direct
+from ves_gym.planners.obstacles import Sphere, Surroundings, collisions
 from ves_gym.planners.prediction import FINE, BaseState, predict
 from ves_gym.planners.query import Query, first_violation, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
-from ves_gym.planners.suites import SPEED_LIMITS
+from ves_gym.planners.suites import SPEED_LIMITS, reach100
+from ves_gym.planners.tool_goal import choose_goals, solve_to_tool
 from ves_gym.system.system import System
 
 BENT = System(vehicle=BENT_THESIS)
@@ -142,9 +149,10 @@ def test_feasible_means_the_ends_the_time_and_the_limits():
 # ------------------------------------------------------------------ every planner
 
 
-# Of the two left out only the numbers are other ones; robust plans for seconds.
+# one of each kind; of the two left out only the numbers are other ones
+MORE = ("smooth-jerk", "shaped-zvd", "hotspot-q", "ompl-q", "ompl-time", "robust")
 METHODS = [
-    pytest.param(name, marks=pytest.mark.slow) if name == "robust" else name
+    pytest.param(name, marks=pytest.mark.slow) if name in MORE else name
     for name in sorted(set(PLANNERS) - {"refined-long", "robust-worst"})
 ]
 
@@ -200,24 +208,38 @@ for planner in reversed(list(PLANNERS.values())):
 
 
 @pytest.mark.parametrize(
-    "vehicle", [FREE_FLOATING, pytest.param(DECOUPLED, marks=pytest.mark.slow)]
+    ("vehicle", "make"),
+    [
+        (FREE_FLOATING, None),
+        (BENT_THESIS, seven_joint_arm),
+        pytest.param(BENT_THESIS, six_joint_arm, marks=pytest.mark.slow),
+        pytest.param(FREE_FLOATING, seven_joint_arm, marks=pytest.mark.slow),
+        pytest.param(DECOUPLED, None, marks=pytest.mark.slow),
+    ],
 )
-def test_every_planner_answers_on_every_vehicle(planner, vehicle):
+def test_every_planner_answers_on_every_vehicle_and_arm(planner, vehicle, make):
+    """Or says why not, in a sentence."""
     q = query(system=System(vehicle=vehicle))
-    plan = solve(planner, q)
-    if cannot(planner, vehicle):
-        assert plan.motion is None and plan.failure.startswith(cannot(planner, vehicle))
+    if make is not None:
+        system = System(arm=make(), vehicle=vehicle, drive="prescribed")
+        ((_, q),) = reach100(system, "bent-thesis", 1, durations=(4.0,)).queries
+        q = dataclasses.replace(q, system=system)
+    plan, n = solve(planner, q), q.system.arm.n
+    if why := cannot(planner, vehicle, n):
+        assert plan.motion is None and "\n" not in plan.failure
+        assert plan.failure.startswith(why)
         return
-    np.testing.assert_array_equal(plan.motion.start, ENDS["start"])
-    np.testing.assert_array_equal(plan.motion.goal, ENDS["goal"])
-    assert plan.motion.duration == 2.0
+    assert (plan.motion.n, plan.motion.duration) == (n, q.duration)
+    np.testing.assert_allclose([plan.motion.start, plan.motion.goal], q.ends, rtol=1e-12)
     assert np.isfinite(list(plan.predicted.to_dict().values())).all()
+    if make is not None and planner.name != "bad-path":  # one by one, too fast on the whole
+        assert plan.feasible, plan.failure
 
 
-def cannot(planner, vehicle):
+def cannot(planner, vehicle, n):
     """How a planner begins to say that there is nothing on this vehicle for it, or None."""
-    if planner.name == "reaction-null":  # three joints
-        return "no reactionless motion: every motion of 3 joints moves this base"
+    if planner.name == "reaction-null" and n <= (3 if vehicle is FREE_FLOATING else 6):
+        return f"no reactionless motion: every motion of {n} joints"
     if planner.name.startswith("hotspot") and vehicle is FREE_FLOATING:
         return "no hot spots: they are where joint motion strains the base"
     return None
@@ -233,8 +255,84 @@ def test_staying_where_one_is(planner):
 def test_moving_one_joint_only(planner):
     start = ENDS["start"]
     plan = solve(planner, query(goal=(start[0] + 0.5, *start[1:])))
-    if cannot(planner, None):
-        assert not plan.feasible and plan.failure.startswith(cannot(planner, None))
-        return
+    if why := cannot(planner, BENT_THESIS, 3):
+        assert not plan.feasible and plan.failure.startswith(why)
+    else:
+        assert plan.feasible and plan.predicted.E_mean > 0
+
+
+# ---------------------------------------------------------------------------- goals of the tool
+
+
+def to_reach(arm, count=2):
+    suite = reach100(
+        System(vehicle=BENT_THESIS, arm=arm, drive="prescribed"),
+        "bent-thesis",
+        count,
+        durations=(2.0,),
+    )
+    return [query for _, query in suite.queries]
+
+
+@pytest.mark.parametrize(
+    ("make", "turn"),
+    [
+        (six_joint_arm, True),
+        (seven_joint_arm, False),
+        pytest.param(six_joint_arm, False, marks=pytest.mark.slow),
+        pytest.param(seven_joint_arm, True, marks=pytest.mark.slow),
+    ],
+)
+def test_it_costs_no_more_than_the_configuration_it_was_taken_from(make, turn):
+    """Planned by `direct` to the pose, and to the joint angles that the pose was read from."""
+    arm = make()
+    for query in to_reach(arm):
+        pose = tool_pose(arm, query.goal)
+        pose = pose if turn else replace(pose, angles=None)
+        plan = solve_to_tool(get_planner("direct"), query, pose)
+        assert plan.feasible
+        assert np.abs(pose_error(arm, pose, plan.motion.goal)).max() < 2e-6
+        given = solve(get_planner("direct"), query)
+        assert plan.predicted.E_mean <= 1.02 * given.predicted.E_mean
+        assert plan.info["tool"]["goal"] == list(plan.query.goal)
+        if arm.n == 7 or not turn:
+            assert plan.predicted.E_mean < 0.85 * given.predicted.E_mean
+
+
+def test_goals_inside_an_obstacle_are_left_out():
+    """A ball at the elbow of one of the postures that reach a place."""
+    system = System(vehicle=BENT_THESIS, drive="prescribed")
+    asked = Query(system=system, start=(0.0,) * 3, goal=(0.0,) * 3, duration=4.0)
+    pose = ToolPose(position=tool_pose(system.arm, (0.8, 0.6, -1.2)).position)
+    goals = choose_goals(asked, pose)
+    assert len(goals) >= 2
+    elbow = tuple(joint_positions(system.arm, goals[0])[2].tolist())
+    ball = Surroundings(obstacles=(Sphere(centre=elbow, radius=0.05),))
+    checker = collisions(system, ball)
+    assert not checker.is_clear(goals[0])
+    left = choose_goals(replace(asked, surroundings=ball), pose)
+    assert 0 < len(left) < len(goals)
+    assert all(checker.is_clear(q) for q in left)
+    blocked = Surroundings(obstacles=(Sphere(centre=pose.position, radius=0.2),))
+    with pytest.raises(ParameterError, match="clear of the obstacles: no configuration"):
+        solve_to_tool(get_planner("direct"), replace(asked, surroundings=blocked), pose)
+
+
+def test_a_pose_out_of_reach_is_refused_with_how_near_it_is():
+    arm = six_joint_arm()
+    (query,) = to_reach(arm, 1)
+    pose = ToolPose(position=(9.0, 0.0, 0.0))
+    with pytest.raises(ParameterError, match=r"\(9\.0, 0\.0, 0\.0\) m must be within reach"):
+        solve_to_tool(get_planner("straight"), query, pose)
+    with pytest.raises(ParameterError, match="tries must be >= 1, got 0"):
+        solve_to_tool(get_planner("straight"), query, tool_pose(arm, query.goal), tries=0)
+
+
+def test_the_same_from_python():
+    """The thesis's arm has two postures for a place."""
+    place = tool_pose(System(vehicle=BENT_THESIS).arm, (0.8, 0.3, -0.9)).position
+    plan = vg.plan((0.0, 0.0, 0.0), ToolPose(position=place), planner="straight")
     assert plan.feasible
-    assert plan.predicted.E_mean > 0
+    np.testing.assert_allclose(
+        tool_pose(System(vehicle=BENT_THESIS).arm, plan.motion.goal).position, place, atol=2e-6
+    )

@@ -64,7 +64,9 @@ def test_six_joints_can_keep_a_free_base_from_turning():
     assert reaction_null_space(system, HOME[:6]).shape == (6, 0)
 
 
-@pytest.mark.parametrize("vehicle", [BENT_THESIS, FREE_FLOATING])
+@pytest.mark.parametrize(
+    "vehicle", [pytest.param(BENT_THESIS, marks=pytest.mark.slow), FREE_FLOATING]
+)
 def test_seven_joints_move_along_a_curve_without_reaction(vehicle):
     """Simulated: a thousandth of the energy, or of the turn, of a straight line as long.
 
@@ -101,7 +103,9 @@ def test_a_path_ends_at_a_joint_limit_and_begins_where_there_is_one():
         reaction_null_path(system, HOME[:7], length=0.0)
 
 
-@pytest.mark.parametrize("vehicle", [BENT_THESIS, FREE_FLOATING])
+@pytest.mark.parametrize(
+    "vehicle", [BENT_THESIS, pytest.param(FREE_FLOATING, marks=pytest.mark.slow)]
+)
 def test_seven_joints_between_any_ends_take_the_least_reaction(vehicle):
     """Less than the straight line's, never more energy on a base with stiffness."""
     system = System(arm=seven_joint_arm(), vehicle=vehicle, drive="prescribed")

@@ -13,6 +13,7 @@ from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.shaping import (
     BaseMode,
+    Shaped,
     Shaper,
     SmoothJerk,
     excited_modes,
@@ -98,7 +99,9 @@ def test_a_shaped_motion_leaves_less_in_the_modes_it_is_shaped_for():
     assert residual[1] < 0.01 * residual[0]
 
 
-@pytest.mark.parametrize("name", ["shaped-zv", "shaped-zvd"])
+@pytest.mark.parametrize(
+    "name", ["shaped-zv", pytest.param("shaped-zvd", marks=pytest.mark.slow)]
+)
 def test_shaping_pays_where_there_is_time_for_it(name):
     """Predicted E_res at 4 s, median over queries; and what was shaped for is told."""
     queries = [q for _, q in reach100(BENT, "bent-thesis", 6, durations=(4.0,)).queries]
@@ -131,8 +134,6 @@ def test_a_smoother_law_on_the_same_line():
 
 
 def test_a_shaper_that_is_none():
-    from ves_gym.planners.shaping import Shaped
-
     with pytest.raises(
         ParameterError, match=r"Shaped\.kind must be one of zv, zvd, got 'zvdd'"
     ):
