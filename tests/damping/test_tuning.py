@@ -1,4 +1,4 @@
-"""PPED: the linear plant, its measures, their gradients, the search; the best configurations."""
+"""PPED: the linear plant, its measures, their gradients, the search; best configurations."""
 
 import dataclasses
 
