@@ -8,7 +8,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipkinc
 
-from ves_gym.mechanics.arm import Arm, Inertial, Link, diagonal
+from ves_gym.mechanics.arm import Arm, Inertial, Link, Mount, diagonal
+from ves_gym.mechanics.payload import Payload
 
 _NOTHING = Inertial(mass=1e-12, com=(0.0, 0.0, 0.0), inertia=diagonal(1e-12, 1e-12, 1e-12))
 
@@ -31,6 +32,21 @@ NO_ARM = Arm(
         ),
     ),
     source="test: nothing on the satellite",
+)
+
+# a body to be caught, wherever the tool happens to be
+TARGET = Payload(
+    inertial=Inertial(
+        mass=40.0,
+        com=(0.02, -0.03, 0.05),
+        inertia=((2.0, 0.1, 0.05), (0.1, 2.6, -0.04), (0.05, -0.04, 1.7)),
+    ),
+    grip=Mount(position=(0.2, 0.1, 0.0)),
+    position=(0.3, -0.2, 0.4),
+    angles=(0.4, -0.2, 1.1),
+    velocity=(0.05, 0.02, -0.1),
+    spin=(0.3, -0.5, 0.4),
+    latch_distance=5.0,
 )
 
 

@@ -33,7 +33,6 @@ from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import reach100
 from ves_gym.planners.tool_goal import solve_to_tool
 from ves_gym.simulation.playback import play_motions
-from ves_gym.system.energy import TAIL, energies
 from ves_gym.system.system import System
 
 MISS = pytest.mark.xfail(
@@ -57,9 +56,8 @@ def measured(vehicle, count):
         plan = solve(get_planner("refined"), query)
         seconds.append(time.process_time() - begin)
         assert plan.feasible, plan.failure
-        motions = [plan.motion, query.straight]
-        run = play_motions(motors, motions, servo=SEVEN_GAINS, settle=TAIL)
-        ours, straight = energies(motors, run.t, run.q, run.y, run.yd, duration=2.0)
+        run = play_motions(motors, [plan.motion, query.straight], servo=SEVEN_GAINS)
+        ours, straight = run.energies()
         ratios.append(ours.E_mean / straight.E_mean)
     return np.array(ratios), np.array(seconds)
 

@@ -15,10 +15,10 @@ import dataclasses
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 import pytest
 import scipy.linalg
 
+from tests.arms import pinocchio_terms
 from ves_gym.damping.plant import plant_at
 from ves_gym.engine.backends.mujoco import compile_model
 from ves_gym.engine.kernel.sensitivity import rollout_gradients
@@ -64,11 +64,8 @@ def reference(system, z, zd, tau):
     out = np.zeros_like(z)
     for k in range(STATES):
         y, u, yd, ud = z[k, :6], z[k, 9:], zd[k, :6], zd[k, 9:]
-        upper = np.triu(pin.crba(model, data, z[k, order]))
-        H = upper + np.triu(upper, 1).T
-        H[np.ix_(order, order)] = H.copy()
-        bias = np.zeros(9)
-        bias[order] = pin.nonLinearEffects(model, data, z[k, order], zd[k, order])
+        H, bias = pinocchio_terms(model, data, z[k, order], zd[k, order])
+        H[np.ix_(order, order)], bias[order] = H.copy(), bias.copy()
         lost = C @ np.r_[yd, ud]
         stretch = u - P.T @ y
         force = -base.K @ y - base.D @ yd + P @ (w2 * stretch) - lost[:6]

@@ -37,6 +37,8 @@ def test_coefficients_are_those_of_table_5_1():
     b, a = Filter().coefficients(587.0)
     np.testing.assert_allclose(b, [0.6040, -1.1969, 0.6040], atol=5e-5)
     np.testing.assert_allclose(a, [1.0, -1.9002, 0.9113], atol=5e-5)
+    notch = np.angle(np.roots(b)[0]) * 587 / 2 / np.pi
+    assert abs(notch) == pytest.approx(12.7, abs=0.05)  # Hz
 
 
 def test_filter_lowers_the_positioning_error_by_about_forty_percent():

@@ -14,11 +14,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests.reach import reach
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.planners.query import solve
 from ves_gym.planners.registry import get_planner
-from ves_gym.planners.suites import get_suite
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.runlog import RunLog
@@ -58,12 +58,7 @@ def test_residual_of_a_satellite():
 def test_residual_of_benchmark_motions(planner):
     """Five reach100 motions of 2 s. An optimised one sends far less through the port
     (measured on twenty: 2e-7 straight, 2e-4 optimised, at most)."""
-    queries = [
-        q
-        for _, q in get_suite("reach100", system=System(), vehicle="bent-thesis").queries
-        if q.duration == 2
-    ]
-    for query in queries[:5]:
+    for query in reach(2.0, 5):
         plan = solve(get_planner(planner), query)
         found = EnergyBalance.of(record(query.system, plan.motion, settle=2.0))
         assert found.relative <= PROMISED, query.name
@@ -71,11 +66,9 @@ def test_residual_of_benchmark_motions(planner):
 
 def test_residual_with_saturated_motors():
     """The same motion with motors of a tenth of the torque, which reach their limit."""
-    links = [
-        dataclasses.replace(link, tau_max=0.1 * link.tau_max)
-        for link in System(vehicle=BENT_THESIS).arm.links
-    ]
-    arm = dataclasses.replace(System(vehicle=BENT_THESIS).arm, links=tuple(links))
+    arm = System(vehicle=BENT_THESIS).arm
+    links = tuple(dataclasses.replace(k, tau_max=0.1 * k.tau_max) for k in arm.links)
+    arm = dataclasses.replace(arm, links=links)
     log = record(System(vehicle=BENT_THESIS, arm=arm))
     assert (np.abs(log.tau) >= arm.column("tau_max") * (1 - 1e-9)).any()
     assert EnergyBalance.of(log).relative <= PROMISED
@@ -116,10 +109,8 @@ def test_the_ledger_fires_on_missing_damping():
     """The stated system has 5 % damping, the run was made with 4 %."""
     bent = VEHICLES["bent-thesis"]
     log = record(System(vehicle=dataclasses.replace(bent, damping_ratio=0.04)))
-    stated = dataclasses.replace(
-        log, meta={**log.meta, "system": System(vehicle=BENT_THESIS).to_dict()}
-    )
-    assert EnergyBalance.of(stated).relative > PROMISED
+    meta = {**log.meta, "system": System(vehicle=BENT_THESIS).to_dict()}
+    assert EnergyBalance.of(dataclasses.replace(log, meta=meta)).relative > PROMISED
 
 
 def test_a_log_without_gains_is_integrated_as_it_is():

@@ -11,6 +11,7 @@ Tolerance: 1e-9 of max(1, value) for state, torque and acceleration in float64 (
 import numpy as np
 import pytest
 
+from tests.arms import heavier
 from tests.claims import test_kernel_gives_the_same_answers as kernel_claim
 from tests.claims.test_kernel_gives_the_same_answers import (
     MACHINES,
@@ -23,7 +24,6 @@ from tests.claims.test_kernel_gives_the_same_answers import (
     state_gap,
     systems,
 )
-from tests.engine.test_gpu_kernel import heavier
 from ves_gym._util.optional import installed
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System

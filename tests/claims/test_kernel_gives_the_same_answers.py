@@ -13,10 +13,12 @@ reference's platform yields a little. One link heavier by one part in 1e6 is see
 """
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.arms import heavier
 from ves_gym.engine import mjcf
 from ves_gym.hardware.leg_servo import FILTERED, leg_clock
 from ves_gym.mechanics.arm import Arm, Inertial, Link, matrix
@@ -45,6 +47,7 @@ STRUCTURES = [
     (7, "full", "motor", "implicitfast"),
 ]
 LEGS = dict(zip(("control_dt", "physics_dt"), leg_clock(FILTERED), strict=True))
+TOLD = {"operation": "position"}
 # joints, vehicle, drive, integrator, emulator, clock
 MACHINES = {
     "two joints": (2, "heavy", "motor", "rk4", {}, {}),
@@ -52,17 +55,18 @@ MACHINES = {
     "prescribed": (3, "satellite", "prescribed", "rk4", {"joint_balance": False}, {}),
     "own weight": (4, "heavy", "motor", "implicitfast", {"joint_balance": False}, {}),
     "six joints": (6, "heavy", "motor", "euler", {"payload_compensation": False}, {}),
-    "position": (3, "heavy", "motor", "rk4", {"operation": "position"}, {}),
+    "position": (3, "heavy", "motor", "rk4", TOLD, {}),
     "position, own weight": (
         3,
         "heavy",
         "prescribed",
         "euler",
-        {"operation": "position", "joint_balance": False},
+        {**TOLD, "joint_balance": False},
         {},
     ),
     "leg servos": (3, "heavy", "motor", "rk4", {"platform": FILTERED}, LEGS),
 }
+MORE = ("two joints", "six joints", "position, own weight")  # in the slow ring
 COUNT = 3  # systems of each
 
 
@@ -136,39 +140,28 @@ def random_vehicle(rng: np.random.Generator, kind: str) -> Vehicle:
     )
 
 
+def drawn(
+    seed: int, count: int, n: int, vehicle: str, drive: str, integrator: str, **more: Any
+) -> list[System]:
+    """Systems of one structure."""
+    rng = np.random.default_rng(seed)
+    shape, more = geometry(rng, n), {"drive": drive, "integrator": integrator, **more}
+    return [
+        System(arm=random_arm(rng, shape), vehicle=random_vehicle(rng, vehicle), **more)
+        for _ in range(count)
+    ]
+
+
 def systems(index: int) -> list[System]:
     """PER_STRUCTURE ideal systems of one structure."""
-    n, vehicle, drive, integrator = STRUCTURES[index]
-    rng = np.random.default_rng(index)
-    shape = geometry(rng, n)
-    return [
-        System(
-            arm=random_arm(rng, shape),
-            vehicle=random_vehicle(rng, vehicle),
-            drive=drive,
-            integrator=integrator,
-        )
-        for _ in range(PER_STRUCTURE)
-    ]
+    return drawn(index, PER_STRUCTURE, *STRUCTURES[index])
 
 
 def machines(name: str) -> list[System]:
     """COUNT emulated systems of one structure."""
-    n, vehicle, drive, integrator, options, clock = MACHINES[name]
-    rng = np.random.default_rng(100 + list(MACHINES).index(name))
-    shape = geometry(rng, n)
-    return [
-        System(
-            mode="emulated",
-            arm=random_arm(rng, shape),
-            vehicle=random_vehicle(rng, vehicle),
-            drive=drive,
-            integrator=integrator,
-            emulator=EmulatorSettings(**options),
-            **clock,
-        )
-        for _ in range(COUNT)
-    ]
+    *kind, options, clock = MACHINES[name]
+    more = {"mode": "emulated", "emulator": EmulatorSettings(**options), **clock}
+    return drawn(100 + list(MACHINES).index(name), COUNT, *kind, **more)
 
 
 # -------------------------------------------------------------------------- one run
@@ -241,17 +234,15 @@ def run(system: System, seed: int, backend: str) -> Run:
             ydds.append(ydd)
         if sim.emulation_loop is not None:
             readings.append(sim.readings)
-    parts = zip(states[0]._fields, zip(*states, strict=True), strict=True)
-    what = (
-        zip(readings[0]._fields, zip(*readings, strict=True), strict=True) if readings else ()
-    )
-    return Run(
-        {name: np.stack(part) for name, part in parts},
-        np.stack(torques),
-        np.stack(ydds),
-        {name: np.stack(part) for name, part in what},
-        [(event.simulation, event.time) for event in sim.events],
-    )
+    frozen = [(event.simulation, event.time) for event in sim.events]
+    return Run(stacked(states), np.stack(torques), np.stack(ydds), stacked(readings), frozen)
+
+
+def stacked(rows: list[Any]) -> dict[str, np.ndarray]:
+    """Fields of named tuples, each over all of them."""
+    return {
+        k: np.stack([getattr(row, k) for row in rows]) for row in rows[:1] for k in row._fields
+    }
 
 
 def gap(ours: np.ndarray, theirs: np.ndarray, size: float = 1.0) -> float:
@@ -301,7 +292,9 @@ def test_ideal(index):
         assert gap(ours.torque, theirs.torque) <= (1e-6 if prescribed else IDEAL)
 
 
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(k, marks=pytest.mark.slow) if k in MORE else k for k in MACHINES]
+)
 def test_emulated(name, monkeypatch):
     """A safety stop comes at the same instant too.
 
@@ -327,11 +320,8 @@ def test_the_cases_are_what_they_should_be():
     """Motors at their limit, all 64 systems different, a base that moves."""
     runs = [run(system, k, "kernel") for k, system in enumerate(systems(2))]
     limits = [system.arm.column("tau_max") for system in systems(2)]
-    full = [(np.abs(r.torque) == limit).any() for r, limit in zip(runs, limits, strict=True)]
-    assert any(full)
-    assert not all(
-        (np.abs(r.torque) == limit).all() for r, limit in zip(runs, limits, strict=True)
-    )
+    full = [np.abs(r.torque) == limit for r, limit in zip(runs, limits, strict=True)]
+    assert any(k.any() for k in full) and not all(k.all() for k in full)
     assert all(np.abs(r.state["y"]).max() > 0.01 for r in runs)
     every = [system.hash for index in range(len(STRUCTURES)) for system in systems(index)]
     assert len(set(every)) == len(every) == 64
@@ -340,10 +330,7 @@ def test_the_cases_are_what_they_should_be():
 def test_a_wrong_mass_is_seen():
     """One link heavier by 1e-6: the comparison above must fail on it."""
     for system, most in ((systems(2)[0], IDEAL), (machines("two joints")[0], EMULATED)):
-        links = list(system.arm.links)
-        body = dataclasses.replace(links[1].inertial, mass=links[1].inertial.mass * (1 + 1e-6))
-        links[1] = dataclasses.replace(links[1], inertial=body)
-        other = system.replace(arm=dataclasses.replace(system.arm, links=tuple(links)))
+        other = heavier(system, 1 + 1e-6, link=1)
         assert state_gap(run(other, 0, "kernel"), run(system, 0, "mujoco")) > 2 * most
 
 

@@ -8,7 +8,8 @@ Bounds: 1 mm and 0.001 rad within nine iterations (Fig. 3-4).
 import numpy as np
 import pytest
 
-from ves_gym.effects import SensorBias, SensorCalibration, SensorNoise
+from tests.claims.test_model_method import true_sensor
+from ves_gym.effects import SensorNoise
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import STRAIGHT_HORIZONTAL_THESIS
 from ves_gym.simulation.gravity_learning import learn_gravity
@@ -23,18 +24,9 @@ def emulation(*effects):
     return System(vehicle=STRAIGHT_HORIZONTAL_THESIS, mode="emulated", effects=effects)
 
 
-def wrong_sensor():
-    error = np.random.default_rng(3).normal(0, 0.01, (6, 6))
-    error[3:, :3] *= 0.3  # m
-    return (
-        SensorCalibration(error=tuple(map(tuple, error.tolist()))),
-        SensorBias(force=(5.0, -3.0, 8.0), moment=(2.0, 1.0, -1.0)),
-    )
-
-
 @pytest.fixture(scope="module")
 def learnt():
-    system = emulation(*wrong_sensor())
+    system = emulation(*true_sensor())
     return learn_gravity(system, TURN, iterations=6, settle=SETTLE)
 
 

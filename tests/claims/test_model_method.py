@@ -42,15 +42,12 @@ def table_3_1(noise, *, iterations=2, draws=1):
     """Errors of the prediction, of every draw of noise and drift."""
     effects = (*true_sensor(), *noise)
     q, y = calibration_poses(ARM, 47)
-    run = slow_turn(effects, draws)
-    out = []
+    system = System(vehicle=BENT_THESIS, mode="emulated", effects=effects)
+    run, out = slow_turn(effects, draws), []
     for draw in range(draws):
-        log = weigh_poses(
-            System(vehicle=BENT_THESIS, mode="emulated", effects=effects), q, y, seed=draw + 1
-        )
-        found = fit(
-            ARM, log.q, log.y, log.w, iterations=iterations or 1, estimate_matrix=iterations > 0
-        )
+        log = weigh_poses(system, q, y, seed=draw + 1)
+        some = {"iterations": iterations or 1, "estimate_matrix": iterations > 0}
+        found = fit(ARM, log.q, log.y, log.w, **some)
         out.append(predict_errors(found, ARM, run.q[draw], run.y[draw], run.w[draw]))
     return out
 
@@ -66,19 +63,10 @@ def slow_turn(effects, draws):
         pose[:, 3:5], rate[:, 3:5] = sample.q, sample.v
         return pose, rate
 
-    return play_motions(
-        System(
-            vehicle=BENT_THESIS,
-            mode="emulated",
-            emulator=EmulatorSettings(operation="position"),
-            effects=effects,
-        ),
-        [arm] * draws,
-        settle=0.0,
-        y=platform(np.zeros(1))[0][0],
-        platform=platform,
-        seed=11,
-    )
+    told = EmulatorSettings(operation="position")
+    system = System(vehicle=BENT_THESIS, mode="emulated", emulator=told, effects=effects)
+    start = platform(np.zeros(1))[0][0]
+    return play_motions(system, [arm] * draws, settle=0.0, y=start, platform=platform, seed=11)
 
 
 def rms(errors):

@@ -62,7 +62,7 @@ def ratio_and_limits(system, q, y):
     ("vehicle", "count"),
     [
         ("bent-thesis", 3),
-        ("bent", 1),
+        pytest.param("bent", 1, marks=pytest.mark.slow),
         pytest.param("bent-thesis", 200, marks=pytest.mark.slow),
         pytest.param("bent", 30, marks=pytest.mark.slow),
     ],

@@ -11,13 +11,14 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests.reach import reach
 from ves_gym.mechanics.kinematics import frames, joint_positions
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.obstacles import RESOLUTION, Sphere, link_radius
 from ves_gym.planners.query import sample_path, solve
 from ves_gym.planners.registry import get_planner
-from ves_gym.planners.suites import REACH_OBSTACLES, get_suite
+from ves_gym.planners.suites import REACH_OBSTACLES
 from ves_gym.system.system import System
 
 PLANNERS = ("ompl-time", "ompl-qt", "refined")
@@ -64,16 +65,18 @@ def least_gap(path: np.ndarray) -> float:
 
 def answers(count: int, durations: tuple[float, ...]) -> list[dict]:
     """What each planner says to the first queries of some durations."""
-    suite = get_suite("reach100", system=System(), obstacles="on", vehicle="bent-thesis")
     out = []
     for duration in durations:
-        for _, query in [p for p in suite.queries if p[1].duration == duration][:count]:
+        for query in reach(duration, count, obstacles="on"):
             plans = {name: solve(get_planner(name), query) for name in PLANNERS}
             out.append({"query": query, **plans})
     return out
 
 
-def check(found: list[dict]) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize(("count", "durations"), [(5, (4.0,)), (20, (1.0, 2.0, 4.0))])
+def test_no_motion_touches_anything(count, durations):
+    found = answers(count, durations)
     solvable = [f for f in found if any(f[name].feasible for name in PLANNERS)]
     assert len(solvable) >= 0.7 * len(found)
     assert np.mean([f["refined"].feasible for f in solvable]) >= 0.95
@@ -90,20 +93,9 @@ def check(found: list[dict]) -> None:
             assert said.startswith("no ") or said.endswith(" of its limit")
 
 
-@pytest.mark.slow
-def test_no_motion_touches_anything():
-    check(answers(5, (4.0,)))
-
-
-@pytest.mark.slow
-def test_no_motion_touches_anything_on_more_queries():
-    check(answers(20, (1.0, 2.0, 4.0)))
-
-
 def test_the_check_sees_a_collision():
     """A straight line through a crate."""
-    suite = get_suite("reach100", system=System(), obstacles="on", vehicle="bent-thesis")
-    query = next(q for _, q in suite.queries if q.name == "reach-4s-000-obstacles")
+    (query,) = reach(4.0, 1, obstacles="on")
     plan = solve(get_planner("straight"), query)
     assert "obstacle" in plan.failure
     assert least_gap(sample_path(plan.motion, RESOLUTION)) < 0

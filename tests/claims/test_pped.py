@@ -38,6 +38,9 @@ BEAMS = {
     "modal": BENT_THESIS,
     "consistent": dataclasses.replace(BENT_THESIS, mass_model="consistent"),
 }
+EACH_BEAM = pytest.mark.parametrize(
+    "beam", [k if k == "modal" else pytest.param(k, marks=pytest.mark.slow) for k in BEAMS]
+)
 THESIS = {"PPED": GainMatrices.of(PPED_GAINS), "high": GainMatrices.of(HIGH_GAINS)}
 
 
@@ -54,7 +57,7 @@ def best(beam: str, objective: str = "strain", full: bool = False) -> Tuned:
 # ------------------------------------------------------------------ least strain integral
 
 
-@pytest.mark.parametrize("beam", BEAMS)
+@EACH_BEAM
 def test_gains_beat_the_thesis(beam):
     """At most 0.79 of the strain integral of its PPED gains and 0.74 of its high gains."""
     given = {name: analyse(bent(beam), g).E_int for name, g in THESIS.items()}
@@ -64,14 +67,14 @@ def test_gains_beat_the_thesis(beam):
     assert found <= 0.74 * given["high"]
 
 
-@pytest.mark.parametrize("beam", BEAMS)
+@EACH_BEAM
 def test_full_matrices_leave_less(beam):
     diagonal, full = best(beam).value, best(beam, full=True).value
     print(f"{beam}: full {full:.2f} J s, {full / diagonal:.3f} of diagonal")
     assert full < 0.98 * diagonal
 
 
-@pytest.mark.parametrize("beam", BEAMS)
+@EACH_BEAM
 def test_the_estimator_is_a_poor_objective(beam):
     """Gains that minimise the integral leave 22 to 41 % less than those best by eq. 4.4.
 
@@ -90,7 +93,7 @@ def test_the_estimator_is_a_poor_objective(beam):
 # ------------------------------------------------------------------- the simulation agrees
 
 
-@pytest.mark.parametrize("beam", BEAMS)
+@EACH_BEAM
 def test_the_full_simulation_agrees(beam):
     """Strain integral over 30 s, large motion and limited motors: within 1 % of the linear
     one for diagonal gains (full matrices and saturated motors 3 %), in the same order."""

@@ -15,6 +15,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests.reach import reach
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS
@@ -23,9 +24,9 @@ from ves_gym.planners.objective import MeanEnergy
 from ves_gym.planners.prediction import joint_momentum, predict, spectral_energy
 from ves_gym.planners.query import solve
 from ves_gym.planners.registry import get_planner
-from ves_gym.planners.suites import REACH_DURATIONS, get_suite
+from ves_gym.planners.suites import REACH_DURATIONS
 from ves_gym.simulation.playback import play_motions
-from ves_gym.system.energy import base_energy, energies
+from ves_gym.system.energy import base_energy
 from ves_gym.system.system import System
 
 START, GOAL = np.zeros(3), np.deg2rad([60.0, 40.0, -30.0])
@@ -65,39 +66,26 @@ def test_the_comparison_sees_another_beam():
     assert spectral_energy(system, motion) != pytest.approx(true, rel=0.01)
 
 
-def reach(duration: float, count: int) -> list:
-    suite = get_suite("reach100", system=System(), vehicle="bent-thesis")
-    return [q for _, q in suite.queries if q.duration == duration][:count]
-
-
 def prediction_errors(duration: float, count: int) -> np.ndarray:
     """(count,) predicted over simulated E_mean, less one, of straight reach100 motions."""
     queries = reach(duration, count)
     system, servo = queries[0].system, queries[0].servo
     run = play_motions(system, [q.straight for q in queries], servo=servo)
-    true = energies(system, run.t, run.q, run.y, run.yd, duration=duration)
     found = [predict(system, q.straight, servo).E_mean for q in queries]
-    return np.array(found) / [e.E_mean for e in true] - 1
+    return np.array(found) / [e.E_mean for e in run.energies()] - 1
 
 
+@pytest.mark.parametrize("count", [15, pytest.param(100, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("duration", REACH_DURATIONS)
-def test_predicted_mean_energy(duration):
-    errors = np.abs(prediction_errors(duration, 15))
-    assert np.median(errors) <= 0.03
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("duration", REACH_DURATIONS)
-def test_predicted_mean_energy_of_the_whole_suite(duration):
-    errors = np.abs(prediction_errors(duration, 100))
-    assert np.median(errors) <= 0.03
+def test_predicted_mean_energy(duration, count):
+    assert np.median(np.abs(prediction_errors(duration, count))) <= 0.03
 
 
 PLANS = [
-    ("puma560", "bent-thesis"),
     ("puma560", "bent"),
     ("ur5e", "bent-thesis"),
-    ("iiwa14", "bent-thesis"),
+    pytest.param("puma560", "bent-thesis", marks=pytest.mark.slow),
+    pytest.param("iiwa14", "bent-thesis", marks=pytest.mark.slow),
 ]
 
 
@@ -109,10 +97,9 @@ def peak_errors(
     Motions inside their limits, recorded at every physics step: a peak may be a joint's swing
     on its servo, which records every 12.5 ms show up to 4 % too low.
     """
-    suite = get_suite("reach100", system=System(arm=get_arm(arm)), vehicle=vehicle)
-    errors = []
+    system, errors = System(arm=get_arm(arm)), []
     for duration in durations:
-        for query in [q for _, q in suite.queries if q.duration == duration][:count]:
+        for query in reach(duration, count, vehicle, system):
             plans = [solve(get_planner(name), query) for name in ("straight", "direct")]
             plans = [plan for plan in plans if plan.feasible]
             motions, dt = [plan.motion for plan in plans], query.system.physics_dt
@@ -127,17 +114,14 @@ def peak_errors(
     return errors
 
 
+@pytest.mark.parametrize(
+    ("durations", "count"),
+    [((2.0,), 1), pytest.param((1.0, 2.0, 4.0), 3, marks=pytest.mark.slow)],
+)
 @pytest.mark.parametrize(("arm", "vehicle"), PLANS)
-def test_predicted_peak_energy(arm, vehicle):
-    errors = peak_errors(arm, vehicle, (2.0,), 1)
-    assert len(errors) == 2 and np.abs(errors).max() <= 0.02
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("arm", "vehicle"), PLANS)
-def test_predicted_peak_energy_of_more_motions(arm, vehicle):
-    errors = peak_errors(arm, vehicle, (1.0, 2.0, 4.0), 3)
-    assert np.abs(errors).max() <= 0.02
+def test_predicted_peak_energy(arm, vehicle, durations, count):
+    errors = peak_errors(arm, vehicle, durations, count)
+    assert (len(errors) == 2 or count > 1) and np.abs(errors).max() <= 0.02
 
 
 @pytest.mark.parametrize("duration", [1.0, 4.0])

@@ -11,14 +11,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.free_bodies import NO_ARM
+from tests.free_bodies import NO_ARM, TARGET
 from ves_gym._util.params import ParameterError
 from ves_gym.engine.backends.mujoco import compile_model
 from ves_gym.engine.mjcf import TO_Y
 from ves_gym.mechanics import attitude
-from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import SERVICER, SERVICER_FLEXIBLE, Satellite, get_vehicle
 from ves_gym.simulation.playback import play_motions
@@ -206,16 +204,6 @@ def test_jets_unload_wheels_that_store_too_much():
     assert np.linalg.norm(attitude.log(state.attitude), axis=1).max() < np.deg2rad(0.5)
 
 
-TARGET = Payload(
-    inertial=Inertial(mass=40.0, com=(0.02, -0.03, 0.05), inertia=diagonal(2.0, 2.6, 1.7)),
-    grip=Mount(position=(0.2, 0.1, 0.0)),
-    position=(0.3, -0.2, 0.4),
-    velocity=(0.05, 0.02, -0.1),
-    spin=(0.3, -0.5, 0.4),
-    latch_distance=5.0,  # wherever the tool happens to be
-)
-
-
 def test_wheels_and_appendages_take_their_share_of_a_latch():
     """Reference: MuJoCo's mass matrix and tool Jacobian, M (v+ - v-) = -J^T p in every row."""
     ends = []
@@ -265,21 +253,18 @@ def test_a_snapshot_holds_wheels_and_jets():
 
 def test_what_does_not_fit_is_refused(tmp_path):
     sim = Simulator(System(vehicle=SERVICER))
-    with pytest.raises(ParameterError, match="pointing commands wheels and jets"):
-        sim.step(wheel_torque=0.1)
-    with pytest.raises(ParameterError, match="unit quaternions"):
-        sim.point([1.0, 1.0, 0.0, 0.0])
     plain = Simulator(System(vehicle=Satellite(body=SERVICER.body)))
-    with pytest.raises(ParameterError, match="needs a vehicle with reaction wheels"):
-        plain.step(wheel_torque=0.1)
-    with pytest.raises(ParameterError, match="needs a vehicle with reaction wheels"):
-        plain.reset(wheel_speed=1.0)
-    with pytest.raises(ParameterError, match="needs a vehicle with thrusters or jets"):
-        plain.step(base_wrench=np.zeros(6))
-    with pytest.raises(ParameterError, match="point needs a satellite with pointing"):
-        plain.point([1.0, 0, 0, 0])
-    with pytest.raises(ParameterError, match="mode emulated knows a satellite's body"):
-        System(vehicle=SERVICER, mode="emulated")
+    for call, message in (
+        (lambda: sim.step(wheel_torque=0.1), "pointing commands wheels and jets"),
+        (lambda: sim.point([1.0, 1.0, 0.0, 0.0]), "unit quaternions"),
+        (lambda: plain.step(wheel_torque=0.1), "needs a vehicle with reaction wheels"),
+        (lambda: plain.reset(wheel_speed=1.0), "needs a vehicle with reaction wheels"),
+        (lambda: plain.step(base_wrench=np.zeros(6)), "a vehicle with thrusters or jets"),
+        (lambda: plain.point([1.0, 0, 0, 0]), "point needs a satellite with pointing"),
+        (lambda: System(vehicle=SERVICER, mode="emulated"), "emulated knows a satellite's"),
+    ):
+        with pytest.raises(ParameterError, match=message):
+            call()
     SERVICER_FLEXIBLE.save(tmp_path / "servicer.toml")
     assert get_vehicle(tmp_path / "servicer.toml") == SERVICER_FLEXIBLE
 

@@ -81,7 +81,7 @@ def test_boundary_is_near_two_with_the_filter_on_the_error():
     assert feedback > 2 * error
 
 
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", ["error", pytest.param("feedback", marks=pytest.mark.slow)])
 def test_boundary_agrees_with_the_frequency_domain(place):
     """Independent route: one leg's frequency response, sensor and computer as pure delays."""
     control_dt, _ = leg_clock(PLACES[place])
@@ -94,21 +94,12 @@ def test_boundary_agrees_with_the_frequency_domain(place):
 GRID = list(product(np.geomspace(0.4, 8.0, 50), PLACES, (0, 1)))  # 200 points
 
 
-def agreement(points) -> float:
+@pytest.mark.slow
+@pytest.mark.parametrize(("points", "least"), [(GRID[::9], 0.95), (GRID, 0.98)])
+def test_predictor_agrees_with_simulation_on_200_points_and_a_part_of_them(points, least):
     agree = [
         predicted_stable(system) == simulated_stable(system, seed)
         for seed, system in enumerate(emulation(*point) for point in points)
     ]
-    return float(np.mean(agree))
-
-
-@pytest.mark.slow
-def test_predictor_agrees_with_simulation_on_a_part_of_the_grid():
-    assert agreement(GRID[::9]) >= 0.95
-
-
-@pytest.mark.slow
-def test_predictor_agrees_with_simulation_on_200_points():
-    part = agreement(GRID)
-    print(part * len(GRID), "of", len(GRID))
-    assert part >= 0.98
+    print(sum(agree), "of", len(points))
+    assert np.mean(agree) >= least
