@@ -19,7 +19,6 @@ from ves_gym.effects import (
     JointCoulomb,
     JointViscous,
     PayloadBody,
-    PayloadMass,
     SensorBias,
 )
 from ves_gym.mechanics.body_numbers import PLACES, is_body
@@ -103,12 +102,6 @@ def test_a_tool_that_nobody_described_is_one_cause_and_one_that_was_not_weighed_
 
 
 @pytest.mark.slow
-def test_a_mass_on_the_tool_is_said_by_its_mass():
-    """A body has nine numbers more, which it does not need."""
-    assert named(told(PayloadMass(mass=0.5))) == ["payload/mass"]
-
-
-@pytest.mark.slow
 def test_friction_of_two_joints_is_said_by_joint():
     found = told(JointViscous(damping=(0.0, 14.0, 0.0)), JointCoulomb(torque=(4.0, 0.0, 0.0)))
     places = {(f.candidate.kind, f.candidate.slot) for f in found.explanations}
@@ -129,11 +122,3 @@ def test_there_are_as_many_names_as_the_evidence_bears():
     assert set(named(found)) == kinds and len(found.explanations) == 5, found.sentence
     assert max(g.after for g in found.gaps) < 3
     assert len(told(*hidden, most=2).explanations) == 2
-
-
-@pytest.mark.slow
-def test_causes_are_quiet_where_nothing_is_missing():
-    found = told()
-    assert found.verdict == d.NOTHING, found.sentence
-    kinds = {c.kind for c in found.signatures.candidates}
-    assert {"sensor/bias", FRICTION, "payload/body", "gravity/tool"} <= kinds

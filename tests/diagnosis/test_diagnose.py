@@ -3,11 +3,13 @@
 Whole diagnoses of such machines are in tests/golden/test_diagnoses.py.
 """
 
+import dataclasses
 import types
 
 import numpy as np
 import pytest
 
+from tests.diagnosis.conftest import MOVES, SINES
 from ves_gym._util.params import ParameterError
 from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis.data.measured_run import require_plausible, run_of
@@ -39,6 +41,12 @@ def diagnosed(logs):
     return machine, d.diagnose(machine, runs[:-1], runs[-1:], candidates=few)
 
 
+@pytest.fixture(scope="module")
+def plain(hidden):
+    """Logs of a machine that is as described."""
+    return hidden(seed=1, runs=(SINES, MOVES))
+
+
 def names(found):
     return {(f.candidate.kind, f.candidate.slot) for f in found.explanations}
 
@@ -58,9 +66,9 @@ def test_a_gain_is_named_and_the_gap_shrinks(hidden):
     assert System.from_dict(better.to_dict()) == better
 
 
-def test_a_gear_that_is_not_there_damps_no_noise(hidden):
-    machine = SystemMachine(System.from_dict(hidden(seed=1)[0].meta["system"]))
-    runs = [run_of(log, f"run-{i}") for i, log in enumerate(hidden(seed=1)[:2])]
+def test_a_gear_that_is_not_there_damps_no_noise(plain):
+    machine = SystemMachine(System.from_dict(plain[0].meta["system"]))
+    runs = [run_of(log, f"run-{i}") for i, log in enumerate(plain)]
     residuals = WhitenedResiduals(machine, runs)
     soft = JointElasticity(compliance=(0.0, 2e-5, 0.0), damping=(0.0, 30.0, 0.0))
     highest = ("joint", 1, runs[0].band)  # of the ranges of frequency
@@ -75,9 +83,9 @@ def test_a_gear_that_is_not_there_damps_no_noise(hidden):
     assert likeliness(residuals, moved) > likeliness(residuals, residuals.null)
 
 
-def test_a_limit_must_act_longer_than_a_step_between_samples(hidden):
-    machine = SystemMachine(System.from_dict(hidden(seed=1)[0].meta["system"]))
-    run = run_of(hidden(seed=1)[0], "run")
+def test_a_limit_must_act_longer_than_a_step_between_samples(plain):
+    machine = SystemMachine(System.from_dict(plain[0].meta["system"]))
+    run = run_of(plain[0], "run")
     residuals = WhitenedResiduals(machine, [run])
     every = library(machine.system.arm.n, ["joint"], "emulated")
     limit = next(c for c in every if c.name == "joint/torque_limit at joint 2")
@@ -154,21 +162,17 @@ def test_what_sets_in_beside_another_gear_needs_half_of_what_that_explains(monke
     assert needed("elasticity at joint 3", "backlash at joint 2") < 50  # gears of two joints
 
 
-def test_a_log_without_torques_says_what_it_cannot_tell(hidden):
-    import dataclasses
-
+def test_a_log_without_torques_says_what_it_cannot_tell(plain):
     bare = []
-    for log in hidden(seed=1)[:2]:
+    for log in plain:
         meta = {k: v for k, v in log.meta.items() if k != "controller"}
         bare.append(dataclasses.replace(log, tau=None, meta=meta))
     _, found = diagnosed(bare)
     assert found.untestable == {"joint": ("tau",), "servo": ("tau", "controller")}
 
 
-def test_numbers_in_another_unit_are_asked_about(hidden):
-    import dataclasses
-
-    log = hidden(seed=1)[0]
+def test_numbers_in_another_unit_are_asked_about(plain):
+    log = plain[0]
     system = System.from_dict(log.meta["system"])
     with pytest.raises(ParameterError, match=r"run: q reaches .*is it in degrees\?"):
         require_plausible(dataclasses.replace(log, q=np.rad2deg(log.q)), system, "run")

@@ -6,11 +6,11 @@ import types
 import numpy as np
 import pytest
 
+from tests.diagnosis.logs import told, with_noise
 from tests.diagnosis.thesis_laboratory import SYSTEM
 from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis import next_motion as next_motion_module
 from ves_gym.diagnosis.inference.fit import fit
-from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.diagnosis.next_motion import CLEAR, next_motion
 from ves_gym.effects import JointDriveGain, JointTorqueLimit, SensorNoise
 from ves_gym.mechanics.limits import check_reference, limits_of
@@ -27,20 +27,15 @@ def measured(motion, seed, effects=(TRUTH,)):
     """Log of the machine whose second drive gives 0.7 % more than described."""
     true = SYSTEM.replace(effects=(*effects, NOISE))
     log = play_motions(true, [motion], servo=HIGH_GAINS, settle=0.0, record_dt=5e-3).log(0)
-    rng = np.random.default_rng(seed)
-    noise = {"q": 2e-5, "tau": 0.3, "y": 1e-5}
-    noisy = {
-        k: getattr(log, k) + s * rng.standard_normal(getattr(log, k).shape)
-        for k, s in noise.items()
-    }
+    log = with_noise(
+        log, {"q": 2e-5, "tau": 0.3, "y": 1e-5}, np.random.default_rng(seed), False
+    )
     meta = {k: v for k, v in log.meta.items() if k != "controller"}  # it would tell them apart
-    return dataclasses.replace(log, **noisy, meta={**meta, "system": SYSTEM.to_dict()})
+    return dataclasses.replace(log, meta={**meta, "system": SYSTEM.to_dict()})
 
 
 def diagnosed(logs, kinds=KINDS):
-    inputs = system_inputs(logs, final=0)
-    some = [c for c in inputs.candidates if c.kind in kinds]
-    return d.diagnose(inputs.machine, inputs.runs, candidates=some)
+    return told(None, logs, lambda c: c.kind in kinds)
 
 
 @pytest.fixture(scope="module")

@@ -5,13 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests.diagnosis.conftest import MOVES, SINES
 from ves_gym.diagnosis.data.measured_run import run_of
 from ves_gym.diagnosis.data.quality import faults
 
 
 @pytest.fixture(scope="module")
 def logs(hidden):
-    return hidden(seed=5)
+    return hidden(seed=1, runs=(SINES, MOVES))
 
 
 def runs_of(logs, **changed):

@@ -59,7 +59,6 @@ def slowly(*values):
     [
         slowly(["tau"], swap(3, 0, 1), "is tau_1 exchanged with tau_2"),
         slowly(["q", "v"], flip(3, 1), "has q_2 the other sign"),
-        slowly(["q_cmd", "v_cmd"], swap(3, 1, 2), "is q_cmd_2 exchanged with q_cmd_3"),
         slowly(JOINT, flip(3, 2), "has joint 3 the other sign"),
         (["tau"], 1e3 * np.eye(3), "is tau in N mm, not N m"),
         slowly(
@@ -67,8 +66,6 @@ def slowly(*values):
             factor(6, range(3, 6), 180 / np.pi),
             "are the angles in y in degrees, not rad",
         ),
-        slowly(["y"], swap(6, 3, 5), "is y phi_x exchanged with y phi_z"),
-        slowly(["w", "wg"], flip(6, 4), "has w and wg M_y the other sign"),
         slowly(["wg"], flip(6, 0), "has wg F_x the other sign"),
         slowly(
             ["w", "wg"], factor(6, range(3), 1 / 9.80665), "are the forces in w and wg in kgf"

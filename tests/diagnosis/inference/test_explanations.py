@@ -62,14 +62,6 @@ def test_what_is_chosen_but_scores_too_low_alone_is_fitted_alone(found, monkeypa
     assert last.values[0] == pytest.approx(0.1, rel=0.1) and last.gain > 100
 
 
-def test_what_is_chosen_is_ranked_however_it_does(found):
-    name = found.signatures.candidates[0].name
-    assert [
-        r.candidate.name
-        for r in ranked(found.signatures, found.selection.null, found.selection.law, [name], 0)
-    ] == [name]
-
-
 def test_rivals_come_with_an_experiment_and_the_map_with_every_group(found):
     told = d.plain(found)
     assert {g["port"] for g in told["where"]} == {p.name for p in found.residuals.ports}

@@ -1,6 +1,9 @@
-"""Runs held back decide: what they contradict is withdrawn, names and silence alike."""
+"""Runs held back decide: what they contradict is withdrawn, names and silence alike.
 
-from dataclasses import replace
+A law has the same numbers in every run and throughout it; else its name is withdrawn, too.
+"""
+
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,16 +11,17 @@ import pytest
 
 import ves_gym.diagnosis.diagnose as d
 import ves_gym.effects as E
-from ves_gym.diagnosis.diagnose import NAMED, NOTHING, UNKNOWN, diagnose
-from ves_gym.diagnosis.excitation import excitation_motions
+from tests.diagnosis import logs
+from ves_gym.diagnosis.diagnose import NAMED, NOTHING, UNKNOWN
 from ves_gym.diagnosis.inference import held_back
 from ves_gym.diagnosis.inference.fit import fit, fit_residual
 from ves_gym.diagnosis.inference.held_back import gaps, losses
 from ves_gym.diagnosis.inference.model_selection import Selection, drop_unidentified
+from ves_gym.diagnosis.inference.reliability import gain
+from ves_gym.diagnosis.inference.steadiness import in_run, in_third, unsteadiness
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.inputs import system_inputs
 from ves_gym.mechanics.vehicle import DECOUPLED, MatrixVehicle
-from ves_gym.simulation.playback import play_motions
 from ves_gym.system.system import System
 
 NONE = np.zeros(0)
@@ -26,40 +30,40 @@ RUBBING = DESCRIBED.replace(effects=(E.JointCoulomb(torque=(12.0, 0.0, 0.0)),))
 
 
 def recorded(system, seed):
-    motions = excitation_motions(1, system.arm, duration=8.0, seed=seed)
-    recording = play_motions(
-        system, motions, settle=1.0, record_dt=system.control_dt, seed=seed
-    )
-    log = recording.log(0)
-    return replace(log, meta={**log.meta, "system": DESCRIBED.to_dict()})
+    return logs.recorded(system, seed, described=DESCRIBED, duration=8.0)[0]
+
+
+def told(some, kinds=("joint/coulomb", "joint/viscous"), final=1):
+    return logs.told(DESCRIBED, some, lambda c: c.kind in kinds, final)
 
 
 @pytest.fixture(scope="module")
-def logs():
+def made():
     """Log of each system, fitted and held back."""
+    less = DESCRIBED.replace(effects=(E.JointCoulomb(torque=(6.0, 0.0, 0.0)),))
     systems = {"described": DESCRIBED, "rubbing": RUBBING}
-    return {(k, seed): recorded(s, seed) for k, s in systems.items() for seed in (1, 2)}
+    some = {(k, seed): recorded(s, seed) for k, s in systems.items() for seed in (1, 2)}
+    return {**some, ("less", 2): recorded(less, 2)}
 
 
-def told(fitted, held_back, kinds=("joint/coulomb", "joint/viscous")):
+def residuals_of(fitted, held_back):
+    """Of both runs, and the candidate that may be named."""
     inputs = system_inputs([fitted, held_back], DESCRIBED, final=1)
-    library = [c for c in inputs.candidates if c.kind in kinds]
-    return diagnose(inputs.machine, inputs.runs, inputs.final, candidates=library)
+    coulomb = next(c for c in inputs.candidates if c.name == "joint/coulomb at joint 1")
+    return *(WhitenedResiduals(inputs.machine, r) for r in (inputs.runs, inputs.final)), coulomb
 
 
-def test_a_name_that_holds_is_kept(logs):
-    found = told(logs["rubbing", 1], logs["rubbing", 2])
+def test_a_name_that_holds_is_kept(made):
+    found = told([made["rubbing", 1], made["rubbing", 2]])
     assert found.verdict == NAMED, found.sentence
     assert [f.candidate.name for f in found.explanations] == ["joint/coulomb at joint 1"]
     assert found.explanations[0].values == pytest.approx(12.0, rel=0.02)
 
 
 @pytest.mark.parametrize(("turns", "kept"), [(0.7, True), (0.6, False)])
-def test_what_repeats_is_named_after_two_thirds_of_a_period(logs, turns, kept):
+def test_what_repeats_is_named_after_two_thirds_of_a_period(made, turns, kept):
     """Within less neither need turn nor change its curvature: a cable is no ripple."""
-    inputs = system_inputs([logs["rubbing", 1], logs["rubbing", 2]], DESCRIBED, final=1)
-    residuals = WhitenedResiduals(inputs.machine, inputs.runs)
-    coulomb = next(c for c in inputs.candidates if c.name == "joint/coulomb at joint 1")
+    residuals, _, coulomb = residuals_of(made["rubbing", 1], made["rubbing", 2])
     repeats = replace(coulomb, periods=lambda x: turns)
     f = fit(residuals, [repeats], [np.array([10.0])])
     assert f.is_told(0) == kept
@@ -68,10 +72,8 @@ def test_what_repeats_is_named_after_two_thirds_of_a_period(logs, turns, kept):
     assert ("edge of what can be told" in "".join(chosen.steps)) != kept
 
 
-def test_a_number_at_the_edge_of_its_range_is_no_name(logs):
-    inputs = system_inputs([logs["rubbing", 1], logs["rubbing", 2]], DESCRIBED, final=1)
-    residuals = WhitenedResiduals(inputs.machine, inputs.runs)
-    coulomb = next(c for c in inputs.candidates if c.name == "joint/coulomb at joint 1")
+def test_a_number_at_the_edge_of_its_range_is_no_name(made):
+    residuals, _, coulomb = residuals_of(made["rubbing", 1], made["rubbing", 2])
     f = fit(residuals, [replace(coulomb, high=(8.0,))], [np.array([5.0])])
     assert f.values[0][0] == 8.0 and not f.is_told(0)
 
@@ -86,9 +88,7 @@ def test_runs_held_back_are_judged_by_the_form_that_a_law_has_taken():
         lasting=(12.0, 0.0, 0.0), rested=(0.0,) * 3, rested_fast=(0.0,) * 3,
         rested_slow=(0.0,) * 3,
     ),))  # fmt: skip
-    inputs = system_inputs([recorded(building, 1), recorded(building, 2)], DESCRIBED, final=1)
-    fitted, last = (WhitenedResiduals(inputs.machine, r) for r in (inputs.runs, inputs.final))
-    coulomb = next(c for c in inputs.candidates if c.name == "joint/coulomb at joint 1")
+    fitted, last, coulomb = residuals_of(recorded(building, 1), recorded(building, 2))
     null, named = fit(fitted, (), ()), fit(fitted, [coulomb], [np.array([10.0])])
     assert named.forms[0] > 0.5  # of the difference to the form that it truly has
     for unseen in (False, True):
@@ -100,27 +100,27 @@ def test_runs_held_back_are_judged_by_the_form_that_a_law_has_taken():
     assert losses(last, named, null) < losses(last, replace(named, forms=NONE), null) - 30
 
 
-def test_a_name_that_runs_held_back_contradict_is_withdrawn(logs):
-    found = told(logs["rubbing", 1], logs["described", 2])
+def test_a_name_that_runs_held_back_contradict_is_withdrawn(made):
+    found = told([made["rubbing", 1], made["described", 2]])
     assert found.verdict == UNKNOWN, found.sentence
     assert not found.effects
     assert "withdrawn" in found.selection.steps[-1]
     assert not any(g.worse for g in found.final)
 
 
-def test_a_silence_that_runs_held_back_contradict_is_unknown(logs):
-    found = told(logs["described", 1], logs["rubbing", 2])
+def test_a_silence_that_runs_held_back_contradict_is_unknown(made):
+    found = told([made["described", 1], made["rubbing", 2]])
     assert found.verdict == UNKNOWN, found.sentence
 
 
-def test_a_silence_that_holds_is_kept(logs):
-    found = told(logs["described", 1], logs["described", 2])
+def test_a_silence_that_holds_is_kept(made):
+    found = told([made["described", 1], made["described", 2]])
     assert found.verdict == NOTHING, found.sentence
 
 
-def test_what_has_no_name_has_a_place_and_a_quantity(logs):
+def test_what_has_no_name_has_a_place_and_a_quantity(made):
     """Coulomb friction without its name: a curve over the speed of its joint, on both runs."""
-    found = told(logs["rubbing", 1], logs["rubbing", 2], kinds=("joint/ripple",))
+    found = told([made["rubbing", 1], made["rubbing", 2]], ("joint/ripple",))
     assert found.verdict == UNKNOWN, found.sentence
     best = found.depends[0]
     assert (best.port, best.channel, best.on) == ("joint", "tau_1", "speed of joint 1")
@@ -148,7 +148,7 @@ def test_a_name_is_earned_if_no_curve_explains_clearly_more(along, monkeypatch):
         coulomb=(-8.0, 0.0, 0.0), coulomb_along=(-along, 0.0, 0.0), surface=none, **weights,
     )  # fmt: skip
     uneven = DESCRIBED.replace(effects=(hidden,))
-    found = told(recorded(uneven, 1), recorded(uneven, 2), ("joint/coulomb",))
+    found = told([recorded(uneven, 1), recorded(uneven, 2)], ("joint/coulomb",))
     assert found.verdict == (UNKNOWN if along else NAMED), found.sentence
     assert [f.candidate.name for f in found.explanations] == ["joint/coulomb at joint 1"]
 
@@ -194,16 +194,12 @@ def test_noise_that_an_effect_passes_on_makes_no_channel_worse(pose, times, wors
     vehicle = MatrixVehicle(M=M.tolist(), D=D.tolist(), K=K.tolist(), source="this test")
     described = System(vehicle=vehicle)
     damped = described.replace(effects=(E.BaseDamping(error=6.0),))
-    noise = {"y": pose, "w": 0.3, "q": 1e-4, "tau": 0.3}
-    noisy_logs = []
+    sizes = {"y": pose, "w": 0.3, "q": 1e-4, "tau": 0.3}
+    noisy = []
     for seed in (1, 2):
-        log, rng = recorded(damped, seed), np.random.default_rng(seed)
-        read = {k: getattr(log, k) for k in noise}
-        parts = {k: x + noise[k] * rng.standard_normal(x.shape) for k, x in read.items()}
-        stated = {k: [s] * read[k].shape[1] for k, s in noise.items()}
-        meta = {**log.meta, "system": described.to_dict(), "noise_std": stated}
-        noisy_logs.append(replace(log, meta=meta, **parts))
-    inputs = system_inputs(noisy_logs, described, final=1)
+        (log,) = logs.recorded(damped, seed, described=described, duration=8.0)
+        noisy.append(logs.with_noise(log, sizes, np.random.default_rng(seed)))
+    inputs = system_inputs(noisy, described, final=1)
     candidate = next(c for c in inputs.candidates if c.kind == "base/damping")
     fitted, last = (WhitenedResiduals(inputs.machine, k) for k in (inputs.runs, inputs.final))
     null = fit(fitted, (), ())
@@ -211,7 +207,61 @@ def test_noise_that_an_effect_passes_on_makes_no_channel_worse(pose, times, wors
     assert found.values[0][0] > 3
     found = replace(found, values=(times * found.values[0],))
     there = [g for g in gaps(last, found, null, False) if g.port == "base"]
-    print([tuple(np.round((g.before, g.after, g.noise), 2)) for g in there])
     more = any(g.after > 1.05 * max(g.before, 1.0) for g in there)
     assert more == (pose > 1e-4 or worse)
     assert any(g.surely_worse for g in there) == worse
+
+
+@pytest.fixture(scope="module")
+def named(made):
+    """Residuals of two runs with the same friction, and its fit."""
+    inputs = system_inputs([made["rubbing", 1], made["rubbing", 2]], DESCRIBED, final=0)
+    residuals = WhitenedResiduals(inputs.machine, inputs.runs)
+    coulomb = next(c for c in inputs.candidates if c.name == "joint/coulomb at joint 1")
+    return residuals, fit(residuals, [coulomb], [np.array([10.0])])
+
+
+def test_a_law_that_holds_is_steady(named):
+    residuals, f = named
+    more, count = unsteadiness(f, 0, residuals)
+    assert count == 3  # a run and two thirds
+    assert more < 0.01 * gain(residuals, f, 0)
+
+
+@pytest.mark.parametrize("part", [in_run, in_third])
+def test_one_that_is_there_in_a_part_alone_is_not(named, part):
+    residuals, f = named
+    slope = f.tangents[:, len(f.forms) :]
+    share = 0.3 * f.values[0] * part(residuals, slope, 0)[:, 0]
+    more, _ = unsteadiness(replace(f, residual=f.residual + share), 0, residuals)
+    assert more > 0.1 * gain(residuals, f, 0)
+
+
+def test_a_name_with_other_numbers_in_another_run_is_withdrawn(made):
+    """Claim: friction of 12 N m in one run and 6 N m in the next is no Coulomb friction."""
+    found = told([made["rubbing", 1], made["less", 2]], final=0)
+    assert found.verdict == UNKNOWN, found.sentence
+    assert any("with other numbers in each run" in s for s in found.selection.steps)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thinning(E.JointViscous):
+    """Friction whose damping falls with the square of the rate."""
+
+    def law(self, q, v, tau):
+        return -self.damping * v * (1 - 0.3 * v * v)
+
+
+def test_grease_that_thins_is_viscous_friction_still():
+    """Claim: damping that falls by a sixth at 0.75 rad/s is named, with its number at rest."""
+    thins = Thinning(damping=(12.0, 0.0, 0.0))
+    logs = [recorded(DESCRIBED.replace(effects=(thins,)), seed) for seed in (1, 2)]
+    found = told(logs, final=0)
+    assert found.verdict == NAMED, found.sentence
+    (viscous,) = found.explanations
+    assert viscous.candidate.kind == "joint/viscous"
+    assert viscous.values[0] == pytest.approx(12.0, rel=0.02)
+    plain = replace(viscous.candidate, blurs=())
+    runs = found.residuals
+    more = fit(runs, [plain], [viscous.values]).deviance
+    assert more - fit(runs, [viscous.candidate], [viscous.values]).deviance > 100

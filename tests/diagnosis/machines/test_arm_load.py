@@ -1,7 +1,5 @@
 """What a measured motion takes, with payloads by columns: Newton-Euler's and Pinocchio's."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -15,7 +13,6 @@ from ves_gym.diagnosis.machines.arm_load import (
     weight_torque,
 )
 from ves_gym.effects import PayloadBody, PayloadMass
-from ves_gym.mechanics.arm import Gear
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.body_numbers import numbers_of_body
 from ves_gym.mechanics.gravity import gravity_vector
@@ -59,31 +56,3 @@ def test_a_payload_takes_what_the_arm_with_it_takes_more(arm, payload, balanced)
         at = (0, i)
         theirs = rnea(loaded, *(x[at] for x in base), *(x[at] for x in joints))
         np.testing.assert_allclose(found[1][at], theirs, rtol=0, atol=1e-9)
-
-
-def test_in_space_nothing_weighs():
-    joints, base = motion(PUMA_560, 1)
-    moves = base_motion(base)
-    measured = MeasuredMotion(joints, base.x, moves, False, True)
-    for found, want in zip(
-        measured.load(PUMA_560), motion_load(PUMA_560, joints, moves), strict=True
-    ):
-        np.testing.assert_array_equal(found, want)
-
-
-def test_bodies_that_other_rotors_and_gears_move_are_asked_once_with_the_same_bits():
-    joints, base = motion(PUMA_560, 2)
-    moves = base_motion(base)
-    measured = MeasuredMotion(joints, base.x, moves, False, False)
-    last = PUMA_560.links[-1]
-    heavier = replace(last, rotor_inertia=2 * last.rotor_inertia + 0.1)
-    geared = replace(heavier, gear=Gear(compliance=1e-4, damping=1.0), tau_max=1.0)
-    first = measured.load(PUMA_560)
-    for other in (heavier, geared):
-        arm = replace(PUMA_560, links=(*PUMA_560.links[:-1], other))
-        found = measured.load(arm)
-        for got, want in zip(found, motion_load(arm, joints, moves), strict=True):
-            np.testing.assert_array_equal(got, want)
-        assert found[1] is first[1]
-    loaded = PAYLOADS["mass"].arm(PUMA_560)  # other bodies are asked again
-    assert not np.array_equal(measured.load(loaded)[1], first[1])
