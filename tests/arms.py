@@ -10,8 +10,10 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Arm, Inertial, Link, diagonal, matrix
+from ves_gym.mechanics.kinematics import frames, joint_positions
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.vehicle import BENT_THESIS, MatrixVehicle
+from ves_gym.planners.obstacles import link_radius
 from ves_gym.system.system import System
 
 
@@ -98,6 +100,24 @@ def heavier(system: System, share: float, link: int = 2) -> System:
     body = replace(links[link].inertial, mass=share * links[link].inertial.mass)
     links[link] = replace(links[link], inertial=body)
     return system.replace(arm=replace(system.arm, links=tuple(links)))
+
+
+def capsules(arm: Arm, q: Array) -> tuple[Array, Array, Array]:
+    """Ends a, b (k, 3) and radii (k,) of a PUMA 560's links and tool at one configuration.
+
+    A link is a capsule along its joint's axis, then one along its length.
+    """
+    points, axes = joint_positions(arm, q), frames(arm, q).axis
+    a, b, r = [points[0]], [points[1]], [link_radius(arm, 0)]
+    for i in (1, 2):
+        knee = points[i] + arm.links[i].d * axes[i]
+        a += [points[i], knee]
+        b += [knee, points[i + 1]]
+        r += [link_radius(arm, i)] * 2
+    a.append(points[-1])
+    b.append(points[-1])
+    r.append(1.1 * link_radius(arm, 2))
+    return np.array(a), np.array(b), np.array(r)
 
 
 def pinocchio_terms(model: Any, data: Any, z: Array, zd: Array) -> tuple[Array, Array]:

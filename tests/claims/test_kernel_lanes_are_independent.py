@@ -65,12 +65,11 @@ def simulator(name: str, which, threads: int = 1, **options) -> Simulator:
 
 def advance(sim: Simulator, which, steps: int = STEPS, first: int = 0) -> list[State]:
     """Commands held and commands played in turn; each simulation has its own."""
-    states, k = [], sim.system.substeps
+    states, shape = [], (sim.system.substeps + 1, 3)
     size = 2.0 if sim.system.drive == "prescribed" else 40.0
     for j in range(first, first + steps):
-        nodes = np.stack(
-            [np.random.default_rng([i, j]).uniform(-size, size, (k + 1, 3)) for i in which]
-        )
+        rngs = [np.random.default_rng([i, j]) for i in which]
+        nodes = np.stack([rng.uniform(-size, size, shape) for rng in rngs])
         if j % 2:
             sim.play(nodes)
             states.append(sim.state)
@@ -167,7 +166,7 @@ def spoil(sim: Simulator, i: int, case: str) -> None:
     sim.backend.write(np.array([i]), time, z, zd)
 
 
-@pytest.mark.parametrize("lane", [0, 5])
+@pytest.mark.parametrize("lane", [pytest.param(0, marks=pytest.mark.slow), 5])
 @pytest.mark.parametrize("case", WILD)
 def test_what_is_no_number_stays_in_its_lane(name, case, lane):
     n, others = LANES, [i for i in range(LANES) if i != lane]
@@ -218,11 +217,8 @@ def test_nobody_reads_the_lanes_that_fill_up_the_last_block(name, alone):
 def test_simulations_not_named_stay_where_they_are(name):
     """`ids` of the engine: a subset goes on, the others keep state and clock."""
     sim, twin = simulator(name, range(11)), simulator(name, range(11))
-    ids = np.array([1, 2, 9])
-    before = sim.state
-    command = np.ones((11, 3))
-    k = sim.system.substeps
-    nodes = np.ones((11, k + 1, 3))
+    ids, before, k = np.array([1, 2, 9]), sim.state, sim.system.substeps
+    command, nodes = np.ones((11, 3)), np.ones((11, k + 1, 3))
     for engine, some in ((sim.backend, ids), (twin.backend, None)):
         if sim.system.mode == "emulated":
             engine.step_on_platform(nodes, np.full((11, k + 1, 6), 0.1), some)

@@ -11,11 +11,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests.arms import capsules
 from tests.reach import reach
-from ves_gym.mechanics.kinematics import frames, joint_positions
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import BENT_THESIS
-from ves_gym.planners.obstacles import RESOLUTION, Sphere, link_radius
+from ves_gym.planners.obstacles import RESOLUTION, Sphere
 from ves_gym.planners.query import sample_path, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import REACH_OBSTACLES
@@ -23,22 +23,6 @@ from ves_gym.system.system import System
 
 PLANNERS = ("ompl-time", "ompl-qt", "refined")
 ARM = System(vehicle=BENT_THESIS).arm
-
-
-def capsules(q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ends a, b (k, 3) and radii (k,) of links 2 and 3 and the tool at one configuration."""
-    points = joint_positions(ARM, q)
-    axes = frames(ARM, q).axis
-    a, b, r = [], [], []
-    for i in (1, 2):
-        knee = points[i] + ARM.links[i].d * axes[i]
-        a += [points[i], knee]
-        b += [knee, points[i + 1]]
-        r += [link_radius(ARM, i)] * 2
-    a.append(points[-1])
-    b.append(points[-1])
-    r.append(1.1 * link_radius(ARM, 2))
-    return np.array(a), np.array(b), np.array(r)
 
 
 def least_gap(path: np.ndarray) -> float:
@@ -49,7 +33,7 @@ def least_gap(path: np.ndarray) -> float:
     gap = np.inf
     u = np.linspace(0, 1, 25)[:, None, None]
     for q in path:
-        a, b, r = capsules(q)
+        a, b, r = capsules(ARM, q)
         points = a + u * (b - a)  # (25, k, 3)
         for obstacle in REACH_OBSTACLES.obstacles:
             centre = np.array(obstacle.centre)

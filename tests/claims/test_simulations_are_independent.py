@@ -10,15 +10,8 @@ import pickle
 import numpy as np
 import pytest
 
+from ves_gym import effects
 from ves_gym._util.params import ParameterError
-from ves_gym.effects import (
-    JointAsymmetry,
-    JointElasticity,
-    JointLoadFriction,
-    JointRipple,
-    JointStribeck,
-    JointTorqueLimit,
-)
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.simulation.playback import play_motions
@@ -63,13 +56,15 @@ def test_batch_size_and_threads_do_not_matter(name):
 
 # laws with every function that laws may use, on joints with gears and without
 LAWS = (
-    JointStribeck(coulomb=(3.0, 4.0, 2.0), stiction=(6.0, 8.0, 4.0), fade_speed=0.3),
-    JointLoadFriction(coefficient=(0.05, 0.1, 0.02)),
-    JointAsymmetry(coulomb=(1.0, 2.0, 0.5), viscous=(0.5, 0.2, 0.1)),
-    JointRipple(amplitude=(1.0, 0.5, 2.0), cycles=(36.0, 7.0, 50.0), phase=(0.1, 0.2, 0.3)),
-    JointTorqueLimit(fraction=(0.7, 0.2, 0.1)),
+    effects.JointStribeck(coulomb=(3.0, 4.0, 2.0), stiction=(6.0, 8.0, 4.0), fade_speed=0.3),
+    effects.JointLoadFriction(coefficient=(0.05, 0.1, 0.02)),
+    effects.JointAsymmetry(coulomb=(1.0, 2.0, 0.5), viscous=(0.5, 0.2, 0.1)),
+    effects.JointRipple(
+        amplitude=(1.0, 0.5, 2.0), cycles=(36.0, 7.0, 50.0), phase=(0.1, 0.2, 0.3)
+    ),
+    effects.JointTorqueLimit(fraction=(0.7, 0.2, 0.1)),
 )
-GEARS = JointElasticity(compliance=(5e-5, 5e-5, 1e-4), damping=(20.0, 20.0, 10.0))
+GEARS = effects.JointElasticity(compliance=(5e-5, 5e-5, 1e-4), damping=(20.0, 20.0, 10.0))
 PLACES = [[4], [9, 4], [0, 1, 4], [1, 2, 3, 4, 0], [*range(5, 17), 4], [*range(19)]]
 
 

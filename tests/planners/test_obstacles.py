@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.arms import capsules
 from ves_gym._util.params import ParameterError, write_table
-from ves_gym.mechanics.kinematics import frames, joint_positions
+from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, STRAIGHT_HORIZONTAL_THESIS
 from ves_gym.planners.obstacles import (
     Box,
@@ -14,7 +15,6 @@ from ves_gym.planners.obstacles import (
     Sphere,
     Surroundings,
     collisions,
-    link_radius,
     read_surroundings,
 )
 from ves_gym.planners.query import Query, first_violation, sample_path
@@ -41,20 +41,8 @@ def test_distance_from_a_ball_is_that_of_capsules():
     compared = 0
     for q in rng.uniform(-1.0, 1.0, (200, 3)):
         near = checker.proximity(q, 0.3)
-        p, axes, centre = joint_positions(arm, q), frames(arm, q).axis, np.array(BALL.centre)
-        # each link is a capsule along its joint's axis, then one along its length
-        shoulder = p[1] + arm.links[1].d * axes[1]
-        elbow = p[2] + arm.links[2].d * axes[2]
-        r = [link_radius(arm, i) for i in range(3)]
-        pieces = [
-            (p[0], p[1], r[0]),
-            (p[1], shoulder, r[1]),
-            (shoulder, p[2], r[1]),
-            (p[2], elbow, r[2]),
-            (elbow, p[3], r[2]),
-            (p[3], p[3], 1.1 * r[2]),  # the tool
-        ]
-        by_hand = [segment_distance(a, b, centre) - BALL.radius - k for a, b, k in pieces]
+        pieces = zip(*capsules(arm, q), strict=True)
+        by_hand = [segment_distance(a, b, BALL.centre) - BALL.radius - r for a, b, r in pieces]
         expected = min(by_hand)
         if expected < 0.25:
             compared += 1
