@@ -1,12 +1,24 @@
-"""Questions of reach100, asked by duration."""
+"""Questions of reach100, asked by duration, and one that a pillar stands in the way of."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from ves_gym.mechanics.vehicle import BENT_THESIS
+from ves_gym.planners.obstacles import Box, Surroundings
 from ves_gym.planners.query import Query
-from ves_gym.planners.suites import get_suite
+from ves_gym.planners.suites import SPEED_LIMITS, get_suite
 from ves_gym.system.system import System
+
+# from one side to the other past a pillar that the straight line runs into
+ACROSS = Query(
+    system=System(vehicle=BENT_THESIS),
+    start=(-1.0, 0.1, 0.2),
+    goal=(1.0, 0.1, 0.2),
+    duration=4.0,
+    v_max=SPEED_LIMITS,
+    surroundings=Surroundings(obstacles=(Box(centre=(0.75, 0.0, 0.7), size=(0.2, 0.2, 0.8)),)),
+)
 
 
 def reach(

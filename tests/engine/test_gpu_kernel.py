@@ -3,12 +3,11 @@
 tests/claims/test_gpu_kernel_gives_the_same_answers.py holds whole runs to the kernel's.
 """
 
-import dataclasses
-
 import casadi as ca
 import numpy as np
 import pytest
 
+from tests.arms import heavier
 from tests.engine.test_kernel import NUMBERS, ONE, TWO
 from ves_gym._util.optional import installed
 from ves_gym._util.params import ParameterError
@@ -83,13 +82,6 @@ def pair(system, n=5, **options):
 def same(sims, tolerance=1e-12):
     for ours, theirs in zip(*(sim.state for sim in sims), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=tolerance)
-
-
-def heavier(system, share):
-    links = list(system.arm.links)
-    body = dataclasses.replace(links[2].inertial, mass=share * links[2].inertial.mass)
-    links[2] = dataclasses.replace(links[2], inertial=body)
-    return system.replace(arm=dataclasses.replace(system.arm, links=tuple(links)))
 
 
 @warp_needed

@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 
+from tests.reach import ACROSS
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.kinematics import frames
 from ves_gym.mechanics.motion import quintic
@@ -18,17 +19,10 @@ from ves_gym.planners.obstacles import Box, Sphere, Surroundings
 from ves_gym.planners.ompl_search import Ompl, SearchProcess
 from ves_gym.planners.paths import cruise, follow, resample
 from ves_gym.planners.query import NoPlan, Query, solve
-from ves_gym.planners.suites import SPEED_LIMITS
 from ves_gym.system.system import System
 
 BENT = System(vehicle=BENT_THESIS)
 
-# from one side to the other past a pillar that the straight line runs into
-PILLAR = Surroundings(obstacles=(Box(centre=(0.75, 0.0, 0.7), size=(0.2, 0.2, 0.8)),))
-ACROSS = Query(
-    system=BENT, start=(-1.0, 0.1, 0.2), goal=(1.0, 0.1, 0.2),
-    duration=4.0, v_max=SPEED_LIMITS, surroundings=PILLAR,
-)  # fmt: skip
 LONG = Query(system=BENT, start=(-1.0, -0.8, 1.5), goal=(1.2, 0.9, -1.4), duration=8.0)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.arms import seven_joint_arm
+from tests.reach import ACROSS
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.limits import limit_ratios
 from ves_gym.mechanics.motion import Motion
@@ -15,22 +16,17 @@ from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners import refine as refine_module
 from ves_gym.planners import sequential
 from ves_gym.planners.direct import MotionProblem
-from ves_gym.planners.obstacles import Box, Surroundings, collisions
+from ves_gym.planners.obstacles import collisions
 from ves_gym.planners.prediction import predict
-from ves_gym.planners.query import Query, first_violation, solve
+from ves_gym.planners.query import first_violation, solve
 from ves_gym.planners.refine import Refined, refine
 from ves_gym.planners.registry import get_planner
-from ves_gym.planners.suites import SPEED_LIMITS, reach100
+from ves_gym.planners.suites import reach100
 from ves_gym.system.system import System
 
 BENT = System(vehicle=BENT_THESIS)
 
 QUERIES = {q.name: q for _, q in reach100(BENT, "bent-thesis", 3).queries}
-PILLAR = Surroundings(obstacles=(Box(centre=(0.75, 0.0, 0.7), size=(0.2, 0.2, 0.8)),))
-ACROSS = Query(
-    system=BENT, start=(-1.0, 0.1, 0.2), goal=(1.0, 0.1, 0.2),
-    duration=4.0, v_max=SPEED_LIMITS, surroundings=PILLAR,
-)  # fmt: skip
 
 
 def energy(query, motion):
@@ -75,7 +71,7 @@ def test_it_goes_around_obstacles():
     assert "obstacle 1 (box)" in first_violation(ACROSS, ACROSS.straight)
     plan = solve(Refined(), ACROSS)
     assert plan.feasible
-    checker = collisions(BENT, PILLAR)
+    checker = collisions(BENT, ACROSS.surroundings)
     assert checker.first_contact(plan.motion.at(np.linspace(0, 4.0, 4001)).q) is None
     rough = solve(get_planner("ompl-qt"), ACROSS)
     assert plan.predicted.E_mean < rough.predicted.E_mean
