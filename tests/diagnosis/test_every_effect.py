@@ -5,6 +5,7 @@ changes a channel, over that channel's noise, of the channel that it changes mos
 """
 
 import dataclasses
+import functools
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -179,46 +180,31 @@ def seen(residuals, null, candidate, count):
     return null.deviance - found.deviance, needed, found.values[0]
 
 
-@pytest.fixture(scope="module")
-def healthy():
-    """System -> its log with nothing hidden, and its library."""
-    memory = {}
-
-    def of(system):
-        if system not in memory:
-            log, machine = played(system), SystemMachine(system)
-            memory[system] = log, library_of(machine, [run_of(log, "run")])
-        return memory[system]
-
-    return of
+@functools.cache
+def healthy(system):
+    """The log of a system with nothing hidden, and its library."""
+    log = played(system)
+    return log, library_of(SystemMachine(system), [run_of(log, "run")])
 
 
-@pytest.fixture(scope="module")
-def quiet(healthy):
-    """System, ports -> residuals of its log with nothing hidden, and the fit of nothing."""
-    memory = {}
-
-    def of(system, ports):
-        key = system, tuple(ports)
-        if key not in memory:
-            memory[key] = residuals_of(system, noisy(healthy(system)[0]), ports)
-        return memory[key]
-
-    return of
+@functools.cache
+def quiet(system, ports):
+    """Residuals of its log with nothing hidden, and the fit of nothing."""
+    return residuals_of(system, noisy(healthy(system)[0]), ports)
 
 
-@pytest.fixture(scope="module")
-def whole(healthy):
-    """System -> residuals at all ports of its log with nothing hidden."""
-    memory = {}
+@functools.cache
+def whole(system):
+    """Residuals at all ports of its log with nothing hidden."""
+    run = run_of(noisy(healthy(system)[0]), "run")
+    return WhitenedResiduals(SystemMachine(system), [run])
 
-    def of(system):
-        if system not in memory:
-            run = run_of(noisy(healthy(system)[0]), "run")
-            memory[system] = WhitenedResiduals(SystemMachine(system), [run])
-        return memory[system]
 
-    return of
+@pytest.fixture(scope="module", autouse=True)
+def forget():
+    yield
+    for memory in (healthy, quiet, whole):
+        memory.cache_clear()
 
 
 def injected(every, kind):
@@ -236,7 +222,7 @@ def test_every_effect_that_can_be_named_is_tried_here():
 
 
 @pytest.mark.parametrize("kind", SIZES)
-def test_an_effect_of_ten_times_the_noise_is_seen_at_its_port(kind, healthy, quiet):
+def test_an_effect_of_ten_times_the_noise_is_seen_at_its_port(kind):
     """Its candidate gains what a name needs, finds the numbers, and is quiet without it."""
     system = MACHINES.get(kind, SYSTEM)
     null, every = healthy(system)
@@ -249,7 +235,7 @@ def test_an_effect_of_ten_times_the_noise_is_seen_at_its_port(kind, healthy, qui
     if numbers is not None:
         clear = numbers != 0
         np.testing.assert_allclose(found[clear], numbers[clear], rtol=ROUGH.get(kind, 0.15))
-    gained, needed, _ = seen(*quiet(system, candidate.ports), candidate, len(every))
+    gained, needed, _ = seen(*quiet(system, tuple(candidate.ports)), candidate, len(every))
     assert gained < needed
 
 
@@ -269,7 +255,7 @@ SILENT = {  # of which test_ports.py and test_admittance.py say the same, if not
         if k != "sensor/drift"
     ],
 )
-def test_an_effect_that_is_described_leaves_nothing(kind, healthy, whole):
+def test_an_effect_that_is_described_leaves_nothing(kind):
     """At every port, without noise: what is left could be taken for a second effect."""
     system = MACHINES.get(kind, SYSTEM)
     _, _, effect = injected(healthy(system)[1], kind)
@@ -282,7 +268,7 @@ def test_an_effect_that_is_described_leaves_nothing(kind, healthy, whole):
 
 
 @pytest.mark.parametrize(("times", "told"), [(1.0, True), (8.0, False)])
-def test_a_spring_that_swings_in_the_band_is_not_charged_for_the_noise(times, told, healthy):
+def test_a_spring_that_swings_in_the_band_is_not_charged_for_the_noise(times, told):
     """8 Hz, hardly damped: it multiplies the noise of angles, and more damping leaves less.
 
     Under little noise the damping is told; under much it comes out larger, with its deviation,
@@ -308,7 +294,7 @@ def test_a_spring_that_swings_in_the_band_is_not_charged_for_the_noise(times, to
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", SIZES)
-def test_an_effect_of_ten_times_the_noise_is_named(kind, healthy):
+def test_an_effect_of_ten_times_the_noise_is_named(kind):
     """Against the whole library, from one run."""
     system = MACHINES.get(kind, SYSTEM)
     candidate, _, effect = injected(healthy(system)[1], kind)
@@ -401,13 +387,13 @@ OWN = {  # kind -> name of its number, value at ten times the noise, place
 }
 
 
-LONGER = ("own/forgotten_tool", "own/heavy_link")  # beside a law of torque and a base's
+LONGER = ("own/forgotten_tool", "own/guy_wire", "own/heavy_link")  # beside a law of torque
 
 
 @pytest.mark.parametrize(
     "kind", [pytest.param(k, marks=pytest.mark.slow) if k in LONGER else k for k in OWN]
 )
-def test_an_effect_of_one_s_own_is_named_with_no_other_edit(own, kind, healthy):
+def test_an_effect_of_one_s_own_is_named_with_no_other_edit(own, kind):
     name, value, place = OWN[kind]
     effect = own[kind](**{name: (0.0, value, 0.0) if place else value})
     log = played(SYSTEM, effect)
@@ -447,7 +433,7 @@ def test_an_effect_of_one_s_own_is_compiled_and_randomised(own):
     env.close()
 
 
-def test_effects_of_one_s_own_are_quiet_where_nothing_is_missing(own, healthy):
+def test_effects_of_one_s_own_are_quiet_where_nothing_is_missing(own):
     found = vg.diagnose(noisy(healthy(SYSTEM)[0]), as_logged=True)
     assert found.verdict == d.NOTHING
     assert set(own) <= {c.kind for c in found.signatures.candidates}

@@ -153,7 +153,7 @@ QUICK = {
     ),
 }
 
-LONGER = ("friction", "straight", "satellite")
+LONGER = ("nominal", "friction", "straight", "satellite")
 
 
 @pytest.mark.parametrize(  # the laboratory's errors are further off than friction alone

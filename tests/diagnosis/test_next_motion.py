@@ -97,6 +97,7 @@ def test_what_could_not_be_seen_gets_a_motion_that_shows_it():
     assert "at their usual size" in designed.sentence
 
 
+@pytest.mark.slow
 def test_a_limit_that_no_run_came_near_is_reached():
     """A motor of joint 3 that gives 0.6 less than said, at hand a move of 1 mrad."""
     kinds, truth = (*KINDS, "joint/torque_limit"), JointTorqueLimit(fraction=(0.0, 0.0, 0.6))

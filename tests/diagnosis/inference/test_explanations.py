@@ -28,7 +28,23 @@ def found(hidden):
     ports = [p.name for p in machine.ports]
     every = library(system.arm.n, ports, system.mode, system=system)
     some = [c for c in every if c.kind in KINDS]
-    return d.diagnose(machine, runs, candidates=some, limits=Thresholds(alike=np.inf))
+    limits = Thresholds(alike=np.inf)
+    return d.diagnose(machine, runs[:-1], runs[-1:], candidates=some, limits=limits)
+
+
+def test_a_gain_is_named_and_the_gap_shrinks(found):
+    names = [(f.candidate.kind, f.candidate.slot) for f in found.explanations]
+    assert names == [("joint/drive_gain", "joint 2")]
+    assert found.explanations[0].values[0] == pytest.approx(0.1, rel=0.1)
+    before, after = (
+        np.array([getattr(g, side) for g in found.final]) for side in ("before", "after")
+    )
+    worst = before.argmax()
+    assert found.final[worst].port == "joint" and found.final[worst].channel == "tau_2"
+    assert after[worst] ** 2 - 1 < 0.1 * (before[worst] ** 2 - 1)
+    assert (after <= 1.02 * np.maximum(before, 1)).all()  # no other channel is worse
+    better = found.residuals.machine.model(d.added(found)).system
+    assert System.from_dict(better.to_dict()) == better
 
 
 def test_the_best_candidate_is_ranked_as_a_full_fit_has_it(found):

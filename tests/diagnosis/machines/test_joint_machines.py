@@ -83,7 +83,7 @@ def test_friction_of_an_arm_and_of_a_coupled_shaft_are_two_causes(bodies):
     assert named["shaft/friction"].candidate.slot == "shoulder and elbow"
 
 
-@pytest.mark.parametrize("kind", ["urdf", "mjcf"])
+@pytest.mark.parametrize("kind", ["urdf", pytest.param("mjcf", marks=pytest.mark.slow)])
 def test_a_payload_is_one_cause_with_mass_and_centre(bodies, kind):
     machine = MjcfMachine("arm", JOINTS, bodies if kind == "urdf" else rigid_arm.mjcf())
     run = logged(2, mass=2.8, centre=(0.2, 0.0, 0.06))
