@@ -44,6 +44,13 @@ def emulated(**options):
     return {c.name: c for c in library(3, PORTS, "emulated", ["a"], 0.4, **options)}
 
 
+class Idle(LaboratoryEffect):
+    """An effect of which only what it says of itself is of interest."""
+
+    def edit(self, p):
+        pass
+
+
 @pytest.fixture
 def registered():
     """Register effects of one's own, and forget them again."""
@@ -157,34 +164,22 @@ def test_a_plain_effect_per_joint_needs_no_more_than_its_parameters(registered):
 
 
 def test_shapes_say_the_places(registered):
-    class Vector(LaboratoryEffect):
+    class Vector(Idle):
         port = "wrench"
         shift: tuple[float, ...] = parameter("m", bounds=(-0.1, 0.1), shape=(3,))
 
-        def edit(self, p):
-            pass
-
-    class Six(LaboratoryEffect):
+    class Six(Idle):
         port = "platform"
         lost: tuple[float, ...] = parameter("m, rad", bounds=(-1.0, 1.0), shape=(6,))
 
-        def edit(self, p):
-            pass
-
-    class Matrix(LaboratoryEffect):
+    class Matrix(Idle):
         port = "wrench"
         mixed: tuple = parameter("1", bounds=(-1.0, 1.0), shape=(6, 6))
 
-        def edit(self, p):
-            pass
-
-    class Factor(LaboratoryEffect):
+    class Factor(Idle):
         port = "gravity"
         gain: float = parameter("1", bounds=(0.5, 2.0), null=1.0)
         tilt: tuple[float, ...] = parameter("rad", bounds=(-0.1, 0.1), shape=(3,))
-
-        def edit(self, p):
-            pass
 
     registered("own/vector", Vector)
     registered("own/six", Six)
@@ -206,13 +201,10 @@ def test_shapes_say_the_places(registered):
 
 
 def test_an_effect_whose_places_do_not_fit_is_left_out_with_the_reason(registered):
-    class Odd(LaboratoryEffect):
+    class Odd(Idle):
         port = "wrench"
         places = "joint"
         table: tuple = parameter("1", bounds=(0.0, 1.0), shape=(2, 2))
-
-        def edit(self, p):
-            pass
 
     cls = registered("own/odd", Odd)
     assert "own/odd" not in {c.kind for c in emulated().values()}

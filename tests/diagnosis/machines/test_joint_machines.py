@@ -8,7 +8,6 @@ import pytest
 
 from tests.diagnosis.machines import rigid_arm
 from ves_gym._util.params import ParameterError
-from ves_gym._util.recordings import read_columns
 from ves_gym._util.signals import downsampled
 from ves_gym.cli.main import main
 from ves_gym.diagnosis import diagnose as d
@@ -179,7 +178,6 @@ def test_a_urdf_and_csv_without_a_clock_go_to_a_better_mapping(tmp_path, capsys)
         ("step =", "offset =", "a column or a step"),
         ("start = 0.5", "start = 99.0", "no rows between start and stop"),
         ('"inertia of *"', '"inertia of waste_link"', "known: no tolerance"),
-        ('name = "waist"', 'name = "waste"', "the model has no joint 'waste'"),
         ('"small.urdf"', '"none.urdf"', "none.urdf: cannot be read"),
     ],
 )
@@ -193,13 +191,6 @@ def test_a_mapping_that_does_not_fit_is_refused_by_its_key(tmp_path, old, new, m
     (tmp_path / "arm.toml").write_text(MAPPING.replace(old, new, 1))
     with pytest.raises(ParameterError, match=match):
         read_machine(tmp_path / "arm.toml")[1](tmp_path / "run")
-
-
-def test_columns_that_two_files_name_alike_are_told_apart(tmp_path):
-    (tmp_path / "a.csv").write_text("t,x\n0,1\n1,2\n")
-    (tmp_path / "b.csv").write_text("t,x\n0,3\n1,4\n")
-    columns = read_columns(tmp_path)
-    assert set(columns) == {"t", "a:t", "b:t", "a:x", "b:x"}
 
 
 def test_a_down_sampled_signal_has_its_motion_and_nothing_folded_into_it():

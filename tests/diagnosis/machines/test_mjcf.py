@@ -257,22 +257,11 @@ def test_laws_see_a_slide_on_its_pinion(machine):
     assert np.allclose(gained[:, 0], want, atol=1e-6 * np.abs(load).max())
 
 
-MAPPING = """
-schema = "ves-machine/1"
-name = "arm"
-model = "arm.xml"
-time = { column = "t" }
-[[joint]]
-name = "shoulder"
-position = { column = "q1", gain = 0.017453292519943295 }
-force = [{ column = "i1", gain = 2.0 }, { column = "known" }]
-[[joint]]
-name = "reach"
-type = "slide"
-radius = 0.1
-position = { column = "q2", offset = 0.1 }
-force = [{ column = "i2" }]
-"""
+MAPPING = (  # with gains, an offset, and a force of two columns
+    COMMAND.replace('"q1"', '"q1", gain = 0.017453292519943295')
+    .replace('"q2"', '"q2", offset = 0.1')
+    .replace('{ column = "i1" }', '{ column = "i1", gain = 2.0 }, { column = "known" }')
+)
 
 
 @pytest.fixture
