@@ -35,7 +35,7 @@ class TrainConfig:
     network or the noise start is said by `layers`, `activation` and `log_std`.
 
     With `imitate`, the policy first learns what a built-in controller does (`imitation` are
-    the fields of `imitation.ImitationConfig`); its decisions count as steps. Algorithm DAgger
+    the fields of `learner.ImitationConfig`); its decisions count as steps. Algorithm DAgger
     does no more than that.
     """
 

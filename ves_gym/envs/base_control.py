@@ -91,9 +91,8 @@ class BaseControl:
         wrench = None
         if self.jets:
             wrench = asked[:, motors:].copy()
-            wrench[:, 3:] += np.cross(
-                np.asarray(vehicle.body.com, float), wrench[:, :3]
-            )  # about the platform
+            com = np.asarray(vehicle.body.com, float)
+            wrench[:, 3:] += np.cross(com, wrench[:, :3])  # about the platform
         torque = asked[:, :motors] if motors else None
         acts.command(wrench, torque)
 

@@ -24,10 +24,8 @@ from ves_gym.system.system import System
 from ves_gym.system.system_library import get_system
 
 _KNOWN = tuple(entry.task for entry in IDS.values())
-_FILES = {
-    "reach_goal": "reach",
-    "seam": "track",
-}  # of `ves_gym.envs`, where not of the task's name
+# modules of `ves_gym.envs` that hold a task of another name
+_FILES = {"reach_goal": "reach", "seam": "track"}
 
 
 class UnknownKeywordError(ParameterError, TypeError):

@@ -121,10 +121,12 @@ def make_entry(
 
 def track_of(problem: Problem, seeds: Seeds, method: Method, workers: int) -> BoardTrack:
     """The track of a problem that a method answers; `workers` are processes that plan."""
-    kind = {"paths": PathTrack, "tasks": TaskTrack, "damping": DampTrack}[problem.track]
-    if problem.track == "damping" and problem.environment is None:
-        kind = GainTrack
-    return kind(problem, seeds, method, workers)
+    given = problem, seeds, method, workers
+    if problem.track == "paths":
+        return PathTrack(*given)
+    if problem.track == "tasks":
+        return TaskTrack(*given)
+    return GainTrack(*given) if problem.environment is None else DampTrack(*given)
 
 
 @on_one_thread()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -33,7 +34,7 @@ class Answers(NamedTuple):
 
 
 @dataclass(frozen=True)
-class BoardTrack:
+class BoardTrack(ABC):
     """A problem to be answered and replayed; a track's own way is a subclass."""
 
     problem: Problem
@@ -41,10 +42,11 @@ class BoardTrack:
     method: Method
     workers: int = 1  # processes that plan
 
+    @abstractmethod
     def shape(self) -> tuple[int, ...]:
         """Shape of an answer but for its first axis."""
-        raise NotImplementedError
 
+    @abstractmethod
     def answer(self, agents: Sequence[Any], progress: Progress = no_progress) -> Answers:
         """Let a method answer.
 
@@ -52,15 +54,14 @@ class BoardTrack:
             agents: one per group.
             progress: called with the stage and the fraction done.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def replay(self, recording: Recording) -> Results:
         """Results of recorded answers, by simulation.
 
         Raises:
             Refused: WRONG_LENGTH, BAD_RECORDING, LEDGER_RESIDUAL.
         """
-        raise NotImplementedError
 
     def results(self, answers: Answers) -> Results:
         """Results of answers, with the seconds that they took."""
