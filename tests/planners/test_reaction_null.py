@@ -12,7 +12,7 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
-from ves_gym.planners.coupling import coupling_matrix, disturbance_matrix
+from ves_gym.planners.coupling import blocks, coupling_matrix
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.reaction_null import (
     ReactionNull,
@@ -48,6 +48,13 @@ def test_more_than_six_joints_have_a_reaction_null_space():
     np.testing.assert_allclose(N.T @ N, np.eye(2), atol=1e-12)
     assert np.abs(inertia(EIGHT, HOME)[:6, 6:] @ N).max() < 1e-9
     assert np.abs(coupling_matrix(system, HOME) @ N).max() < 1e-9
+
+
+def disturbance_matrix(system, q):
+    """By which joint rates turn a free base, squared."""
+    b = blocks(system, q)
+    turn = np.linalg.solve(b.Mt, b.Hbm)[3:6]
+    return turn.T @ turn
 
 
 def test_three_joints_have_none():

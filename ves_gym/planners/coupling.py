@@ -26,7 +26,6 @@ from ves_gym.mechanics.vehicle import BaseModel
 from ves_gym.system.system import System
 
 _MANY = 3000  # angles from which compiled code pays, its first use included
-_SAME = 0.2  # rad: spots nearer than this are one
 
 
 def blocks(system: System, q: npt.ArrayLike, base: BaseModel | None = None) -> InertiaBlocks:
@@ -83,17 +82,6 @@ def metric(system: System, q: npt.ArrayLike, duration: float | None) -> Array:
     return band_limited(system, q, duration)
 
 
-def disturbance_matrix(system: System, q: npt.ArrayLike) -> Array:
-    """A_r^T A_r (..., n, n) [1] with the base's rotation per joint motion A_r.
-
-    The disturbance map of a free-floating base: from rest a small joint motion dq turns it
-    by sqrt(dq^T A_r^T A_r dq) [rad], for momentum is conserved (Vafa and Dubowsky's map).
-    """
-    b = blocks(system, q)
-    turn = np.linalg.solve(b.Mt, b.Hbm)[..., 3:6, :]
-    return np.swapaxes(turn, -1, -2) @ turn
-
-
 class Directions(NamedTuple):
     """Joint directions of least to most coupling, independent of joint scaling."""
 
@@ -101,19 +89,12 @@ class Directions(NamedTuple):
     vectors: Array  # (..., n, n) columns, normalised in the effective joint inertia
 
 
-def invariant_directions(
-    system: System, q: npt.ArrayLike, duration: float | None = None
-) -> Directions:
-    """Solutions of Q v = lambda (H_m - H_bm^T M_t^-1 H_bm) v; of Q_T with a duration [s]."""
+def invariant_directions(system: System, q: npt.ArrayLike) -> Directions:
+    """Solutions of Q v = lambda (H_m - H_bm^T M_t^-1 H_bm) v."""
     b = blocks(system, q)
     effective = b.Hm - np.swapaxes(b.Hbm, -1, -2) @ np.linalg.solve(b.Mt, b.Hbm)
-    directions = _modes_of(metric(system, q, duration), effective)
-    return Directions(*directions)
-
-
-def _modes_of(K: Array, M: Array) -> tuple[Array, Array]:
-    solution = natural_modes(K, M)
-    return solution.omega**2, solution.shapes
+    solution = natural_modes(coupling_matrix(system, q), effective)
+    return Directions(solution.omega**2, solution.shapes)
 
 
 def coupling_length(

@@ -18,14 +18,11 @@ from scipy.stats import qmc
 from ves_gym._util.params import Array, ParameterError, write_bytes
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.views import Viewable
-from ves_gym.planners.coupling import disturbance_matrix, metric
+from ves_gym.planners.coupling import metric
 from ves_gym.planners.metric import Metric
 from ves_gym.system.system import System
 
 OTHERS = ("given", "least", "most")
-# of a map's file
-_ARRAYS = ("joints", "first", "second", "fixed", "duration", "least", "most", "direction",
-           "disturbance", "others")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -35,21 +32,19 @@ class CouplingMap(Viewable):
     joints: tuple[int, int]  # which joints, from 0
     axes: tuple[Array, Array]  # grid of each [rad]
     fixed: Array  # (n,) configuration of the others, where they are given [rad]
-    duration: float | None  # of Q_T [s]; None is raw Q, or the disturbance matrix
-    least: Array  # (ni, nj) smaller eigenvalue of the 2x2 block [J/rad^2; disturbance: 1]
+    duration: float | None  # of Q_T [s]; None is raw Q
+    least: Array  # (ni, nj) smaller eigenvalue of the 2x2 block [J/rad^2]
     most: Array  # (ni, nj) larger eigenvalue
     direction: Array  # (ni, nj, 2) unit joint direction of least coupling
-    disturbance: bool = False  # of a free-floating base instead of coupling
     others: str = "given"  # or chosen at every point: one of OTHERS
     angles: Array | None = None  # (ni, nj, n) configurations, where the others are chosen
 
     def __repr__(self) -> str:
         i, j = self.joints
         kind = "Q" if self.duration is None else f"Q_T for {self.duration:g} s"
-        kind, unit = ("disturbance", "") if self.disturbance else (kind, " J/rad^2")
         return (
             f"<CouplingMap: {kind} of joints {i + 1} and {j + 1}, {self.most.min():.4g} to"
-            f" {self.most.max():.4g}{unit} along the worst direction>"
+            f" {self.most.max():.4g} J/rad^2 along the worst direction>"
         )
 
     def __str__(self) -> str:
@@ -77,11 +72,7 @@ class CouplingMap(Viewable):
         if Path(path).suffix != ".npz":
             raise ParameterError(f"{path}: expected a .npz name, got {Path(path).suffix!r}")
         buffer = io.BytesIO()
-        duration = np.nan if self.duration is None else self.duration
-        arrays: dict[str, Any] = {} if self.angles is None else {"angles": self.angles}
-        values = (np.array(self.joints), *self.axes, self.fixed, duration, self.least,
-                  self.most, self.direction, self.disturbance, self.others)  # fmt: skip
-        arrays |= zip(_ARRAYS, values, strict=True)
+        arrays = {k: np.asarray(v) for k, v in vars(self).items() if v is not None}
         np.savez_compressed(buffer, **arrays)
         write_bytes(path, buffer.getvalue())
 
@@ -94,34 +85,27 @@ class CouplingMap(Viewable):
         """
         try:
             with np.load(io.BytesIO(Path(path).read_bytes())) as file:  # unpickles nothing
-                arrays: dict[str, Any] = {name: file[name] for name in _ARRAYS}
-                if "angles" in file:  # where the others were chosen
-                    arrays["angles"] = file["angles"]
+                part: dict[str, Any] = dict(file)
+            duration = part["duration"].item() if "duration" in part else None
+            whole = {"duration": duration, "others": part["others"].item()}
+            pairs = {"joints": tuple(part["joints"].tolist()), "axes": tuple(part["axes"])}
+            return CouplingMap(**part | whole | pairs)
         except (OSError, EOFError, ValueError, KeyError, AttributeError, TypeError,
                 BadZipFile) as error:  # fmt: skip
             raise ParameterError(f"{path}: no coupling map can be read: {error}") from None
-        i, j = (int(k) for k in arrays.pop("joints"))
-        duration = float(arrays.pop("duration"))
-        return CouplingMap(
-            joints=(i, j),
-            axes=(arrays.pop("first"), arrays.pop("second")),
-            duration=None if np.isnan(duration) else duration,
-            disturbance=bool(arrays.pop("disturbance")),
-            others=str(arrays.pop("others")),
-            **arrays,
-        )
 
-    def lines(self, spacing: float = 0.05, step: float = 0.2) -> list[Array]:
+    def lines(self, spacing: float = 0.05) -> list[Array]:
         """Minimum-energy lines: curves (k, 2) [rad] along the least-coupling direction.
 
-        Args:
-            spacing: least distance between lines, as a fraction of the map's width.
-            step: integration step in grid cells.
+        Traced until none is missing anywhere; a line ends at the edge, where another one runs
+        already, or where it has come round. `spacing`: least distance between lines, as a
+        fraction of the map's width.
         """
-        for name, value in (("spacing", spacing), ("step", step)):
-            if not 0 < value <= 1:
-                raise ParameterError(f"{name} must be > 0 and <= 1, got {value!r}")
-        return trace_lines(self.axes, self.direction, spacing, step)
+        origin, second = np.array([axis[:2] for axis in self.axes]).T
+        tracer = _Tracer(self.direction / (second - origin), max(2, round(1 / spacing)))
+        least = 1.5 / spacing / tracer.bins
+        curves = [c for c in map(tracer.trace, tracer.seeds()) if len(c) * _STEP > least]
+        return [origin + np.array(curve) * (second - origin) for curve in curves]
 
 
 def cross_section(
@@ -131,32 +115,23 @@ def cross_section(
     points: int,
     *,
     least: int,
-    limits: tuple[tuple[float, float], tuple[float, float]] | None = None,
 ) -> tuple[tuple[Array, Array], Array]:
     """Return both axes of a cross-section of joint space, and its grid (points, points, n).
 
     Args:
         system: its arm has n joints.
-        joints: numbers of the two joints swept, from 0.
+        joints: numbers of the two joints swept over their range, from 0.
         fixed: (n,) configuration of the others [rad].
         points: of the grid, per axis; `least` are needed.
-        limits: (low, high) of both joints [rad]; default their range.
     """
     arm, (i, j) = system.arm, joints
     arm.require_rigid("a coupling map")
     arm.require_turning("a coupling map")
-    if not (0 <= i < arm.n and 0 <= j < arm.n and i != j):
-        raise ParameterError(
-            f"joints must be two different numbers in [0, {arm.n}), got {joints}"
-        )
     if points < least:
         raise ParameterError(f"points must be >= {least}, got {points}")
     at = arm.require_within_limits(fixed, "fixed")
-    ranges = limits or tuple((arm.links[k].q_min, arm.links[k].q_max) for k in joints)
-    for low, high in ranges:
-        if not (np.isfinite([low, high]).all() and low < high):
-            raise ParameterError(f"limits must be (low, high) in rad, got ({low}, {high})")
-    first, second = (np.linspace(low, high, points) for low, high in ranges)
+    links = arm.links[i], arm.links[j]
+    first, second = (np.linspace(link.q_min, link.q_max, points) for link in links)
     q = np.tile(at, (points, points, 1))
     q[..., i], q[..., j] = np.meshgrid(first, second, indexing="ij")
     return (first, second), q
@@ -169,8 +144,6 @@ def coupling_map(
     *,
     duration: float | None = None,
     points: int = 61,
-    limits: tuple[tuple[float, float], tuple[float, float]] | None = None,
-    disturbance: bool = False,
     others: str = "given",
     progress: Callable[[float], None] | None = None,
 ) -> CouplingMap:
@@ -185,36 +158,27 @@ def coupling_map(
         fixed: (n,) configuration of the others [rad]; where they are chosen, a first guess.
         duration: of Q_T [s]; None for raw Q.
         points: of the grid, per axis.
-        limits: (low, high) of both joints [rad]; default their range.
-        disturbance: map `disturbance_matrix` instead.
         others: one of OTHERS.
         progress: called with the fraction done.
 
     Raises:
-        ParameterError: bad joints, limits, points or others, or a disturbance map with a
-            duration.
+        ParameterError: bad points, others, duration or configuration.
     """
-    if disturbance and duration is not None:
-        raise ParameterError(f"a disturbance map has no duration, got {duration!r}")
     if others not in OTHERS:
         raise ParameterError(
             f"others must be one of {', '.join(OTHERS)}, got {others!r}"
             f"{did_you_mean(others, OTHERS)}"
         )
     arm, (i, j) = system.arm, joints
-    axes, q = cross_section(system, joints, fixed, points, least=4, limits=limits)
+    axes, q = cross_section(system, joints, fixed, points, least=4)
 
     def block(angles: Array) -> Array:
-        if disturbance:
-            full = disturbance_matrix(system, angles)
-        else:
-            full = metric(system, angles, duration)
-        return full[..., [i, j], :][..., :, [i, j]]
+        return metric(system, angles, duration)[..., [i, j], :][..., :, [i, j]]
 
     chosen = others != "given"
     if chosen:
         sign = 1.0 if others == "least" else -1.0
-        of = _fast_block(system, (i, j), duration, disturbance) or block
+        of = _fast_block(system, (i, j), duration) or block
         q = minimise_on_grid(
             lambda angles: sign * _larger(of(angles)),
             q,
@@ -226,7 +190,7 @@ def coupling_map(
     values, vectors = np.linalg.eigh(block(q))
     least, most, direction = values[..., 0], values[..., 1], vectors[..., :, 0]
     return CouplingMap((i, j), axes, np.asarray(fixed, float), duration, least, most, direction,
-                       disturbance, others, q if chosen else None)  # fmt: skip
+                       others, q if chosen else None)  # fmt: skip
 
 
 def _larger(block: Array) -> Array:
@@ -237,15 +201,15 @@ def _larger(block: Array) -> Array:
 
 
 def _fast_block(
-    system: System, joints: tuple[int, int], duration: float | None, disturbance: bool
+    system: System, joints: tuple[int, int], duration: float | None
 ) -> Callable[[Array], Array] | None:
     """The block from compiled squares (a's, c's and that of their sum), None for raw Q.
 
     Raw Q is compiled as a whole (`coupling_matrix`).
     """
-    if not disturbance and (duration is None or not system.base.K.any()):
+    if duration is None or not system.base.K.any():
         return None
-    squares = Metric(system, "disturbance" if disturbance else "qt", duration)
+    squares = Metric(system, duration)
     steps = np.eye(system.arm.n)[list(joints)]
     steps = np.stack([*steps, steps.sum(axis=0)])
 
@@ -334,43 +298,24 @@ def _shifted(q: Array, rows: int, columns: int) -> Array:
     return out
 
 
+_STEP = 0.2  # of a line, in grid cells
 _STRIDE = 7919  # prime: seeds of lines come from all over the map, not row by row
 
 Point = tuple[float, float]
 Cell = tuple[int, int]
 
 
-def trace_lines(
-    axes: tuple[Array, Array], field: Array, spacing: float, step: float
-) -> list[Array]:
-    """Trace lines until none is missing anywhere: polylines (k, 2) in the unit of the axes.
-
-    A line ends at the edge, where another one runs already, or where it has come round.
-
-    Args:
-        axes: grid of both coordinates, evenly spaced, (ni,) and (nj,).
-        field: (ni, nj, 2) unit directions, their sign without meaning.
-        spacing, step: as `CouplingMap.lines` takes them.
-    """
-    origin = np.array([axes[0][0], axes[1][0]])
-    cell = np.array([axes[0][1] - axes[0][0], axes[1][1] - axes[1][0]])
-    tracer = _Tracer(field / cell, max(2, round(1 / spacing)), step)
-    least = 1.5 / spacing / tracer.bins
-    curves = [c for c in map(tracer.trace, tracer.seeds()) if len(c) * step > least]
-    return [origin + np.array(curve) * cell for curve in curves]
-
-
 class _Tracer:
     """Marches in units of grid cells and remembers where lines have been."""
 
-    def __init__(self, field: Array, bins: int, step: float) -> None:
+    def __init__(self, field: Array, bins: int) -> None:
         self.field: list[list[list[float]]] = field.tolist()  # per cell, not normalised
         self.size = field.shape[0] - 1, field.shape[1] - 1
-        self.bins, self.step = bins, step
+        self.bins = bins
         self.taken: set[Cell] = set()
-        self.longest = int(8 * max(self.size) / step)
+        self.longest = int(8 * max(self.size) / _STEP)
         # longer away from a bin than this, a line has come round
-        self.lap = int(3 * max(self.size) / bins / step)
+        self.lap = int(3 * max(self.size) / bins / _STEP)
 
     def seeds(self) -> list[Point]:
         """The middles of all bins, in an order that jumps about."""
@@ -395,15 +340,15 @@ class _Tracer:
 
     def march(self, at: Point, heading: Point, visited: set[Cell]) -> list[Point]:
         """Steps of the midpoint rule until the line has to end."""
-        curve, (x, y), step = [], at, self.step
+        curve, (x, y) = [], at
         width, height = self.size
         last_visit = {self.bin_of(at): 0}  # when the line was last in a bin
         for i in range(1, self.longest):
             heading = self.towards(x, y, heading)
-            middle_x = min(max(x + heading[0] * step / 2, 0.0), width)
-            middle_y = min(max(y + heading[1] * step / 2, 0.0), height)
+            middle_x = min(max(x + heading[0] * _STEP / 2, 0.0), width)
+            middle_y = min(max(y + heading[1] * _STEP / 2, 0.0), height)
             heading = self.towards(middle_x, middle_y, heading)
-            x, y = x + heading[0] * step, y + heading[1] * step
+            x, y = x + heading[0] * _STEP, y + heading[1] * _STEP
             if x < 0 or y < 0 or x > width or y > height:
                 break
             cell = self.bin_of((x, y))

@@ -90,7 +90,7 @@ class Roadmap:
         _, neighbours = self._tree.query(self.points, self._count + 1)
         heads = np.repeat(np.arange(_ROADMAP), self._count)
         self._edges = heads, neighbours[:, 1:].ravel()
-        self._lengths = Metric(system, "q" if duration is None else "qt", duration).lengths
+        self._lengths = Metric(system, duration).lengths
         self._costs = self._lengths(*(self.points[k] for k in self._edges))
 
     def route(self, start: Array, goal: Array) -> Array:

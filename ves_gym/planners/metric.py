@@ -1,8 +1,8 @@
 """Lengths of joint-space edges in the coupling metrics, compiled: what searches evaluate.
 
-A metric is a matrix of the configuration (`coupling.py`): raw Q, Q_T for a duration, or the
-disturbance map of a free base. An edge is straight; its length is the integral of
-sqrt(dq^T Q dq) along it by Gauss's rule, one node per lane, so one compiled call an edge.
+A metric is a matrix of the configuration (`coupling.py`): raw Q, or Q_T for a duration. An
+edge is straight; its length is the integral of sqrt(dq^T Q dq) along it by Gauss's rule, one
+node per lane, so one compiled call an edge.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import qmc
 
-from ves_gym._util.params import Array, ParameterError
-from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.params import Array
 from ves_gym.engine.kernel.build import LANES
 from ves_gym.engine.kernel.compiled_function import CompiledFunction, aligned, everywhere
 from ves_gym.engine.kernel.numbers import parameters, structure
@@ -29,7 +28,6 @@ from ves_gym.system.system import System
 if TYPE_CHECKING:
     import casadi
 
-METRICS = ("q", "qt", "disturbance")
 LEAST = 1e-2  # of the mean coupling: keeps null directions from being free
 _SWEEPS = 6  # of Jacobi's method on 6x6: quadratic, converged to rounding after five
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(LANES)
@@ -38,25 +36,17 @@ _SAMPLES = 256  # configurations the mean coupling is taken over
 
 
 class Metric:
-    """dq^T (Q(q) + least 1) dq with Q by `kind`; least is LEAST of the mean of Q's diagonal.
+    """dq^T (Q(q) + least 1) dq [J/rad^2]; least is LEAST of the mean of Q's diagonal.
 
-    Kinds: "q" raw Q, "qt" band-limited to a duration [J/rad^2], "disturbance" the rotation
-    of a free base per joint motion, squared. Where the vehicle has no stiffness Q is zero,
-    and "q" and "qt" stand for the base's kinetic energy, H_bm^T M_t^-1 H_bm [kg m^2].
+    Q is raw Q, or with a duration [s] Q_T. Where the vehicle has no stiffness Q is zero, and
+    the base's kinetic energy, H_bm^T M_t^-1 H_bm [kg m^2], stands for both.
     """
 
-    def __init__(self, system: System, kind: str, duration: float | None = None) -> None:
-        if kind not in METRICS:
-            raise ParameterError(
-                f"metric must be one of {', '.join(METRICS)}, got {kind!r}"
-                f"{did_you_mean(kind, METRICS)}"
-            )
-        if kind == "qt" and not (duration is not None and 0 < duration < np.inf):
-            raise ParameterError(f"metric qt needs a duration > 0 s, got {duration!r}")
-        self.kind, self.system, self.n = kind, system.ideal(), system.arm.n
-        self.duration = duration
+    def __init__(self, system: System, duration: float | None) -> None:
+        self.system, self.n = system.ideal(), system.arm.n
         base = self.system.base
-        if kind != "disturbance" and not base.K.any():
+        kind = "q" if duration is None else "qt"
+        if not base.K.any():
             kind = "kinetic"
         key = f"metric {kind} {structure(self.system)}"
         self._form = CompiledFunction(key, partial(_form, self.system, kind))
@@ -65,29 +55,15 @@ class Metric:
         fixed = (condensed[0].ravel(), condensed[2].ravel())
         robot = parameters(self.system)[1]
         self._p = np.concatenate([robot, *fixed, [duration or 0.0, 0.0]])
-        self._p[-1] = self._least()
-        self.floor = math.sqrt(self._p[-1])  # length that no step of 1 rad is below
-
-    @property
-    def least(self) -> float:
-        """Number added to the diagonal [unit of `squares` per rad^2]."""
-        return float(self._p[-1])
-
-    def _least(self) -> float:
-        """LEAST of the mean of the diagonal over the joint box."""
-        arm = self.system.arm
-        low, high = arm.column("q_min"), arm.column("q_max")
-        at = qmc.scale(qmc.Halton(self.n, scramble=False).random(_SAMPLES), low, high)
-        axes = np.eye(self.n)[:, None, :]
-        return LEAST * float(
-            np.mean(self.squares(at, np.broadcast_to(axes, (self.n, *at.shape))))
-        )
+        arm, halton = system.arm, qmc.Halton(self.n, scramble=False).random(_SAMPLES)
+        at = qmc.scale(halton, arm.column("q_min"), arm.column("q_max"))
+        diagonal = self.squares(at, np.eye(self.n)[:, None, :])
+        self.least = LEAST * float(np.mean(diagonal))  # added to the diagonal
+        self._p[-1] = self.least
+        self.floor = math.sqrt(self.least)  # length that no step of 1 rad is below
 
     def squares(self, q: npt.ArrayLike, dq: npt.ArrayLike) -> Array:
-        """dq^T (Q(q) + least 1) dq over leading axes of q and dq (..., n) [rad].
-
-        In [J], of kind disturbance [rad^2], kinetic [kg m^2 rad^2].
-        """
+        """dq^T (Q(q) + least 1) dq over leading axes of q and dq (..., n) [rad]."""
         at = np.concatenate(np.broadcast_arrays(q, dq), axis=-1).astype(float)
         return self._form(at, self._p)[..., 0]
 
@@ -95,14 +71,9 @@ class Metric:
         """Lengths (...) of straight edges from a to b (..., n); roots of `squares`'s unit."""
         start, step = np.asarray(a, float), np.asarray(b, float) - np.asarray(a, float)
         at = start[..., None, :] + _NODES[:, None] * step[..., None, :]
-        squares = self.squares(at, np.broadcast_to(step[..., None, :], at.shape))
+        squares = self.squares(at, step[..., None, :])
         out: Array = np.sqrt(np.maximum(squares, 0.0)) @ _WEIGHTS
         return out
-
-    def length(self, path: npt.ArrayLike) -> float:
-        """Length of a polyline (N, n)."""
-        points = np.asarray(path, float)
-        return float(self.lengths(points[:-1], points[1:]).sum())
 
     @cached_property
     def edge(self) -> Edge:
@@ -144,11 +115,7 @@ def _form(system: System, kind: str) -> casadi.Function:
         value = _band_limited(Mt, K, u, p[-2:-1])
     else:
         moved = solve_symmetric(Mt, u[:, None])[:, 0]  # of the base, per step
-        value = {
-            "q": lambda: moved @ (K @ moved),
-            "kinetic": lambda: u @ moved,
-            "disturbance": lambda: moved[3:] @ moved[3:],
-        }[kind]()
+        value = moved @ (K @ moved) if kind == "q" else u @ moved
     out = value + p[-1:] * (step @ step)
     return ca.Function("form", [column(x), column(p)], [ca.cse(column(out))])
 

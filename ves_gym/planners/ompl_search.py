@@ -399,7 +399,7 @@ def _costs(
             return max(abs(y - x) / v for x, y, v in zip(a, b, speed, strict=True))
 
         return lambda a, b: least(a.tolist(), b.tolist()), least
-    metric = Metric(query.system, objective, query.duration if objective == "qt" else None)
+    metric = Metric(query.system, query.duration if objective == "qt" else None)
     floor = metric.floor
     return metric.edge, lambda a, b: floor * math.dist(a, b)
 

@@ -93,7 +93,6 @@ def map_data(vehicle: str, section: CouplingMap, plans: list[Plan]) -> dict[str,
     if section.others != "given":
         others = f"others where coupling is {section.others}"
     what = "Q" if section.duration is None else f"Q_T for {section.duration:g} s"
-    what = "Disturbance" if section.disturbance else what
     data: dict[str, Any] = {
         "vehicle": vehicle,
         "title": f"{what}: joints {i + 1} and {j + 1} ({others})",

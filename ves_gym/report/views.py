@@ -264,9 +264,8 @@ def _(section: CouplingMap, ax: Any = None, paths: Sequence[Plan] = ()) -> Any:
 @facts.register
 def _(section: CouplingMap) -> Iterable[tuple[str, str]]:
     """Ranges of the coupling."""
-    unit = "" if section.disturbance else " J/rad²"
     for name, values in (("worst direction", section.most), ("best", section.least)):
-        yield name, f"{values.min():.4g} to {values.max():.4g}{unit}"
+        yield name, f"{values.min():.4g} to {values.max():.4g} J/rad²"
 
 
 # -------------------------------------------------------------------------- diagnosis
