@@ -22,7 +22,7 @@ from ves_gym.damping.plant import plant_at
 from ves_gym.damping.tuning import tune
 from ves_gym.envs.damp import Damp as Task
 from ves_gym.mechanics.vehicle import get_vehicle
-from ves_gym.planners.damp import DampRelease
+from ves_gym.planners.direct import DampRelease
 from ves_gym.planners.prediction import BaseState
 from ves_gym.planners.query import Query, solve
 from ves_gym.simulation.playback import play_motions

@@ -92,7 +92,7 @@ def test_a_query_nobody_can_answer_is_refused(options, message):
 
 def test_a_motion_continues_what_the_joints_do():
     moving = query(start_rate=(0.3, -0.2, 0.1), start_acceleration=(0.5, 0.0, -1.0))
-    for motion in (moving.straight, solve(Direct(iterations=3), moving).motion):
+    for motion in (moving.straight, solve(Direct(), moving).motion):
         begin, end = (k[0] for k in motion.at([0.0])[1:]), motion.at([2.0])
         for got, expected in zip(begin, (moving.start, *moving.start_motion), strict=True):
             np.testing.assert_allclose(got, expected, atol=1e-9)
@@ -107,7 +107,7 @@ def test_a_motion_continues_what_the_joints_do():
 
 def test_a_plan_against_a_moving_base_is_kept_with_it(tmp_path):
     base = BaseState(y=(0.05, 0.0, 0.0, 0.0, 0.0, 0.0))
-    plan = solve(Direct(iterations=5), query(base=base, start_rate=(0.1, 0.0, 0.0)))
+    plan = solve(Direct(), query(base=base, start_rate=(0.1, 0.0, 0.0)))
     plan.case.save(tmp_path / "case.toml")
     kept = load_case(tmp_path / "case.toml")
     assert kept == plan.case

@@ -17,7 +17,7 @@ import tempfile
 import tomllib
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -156,10 +156,14 @@ def require_choice(params: object, name: str, choices: tuple[str, ...]) -> None:
     Raises:
         ParameterError: lists the choices.
     """
-    value = getattr(params, name)
+    require_one_of(f"{type(params).__name__}.{name}", getattr(params, name), choices)
+
+
+def require_one_of(name: str, value: object, choices: Collection[str]) -> None:
+    """Raise ParameterError where a value is none of the choices; it lists them."""
     if value not in choices:
         raise ParameterError(
-            f"{type(params).__name__}.{name} must be one of {', '.join(choices)}, got {value!r}"
+            f"{name} must be one of {', '.join(choices)}, got {value!r}"
             f"{did_you_mean(value, choices)}"
         )
 

@@ -20,8 +20,14 @@ import numpy.typing as npt
 import scipy.linalg
 import scipy.optimize
 
-from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
-from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.params import (
+    Array,
+    ParameterError,
+    Vector,
+    finite,
+    require_one_of,
+    unit,
+)
 from ves_gym.damping.plant import (
     THESIS_DISPLACEMENT,
     GainMatrices,
@@ -79,19 +85,13 @@ def objective_of(
     Raises:
         ParameterError: an unknown name, or a displacement of zero.
     """
-    if name == "strain":
-        x = plant.start(y)
-        if not x.any():
-            raise ParameterError("y must be a displacement other than zero")
-        return _integral_objective(plant, x)
-    if name == "worst":
-        return _integral_objective(plant, None)
+    require_one_of("objective", name, OBJECTIVES)
     if name == "estimator":
         return _estimator_objective
-    raise ParameterError(
-        f"objective must be one of {', '.join(OBJECTIVES)}, got {name!r}"
-        f"{did_you_mean(name, OBJECTIVES)}"
-    )
+    x = plant.start(y) if name == "strain" else None
+    if x is not None and not x.any():
+        raise ParameterError("y must be a displacement other than zero")
+    return _integral_objective(plant, x)
 
 
 def _integral_objective(plant: LinearPlant, x: Array | None) -> Objective:

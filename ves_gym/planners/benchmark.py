@@ -17,13 +17,13 @@ import platform
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.stats
@@ -89,28 +89,28 @@ def run_benchmark(
     for name in names:
         if isinstance(get_planner(name), Ompl):
             require(f"planner {name}", "ompl")  # before the others have planned for minutes
-    report = progress or (lambda stage, done: None)
+    report = progress or _silent
     questions = [(n, v, q) for v, q in suite.queries for n in names]
     # machines that are described alike are planned for once
-    machines = {v: v for v, _ in suite.queries} | {
-        v: s.hash for v, s in suite.described.items()
-    }
-    keys = [(name, machines[vehicle], query.name) for name, vehicle, query in questions]
-    alone = {
-        key: (n, replace(q, system=suite.described.get(v, q.system).ideal()), seed)
-        for key, (n, v, q) in zip(keys, questions, strict=True)
+    known = {v: suite.described.get(v, q.system).ideal() for v, q in suite.queries}
+    keys = [(n, suite.described[v].hash if v in suite.described else v, q.name)
+            for n, v, q in questions]  # fmt: skip
+    asked = {
+        key: (name, replace(query, system=known[vehicle]), seed)
+        for key, (name, vehicle, query) in zip(keys, questions, strict=True)
     }
     plans: dict[tuple[str, str, str], Plan] = {}
-    for key, plan in zip(alone, _run_workers(list(alone.values()), workers), strict=True):
+    for key, plan in zip(asked, _run_workers(list(asked.values()), workers), strict=True):
         plans[key] = plan
-        report("planning", len(plans) / len(alone))
+        report("planning", len(plans) / len(asked))
     runs = [
         _Run(name, vehicle, plans[key], query.system)
         for (name, vehicle, query), key in zip(questions, keys, strict=True)
     ]
     rows, groups = _simulate_all(runs, seed, report)
     add_scores(rows, {v: q.system.ideal().hash for v, q in suite.queries})
-    first = suite.queries[0][1].system
+    first, shown = suite.queries[0][1].system, _showcase(groups)
+    engines = {name: version(name) for name in ("mujoco", "numpy", "scipy")}
     return {
         "schema": SCHEMA,
         "suite": suite.name,
@@ -119,8 +119,11 @@ def run_benchmark(
         "seed": seed,
         "command": command,
         "created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        "versions": _versions(),
-        "systems": _systems(suite),
+        "versions": {"ves_gym": __version__, "python": platform.python_version(), **engines},
+        "systems": {
+            v: {"hash": s.hash, "description": f"{s.arm.name} on {s.vehicle.source}"}
+            for v, s in {v: q.system for v, q in suite.queries}.items()
+        },
         "frequency_weight": str(suite.queries[0][1].weight),
         **({"machine": _machine(first)} if first.mode == "emulated" else {}),
         "planners": [{"name": n, "summary": get_planner(n).summary} for n in names],
@@ -129,12 +132,8 @@ def run_benchmark(
         "anytime": anytime(rows),
         **({"rank_correlation": rank_correlation(rows)} if first.mode == "emulated" else {}),
         "traces": [trace(*group) for group in groups],
-        "maps": [
-            m
-            for group in _showcase(groups)
-            for m in coupling_maps(group[0], [played.plan for played in group[1]])
-        ],
-        "scenes": [scene(*group) for group in _showcase(groups)],
+        "maps": [m for v, group in shown for m in coupling_maps(v, [p.plan for p in group])],
+        "scenes": [scene(*group) for group in shown],
         "seconds": round(time.perf_counter() - begin, 2),
     }
 
@@ -147,7 +146,10 @@ def run_query(planner: str, vehicle: str, query: Query, seed: int = 0) -> dict[s
     """
     plan = _plan_one((planner, replace(query, system=query.system.ideal()), seed))
     runs = [_Run(planner, vehicle, plan, query.system)]
-    return _simulate_all(runs, seed, lambda stage, done: None)[0][0]
+    return _simulate_all(runs, seed, _silent)[0][0]
+
+
+def _silent(stage: str, done: float) -> None: ...
 
 
 # ------------------------------------------------------------------------- planning
@@ -189,8 +191,7 @@ def _run_workers(
 Group = tuple[str, list[PlayedPlan]]  # vehicle, the planners' answers to one query
 
 
-@dataclass(frozen=True)
-class _Run:
+class _Run(NamedTuple):
     """A plan and the system its motion is played on."""
 
     planner: str  # its name
@@ -216,20 +217,17 @@ def _simulate_all(
         for part in (members[k : k + _BATCH] for k in range(0, len(members), _BATCH)):
             batch = [runs[i] for i in part]
             plans = [r.plan for r in batch]
-            recording = _play(system, plans, _record_dt(system), seed)
+            recording = _play(system, plans, system, seed)
             energies = measured(recording)
             ideal, in_space = None, energies
             if system.mode == "emulated":
-                ideal = _play(system.ideal(), plans, _record_dt(system), seed)
+                ideal = _play(system.ideal(), plans, system, seed)
                 in_space = measured(ideal)
             for k, (i, run) in enumerate(zip(part, batch, strict=True)):
-                rows[i] = _played(run, energies[k], in_space[k], recording, k)
-                if ideal is not None:
-                    rows[i] |= _emulation(recording, ideal, k, rows[i], in_space[k])
-                name = run.plan.query.name
-                if name in showcase:
-                    picture = PlayedPlan(run.plan, recording, k, run.planner, ideal)
-                    pictures[vehicle, name].append((i, picture))
+                played = PlayedPlan(run.plan, recording, k, run.planner, ideal)
+                rows[i] = _played(run, played, energies[k], in_space[k])
+                if run.plan.query.name in showcase:
+                    pictures[vehicle, run.plan.query.name].append((i, played))
             report("simulating", len(rows) / len(runs))
     return [rows[i] for i in range(len(runs))], [
         (vehicle, [picture for _, picture in sorted(answers, key=lambda pair: pair[0])])
@@ -237,17 +235,14 @@ def _simulate_all(
     ]
 
 
-def _record_dt(system: System) -> float:
-    """Time between records [s]; the laboratory records whole control periods."""
-    if system.mode == "ideal":
-        return _RECORD
-    return max(1, round(_RECORD / system.control_dt)) * system.control_dt
-
-
-def _play(system: System, plans: Sequence[Plan], record_dt: float, seed: int) -> Recording:
+def _play(system: System, plans: Sequence[Plan], clock: System, seed: int) -> Recording:
+    """Play motions; the laboratory (`clock`) records whole control periods."""
     motions, servo = [p.motion for p in plans if p.motion is not None], plans[0].query.servo
+    dt = _RECORD
+    if clock.mode == "emulated":
+        dt = max(1, round(dt / clock.control_dt)) * clock.control_dt
     return play_motions(
-        system, motions, servo=servo, settle=TAIL, record_dt=record_dt, seed=seed, watch=True
+        system, motions, servo=servo, settle=TAIL, record_dt=dt, seed=seed, watch=True
     )
 
 
@@ -289,21 +284,18 @@ def _unplayed(run: _Run) -> dict[str, Any]:
 
 
 def _played(
-    run: _Run,
-    measured: Energies | None,
-    in_space: Energies | None,
-    recording: Recording,
-    k: int,
+    run: _Run, played: PlayedPlan, measured: Energies | None, in_space: Energies | None
 ) -> dict[str, Any]:
-    """The row of a motion that was played, run k of a recording."""
-    plan, query = run.plan, run.plan.query
+    """The row of a motion that was played."""
+    plan, recording, k, _, ideal = played
+    query = plan.query
     assert in_space is not None  # nothing stops a run in space
     assert plan.predicted is not None and plan.reference is not None
     why, moved = plan.failure, None
     if measured is not None:
         moved = recording.disturbance(k, as_it_is=True, weight=query.weight)
         why = why or executed_violation(query, recording, k)
-    return {
+    row = {
         **_unplayed(run),
         **({} if measured is None else measured.to_dict()),
         **disturbance_to_plain(moved),
@@ -314,6 +306,7 @@ def _played(
         "reference_breaks": plan.reference.reasons,
         "arm_breaks": recording.limit_check(k, v_max=query.v_max).reasons,
     }
+    return row if ideal is None else row | _emulation(recording, ideal, k, row, in_space)
 
 
 _EMULATED_COLUMNS = ("stopped", "E_mean_ideal", "E_res_ideal", "E_peak_ideal",
@@ -322,10 +315,9 @@ _MEASURES = tuple(field.name for field in fields(Energies))
 
 
 def _emulation(
-    run: Recording, ideal: Recording, k: int, row: dict[str, Any], in_space: Energies | None
+    run: Recording, ideal: Recording, k: int, row: dict[str, Any], in_space: Energies
 ) -> dict[str, Any]:
     """Columns of mode emulated: the same motion in space, and the difference."""
-    assert in_space is not None
     stop = next((str(e) for e in run.events if e.simulation == k), None)
     base_error = None
     if stop is None:
@@ -333,27 +325,14 @@ def _emulation(
         largest = float(np.linalg.norm(reference, axis=-1).max())
         if largest > 0:
             base_error = float(np.linalg.norm(place - reference, axis=-1).max()) / largest
-    energies = (getattr(in_space, key) for key in ("E_mean", "E_res", "E_peak"))
-    values = (stop, *energies, _excess(row["E_mean"], in_space.E_mean), base_error)
+    values = (stop, in_space.E_mean, in_space.E_res, in_space.E_peak,
+              _excess(row["E_mean"], in_space.E_mean), base_error)  # fmt: skip
     return dict(zip(_EMULATED_COLUMNS, values, strict=True))
 
 
 def _excess(value: float | None, reference: float) -> float | None:
     """value / reference - 1, where there is such a thing."""
     return value / reference - 1 if value is not None and reference > 0 else None
-
-
-def _versions() -> dict[str, str]:
-    engines = {name: version(name) for name in ("mujoco", "numpy", "scipy")}
-    return {"ves_gym": __version__, "python": platform.python_version(), **engines}
-
-
-def _systems(suite: Suite) -> dict[str, dict[str, str]]:
-    systems: dict[str, System] = {v: q.system for v, q in suite.queries}
-    return {
-        name: {"hash": s.hash, "description": f"{s.arm.name} on {s.vehicle.source}"}
-        for name, s in systems.items()
-    }
 
 
 def _machine(system: System) -> dict[str, str]:
@@ -396,11 +375,11 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
     def ratios(members: Sequence[dict[str, Any]], name: str, least: float) -> list[float]:
         """Of a column to the straight line's, where that is more than `least` of its peak."""
-        pairs = [(r, baseline[r["vehicle"], r["query"]]) for r in members]
+        pairs = [(r.get(name), baseline[r["vehicle"], r["query"]]) for r in members]
         return [
-            r[name] / base[name]
-            for r, base in pairs
-            if r.get(name) is not None
+            value / base[name]
+            for value, base in pairs
+            if value is not None
             and base.get(name) is not None
             and base[name] > least * (base["E_peak"] or 0.0)
         ]
@@ -411,17 +390,21 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         groups[row["vehicle"], row["duration"], row["planner"]].append(row)
     out = []
     for (vehicle, duration, planner), members in groups.items():
+
+        def median(name: str, members: list[dict[str, Any]] = members) -> float | None:
+            return _median(_numbers(members, name))
+
         # a free base is at rest after any motion: its E_res has no ratio
         mean, residual, peak = (
             ratios(members, name, _NO_RATIO) for name in ("E_mean", "E_res", "E_peak")
         )
-        low, high = _interval(mean)
+        interval = bootstrap([np.array(mean)], STATISTICS["median"]) if mean else None
         emulated = {}
         if "stopped" in members[0]:
             emulated = {
                 "stopped": sum(r["stopped"] is not None for r in members),
-                "emulation_error_median": _median(_numbers(members, "emulation_error")),
-                "base_error_median": _median(_numbers(members, "base_error")),
+                "emulation_error_median": median("emulation_error"),
+                "base_error_median": median("base_error"),
             }
         feasible = [r for r in members if r["failure"] is None]
         errors = [abs(e) for e in _numbers(feasible, "prediction_error")]
@@ -434,15 +417,18 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "planner": planner,
                 "n": len(members),
                 "success_rate": float(np.mean([r["success"] for r in members])),
-                "reference_breaks": sum(_outside(r, "reference_breaks") for r in members),
-                "arm_breaks": sum(_outside(r, "arm_breaks") for r in members),
-                "E_mean_median": _median(_numbers(members, "E_mean")),
+                # successes that break a limit: within the tolerance, or one not asked for
+                **{
+                    k: sum(bool(r["success"] and r.get(k)) for r in members)
+                    for k in ("reference_breaks", "arm_breaks")
+                },
+                "E_mean_median": median("E_mean"),
                 "ratio_median": _median(mean),
-                "ratio_low": low,
-                "ratio_high": high,
+                "ratio_low": interval and interval.low,
+                "ratio_high": interval and interval.high,
                 "E_res_ratio_median": _median(residual),
                 "E_peak_ratio_median": _median(peak),
-                **{f"{k}_median": _median(_numbers(members, k)) for k in MEASURES},
+                **{f"{k}_median": median(k) for k in MEASURES},
                 **{f"{k}_ratio_median": _median(ratios(members, k, 0.0)) for k in MEASURES},
                 "solvable": len(possible),
                 "solvable_rate": float(np.mean(possible)) if possible else None,
@@ -451,7 +437,7 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "plan_seconds_median": _median(seconds),
                 "plan_seconds_p95": float(np.percentile(seconds, 95)),
                 "plan_seconds_max": max(seconds),
-                "score_median": _median(_numbers(members, "score")),
+                "score_median": median("score"),
                 "near_best": near_best(members),
                 **emulated,
             }
@@ -459,7 +445,7 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return out
 
 
-def anytime(rows: Sequence[dict[str, Any]], points: int = 41) -> list[dict[str, Any]]:
+def anytime(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return how the best cost of each search came down, medians over a duration's queries.
 
     For planners that list a `curve` of (seconds, evaluations, cost) in their `info`: cost over
@@ -475,8 +461,8 @@ def anytime(rows: Sequence[dict[str, Any]], points: int = 41) -> list[dict[str, 
     for (vehicle, duration, planner), curves in groups.items():
         last = max(c[-1, 0] for c in curves)
         first = float(np.median([c[0, 0] for c in curves]))
-        at = np.geomspace(min(first, last), last, points)
-        ratios = np.full((len(curves), points), np.inf)
+        at = np.geomspace(min(first, last), last, 41)
+        ratios = np.full((len(curves), len(at)), np.inf)
         for i, c in enumerate(curves):
             k = np.searchsorted(c[:, 0], at, side="right") - 1
             ratios[i, k >= 0] = c[k[k >= 0], 2] / max(c[-1, 2], 1e-300)
@@ -521,25 +507,12 @@ def rank_correlation(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def _outside(row: dict[str, Any], key: str) -> bool:
-    """True for a success that breaks a limit: within the tolerance, or one not asked for."""
-    return bool(row["success"] and row.get(key))
-
-
 def _numbers(rows: Iterable[dict[str, Any]], key: str) -> list[float]:
     return [row[key] for row in rows if row.get(key) is not None]
 
 
 def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if len(values) else None
-
-
-def _interval(values: Sequence[float]) -> tuple[float | None, float | None]:
-    """95 % percentile bootstrap interval of the median."""
-    if not values:
-        return None, None
-    interval = bootstrap([np.array(values)], STATISTICS["median"])
-    return interval.low, interval.high
 
 
 # ----------------------------------------------------------------------- best known energies
@@ -604,18 +577,17 @@ def merge_best(path: str | os.PathLike[str], result: dict[str, Any]) -> int:
     return sum(before.get(name) != entry for name, entry in entries.items())
 
 
-def add_scores(rows: Iterable[dict[str, Any]], hashes: dict[str, str]) -> None:
+def add_scores(rows: Sequence[dict[str, Any]], hashes: dict[str, str]) -> None:
     """Add `best_known` [J] and `score` [1] to rows, None where nothing is known.
 
     The score is 0 for the energy of the straight line and 1 for the best known one; only
     motions that keep every limit have one. `hashes`: `System.hash` of each vehicle's ideal
     system.
     """
-    every = list(rows)
     straights = {
-        (r["vehicle"], r["query"]): r["E_mean"] for r in every if r["planner"] == BASELINE
+        (r["vehicle"], r["query"]): r["E_mean"] for r in rows if r["planner"] == BASELINE
     }
-    for row in every:
+    for row in rows:
         entry = packaged().get(key(hashes[row["vehicle"]], row["query"]))
         best = row["best_known"] = None if entry is None else entry["E_mean"]
         straight = straights.get((row["vehicle"], row["query"]))
@@ -624,10 +596,10 @@ def add_scores(rows: Iterable[dict[str, Any]], hashes: dict[str, str]) -> None:
             row["score"] = (straight - row["E_mean"]) / (straight - best)
 
 
-def near_best(rows: Sequence[dict[str, Any]], share: float = 1.05) -> float | None:
-    """Share of the rows with a best known energy that succeed within `share` times it."""
+def near_best(rows: Sequence[dict[str, Any]]) -> float | None:
+    """Share of the rows with a best known energy that succeed within 1.05 times it."""
     rated = [r for r in rows if r["best_known"] is not None]
     if not rated:
         return None
-    good = [r["success"] and r["E_mean"] <= share * r["best_known"] for r in rated]
+    good = [r["success"] and r["E_mean"] <= 1.05 * r["best_known"] for r in rated]
     return sum(good) / len(good)

@@ -15,8 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import qmc
 
-from ves_gym._util.params import Array, ParameterError, write_bytes
-from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.params import Array, ParameterError, require_one_of, write_bytes
 from ves_gym._util.views import Viewable
 from ves_gym.planners.coupling import metric
 from ves_gym.planners.metric import Metric
@@ -72,7 +71,9 @@ class CouplingMap(Viewable):
         if Path(path).suffix != ".npz":
             raise ParameterError(f"{path}: expected a .npz name, got {Path(path).suffix!r}")
         buffer = io.BytesIO()
-        arrays = {k: np.asarray(v) for k, v in vars(self).items() if v is not None}
+        arrays: dict[str, Any] = {
+            k: np.asarray(v) for k, v in vars(self).items() if v is not None
+        }
         np.savez_compressed(buffer, **arrays)
         write_bytes(path, buffer.getvalue())
 
@@ -164,11 +165,7 @@ def coupling_map(
     Raises:
         ParameterError: bad points, others, duration or configuration.
     """
-    if others not in OTHERS:
-        raise ParameterError(
-            f"others must be one of {', '.join(OTHERS)}, got {others!r}"
-            f"{did_you_mean(others, OTHERS)}"
-        )
+    require_one_of("others", others, OTHERS)
     arm, (i, j) = system.arm, joints
     axes, q = cross_section(system, joints, fixed, points, least=4)
 

@@ -19,8 +19,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, ParameterError
-from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.params import Array, ParameterError, require_one_of
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.modes import root
@@ -204,11 +203,7 @@ def checked_weights(weights: Mapping[str, float] | None) -> dict[str, float]:
     """
     out = {ENERGY: 1.0, **(weights or {})}
     for name, value in out.items():
-        if name not in WEIGHTS:
-            raise ParameterError(
-                f"a weight must be of {', '.join(WEIGHTS)}, got {name!r}"
-                f"{did_you_mean(name, WEIGHTS)}"
-            )
+        require_one_of("a weight", name, WEIGHTS)
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
         if not (number and value >= 0 and math.isfinite(value)):
             raise ParameterError(f"weight {name} must be a number >= 0, got {value!r}")

@@ -15,12 +15,11 @@ import select
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -135,8 +134,9 @@ class SearchProcess:
         Raises:
             NoPlan: the child crashed, failed or did not answer in time.
         """
-        fresh = self._owner != os.getpid() or self._process is None
-        process = self._start() if fresh or self._process is None else self._process
+        process, fresh = self._process, False
+        if process is None or self._owner != os.getpid():
+            process, fresh = self._start(), True
         assert process.stdin is not None and process.stdout is not None
         answer: object = None
         try:
@@ -155,21 +155,20 @@ class SearchProcess:
         return answer
 
     def _start(self) -> subprocess.Popen[bytes]:
+        """A new child; what it complains of is read where this process complains."""
         paths = os.pathsep.join(p or os.getcwd() for p in sys.path)
-        self._messages = tempfile.TemporaryFile()  # noqa: SIM115 - `_stop` closes it
         process = subprocess.Popen(
             [sys.executable, "-c", self.program],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._messages,
             env={**os.environ, "PYTHONPATH": paths, **ONE_THREAD},
         )
-        self._stop = weakref.finalize(self, _stop, process, self._messages)
+        self._stop = weakref.finalize(self, _stop, process)
         self._process, self._owner = process, os.getpid()
         return process
 
     def _end(self) -> str:
-        """End the child, if there is one; how it had ended, and the last thing it said."""
+        """End the child, if there is one, and say how it had ended."""
         process, self._process = self._process, None
         if process is None:
             return "not started"
@@ -177,16 +176,13 @@ class SearchProcess:
             how = f"exit status {process.wait(timeout=1.0)}"
         except subprocess.TimeoutExpired:
             how = "killed"
-        self._messages.seek(0)
-        messages = self._messages.read().decode(errors="replace").strip().splitlines()
         self._stop()
-        return f"{how}; {messages[-1][:200]}" if messages else how
+        return how
 
 
-def _stop(process: subprocess.Popen[bytes], messages: IO[bytes]) -> None:
+def _stop(process: subprocess.Popen[bytes]) -> None:
     process.kill()
     process.communicate()
-    messages.close()
 
 
 SEARCH_PROCESS = SearchProcess()
@@ -228,10 +224,6 @@ class PathSearchResult:
     evaluations: int
     checks: int  # of validity
     bound: float  # no path costs less
-
-
-EdgeCost = Callable[[Array, Array], float]
-Bound = Callable[[Sequence[float], Sequence[float]], float]
 
 
 class BadCost(Exception):
@@ -382,11 +374,11 @@ class _Search:
         return Coupling(information)
 
 
-def _costs(
-    query: Query, objective: str
-) -> tuple[
-    Callable[[Array, Array], float], Callable[[Sequence[float], Sequence[float]], float]
-]:
+EdgeCost = Callable[[Array, Array], float]
+Bound = Callable[[Sequence[float], Sequence[float]], float]
+
+
+def _costs(query: Query, objective: str) -> tuple[EdgeCost, Bound]:
     """Cost of a straight edge, and what no path between two configurations is below.
 
     Time at the speed limits is a norm: the straight edge's is the least. A step of 1 rad is

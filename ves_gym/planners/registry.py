@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Any, TypeVar
 
-from ves_gym._util.params import ParameterError
-from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.params import ParameterError, require_one_of
 from ves_gym.planners.objective import parse_weights
 from ves_gym.planners.query import Planner
 
@@ -28,7 +27,7 @@ _HOMES: dict[str, tuple[str, dict[str, Any]]] = {
     "ompl-qt": ("ompl_search:Ompl", {"objective": "qt"}),
     "ompl-time": ("ompl_search:Ompl", {"objective": "time"}),
     "direct": ("direct:Direct", {}),
-    "damp": ("damp:DampRelease", {}),
+    "damp": ("direct:DampRelease", {}),
     "refined": ("refine:Refined", {}),
     # what is best known comes from it
     "refined-long": ("refine:Refined", {"free": 32, "starts": 24, "name": "refined-long"}),
@@ -87,11 +86,7 @@ def get_planner(name: str) -> Planner:
             planner takes them: `refined:acceleration_peak=0.03+tip=0.1`.
     """
     plain, colon, text = name.partition(":") if isinstance(name, str) else (name, "", "")
-    if plain not in PLANNERS:
-        raise ParameterError(
-            f"planner must be one of {', '.join(PLANNERS)}, got {plain!r}"
-            f"{did_you_mean(plain, PLANNERS)}"
-        )
+    require_one_of("planner", plain, PLANNERS)
     return weighted(PLANNERS[plain], parse_weights(text)) if colon else PLANNERS[plain]
 
 

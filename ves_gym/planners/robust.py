@@ -22,8 +22,13 @@ import numpy as np
 import scipy.linalg
 import scipy.special
 
-from ves_gym._util.params import Array, ParameterError, read_result, read_table
-from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.params import (
+    Array,
+    ParameterError,
+    read_result,
+    read_table,
+    require_one_of,
+)
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import has
@@ -76,11 +81,7 @@ class Robust:
         name: str = "robust",
         around: System | None = None,
     ) -> None:
-        if objective not in OBJECTIVES:
-            raise ParameterError(
-                f"objective must be one of {', '.join(OBJECTIVES)}, got {objective!r}"
-                f"{did_you_mean(objective, OBJECTIVES)}"
-            )
+        require_one_of("objective", objective, OBJECTIVES)
         if not (price >= 1 and math.isfinite(price)):
             raise ParameterError(f"price must be >= 1, got {price}")
         self.uncertain, self.price, self.objective = uncertain, price, objective

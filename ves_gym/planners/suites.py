@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError, Vector
+from ves_gym._util.params import Array, ParameterError, Vector, require_one_of
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.effects.base import BaseDamping, BaseStiffness
 from ves_gym.effects.joint_drive import CommandDelay
@@ -85,31 +85,24 @@ def get_suite(
     Raises:
         ParameterError: an unknown name, or an option that the suite does not have.
     """
-    if obstacles not in OBSTACLES:
-        raise ParameterError(
-            f"obstacles must be one of {', '.join(OBSTACLES)}, got {obstacles!r}"
-            f"{did_you_mean(obstacles, OBSTACLES)}"
-        )
-    if name == "reach100":
-        return reach100(system, vehicle or "bent", 10 if quick else 100, obstacles)
-    if name in ARM_SUITES:
-        arm = ARM_SUITES[name]
-        if system.arm not in (PUMA_560, get_arm(arm)):
-            raise ParameterError(
-                f"suite {name} asks {arm}, got {system.arm.name} (reach100 asks any arm)"
-            )
-        questions = system.replace(arm=get_arm(arm))
-        count = 10 if quick else 100
-        return replace(reach100(questions, vehicle or "bent", count, obstacles), name=name)
+    require_one_of("obstacles", obstacles, OBSTACLES)
+    require_one_of("suite", name, SUITES)
     if name in ("thesis", "transfer") and obstacles != "off":
         raise ParameterError(f"suite {name} has no obstacles, got {obstacles!r}")
     if name == "thesis":
         return thesis(system, vehicle)
+    vehicle = vehicle or "bent"
     if name == "transfer":
-        return transfer(system, vehicle or "bent", 3 if quick else 10)
-    raise ParameterError(
-        f"suite must be one of {', '.join(SUITES)}, got {name!r}{did_you_mean(name, SUITES)}"
-    )
+        return transfer(system, vehicle, 3 if quick else 10)
+    if name in ARM_SUITES:
+        arm = get_arm(ARM_SUITES[name])
+        if system.arm not in (PUMA_560, arm):
+            raise ParameterError(
+                f"suite {name} asks {ARM_SUITES[name]}, got {system.arm.name} (reach100 asks"
+                " any arm)"
+            )
+        system = system.replace(arm=arm)
+    return replace(reach100(system, vehicle, 10 if quick else 100, obstacles), name=name)
 
 
 def part_of(
