@@ -29,6 +29,9 @@ MANY = {
     "platform/bandwidth": {"error": (-0.05, 0.05)},
 }
 
+WIDE = {"gravity/delay": {"delay": {"normal": [0.0095, 0.02]}}}
+STIFFNESS = {"base/stiffness": {"error": (-0.2, 0.2)}}
+
 
 def drawn(info):
     return {k: v for k, v in info.items() if k.startswith("randomized/")}
@@ -113,6 +116,38 @@ def test_a_partial_reset_draws_for_those_only():
     assert [a == b for a, b in zip(before, after, strict=True)] == [True, False, True]
     for ours, theirs in zip(walk(env, 10, 0), walk(calm, 10, 0), strict=True):
         assert same(flat(ours[0])[~mask], flat(theirs[0])[~mask])
+
+
+@pytest.mark.parametrize(
+    ("id", "ranges", "rewired"),
+    [
+        (EMULATED, MANY, False),
+        (EMULATED, WIDE, True),  # a delay longer than the loops have memory for
+        (IDEAL, STIFFNESS, False),
+    ],
+)
+def test_beginnings_tried_together_are_those_of_each_alone(id, ranges, rewired):
+    """Claim: with forty simulations, whose beginnings are tried in others and copied, episodes
+    are to the last bit those of a vector of two, which begin in their own place.
+
+    Also over ends, and for starts that are chosen.
+    """
+    many, few = (
+        gym.make_vec(id, num_envs=n, randomize=ranges, effects=[], **SHORT) for n in (40, 2)
+    )
+    for env in (many, few):
+        env.reset(seed=5)
+    moves = np.random.default_rng(0).uniform(-1, 1, (45, *many.action_space.shape))
+    for a in moves:
+        ours, theirs = many.step(a), few.step(a[:2])
+        for x, y in zip(ours[:4], theirs[:4], strict=True):
+            assert same(x[:2], y)
+    assert many.batch._direct != rewired and not few.batch._direct
+    goal = np.full((40, 3), 0.1)
+    chosen = many.reset(options={"goal": goal})[0], few.reset(options={"goal": goal[:2]})[0]
+    assert same(chosen[0][:2], chosen[1])
+    ours, theirs = many.batch.sim.systems[:2], few.batch.sim.systems
+    assert ours == theirs
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ import tempfile
 import tomllib
 import types
 import typing
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -33,6 +33,13 @@ Rows = Index | slice  # some rows of an array
 Vector = tuple[float, ...]
 Matrix = tuple[tuple[float, ...], ...]
 T = TypeVar("T")
+
+
+def object_rows(values: Sequence[object]) -> Array:
+    """Objects of any kind as an array (k,)."""
+    out = np.empty(len(values), object)
+    out[:] = values
+    return out
 
 
 class ParameterError(ValueError):

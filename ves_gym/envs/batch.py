@@ -6,6 +6,7 @@ import copy
 import dataclasses
 import math
 import os
+import warnings
 from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
@@ -19,6 +20,7 @@ from ves_gym.engine.kernel.maps import SceneMap, TorqueMap
 from ves_gym.envs.compiled import Shape, carry_rows, plain_command
 from ves_gym.envs.compiled_step import CompiledStep
 from ves_gym.envs.episode import (
+    AT_ONCE,
     Beginnings,
     Episodes,
     bounded,
@@ -34,7 +36,10 @@ from ves_gym.envs.recording import Recorder
 from ves_gym.envs.tail import FreeDecay
 from ves_gym.envs.task import Scene, Start, Task
 from ves_gym.mechanics.servo import own_gains
+from ves_gym.simulation.loop_linearisation import EmulationWarning
 from ves_gym.simulation.simulator import Simulator
+
+_MANY = 8  # simulations from which on beginnings are rehearsed together
 
 
 class ActionError(ValueError):
@@ -57,6 +62,16 @@ def checked(action: Any, shape: tuple[int, ...]) -> Array:
         where = np.argwhere(~np.isfinite(out))[0].tolist()
         raise ActionError(f"{expected} {out[tuple(where)]} at {where}")
     return out
+
+
+class _Rewired(Exception):
+    """What was drawn asks for blocks or memory that the emulation loops do not have yet."""
+
+
+def _code_of(sim: Simulator) -> object:
+    """Changes, by identity, when the emulation loop has been wired anew."""
+    loop = sim.emulation_loop
+    return None if loop is None or loop.code is None else loop.code.version
 
 
 class Batch:
@@ -134,10 +149,11 @@ class Batch:
         if compiled and CompiledStep.possible(self.sim, task):
             parts = self._scene, self._scenes, self._torques
             self._compiled = CompiledStep(self.sim, task, *parts)
-        # all that a beginning needs can be written where it belongs
-        fixed = not (self._emulated or task.randomize)
-        self._direct = self._compiled is not None and fixed
-        complete = self._first_rows if self._direct else self._first_states
+        # whether all that a beginning needs can be written where it belongs
+        alike = not (self._emulated or task.randomize)
+        self._direct = self._compiled is not None and (alike or n >= _MANY)
+        rows = self._first_rows if alike else self._rehearsed_rows
+        complete = rows if self._direct else self._first_states
         self._beginnings = Beginnings(task, n, self._draws.size, complete)
         self.recorder = None if dump is None else Recorder(self, dump)
 
@@ -205,7 +221,13 @@ class Batch:
         if not len(ids):
             return
         e, sim = self._episodes, self.sim
-        rows = self._beginnings.take(ids, e, options)
+        try:
+            rows = self._beginnings.take(ids, e, options)
+        except _Rewired:  # from here on each begins in its own place
+            self._direct, _ = False, self.scene
+            sizes = self.n, self._draws.size
+            self._beginnings = Beginnings(self.task, *sizes, self._first_states)
+            rows = self._beginnings.take(ids, e, options)
         e.number[ids] += 1
         for i in ids.tolist():
             sim.generators[i] = self._beginnings.generators[i]
@@ -214,18 +236,27 @@ class Batch:
             assert self._compiled is not None
             self._compiled.begin(ids, rows)
             if self._observation is None:
-                self._observation = np.zeros((self.n, self.observations), np.float32)
+                shape = self.n, rows["observation"].shape[1]
+                self._observation = np.zeros(shape, np.float32)
             self._observation[ids] = rows["observation"]
+            for label, values in self.drawn.items():
+                values[ids] = rows[f"drawn.{label}"]
         else:
-            self._begin(ids, rows)
+            self._begin(ids, rows, self._beginnings.uniform[ids])
         if self.recorder is not None:
             self.recorder.begin(ids)
 
-    def _begin(self, ids: Index, rows: dict[str, Array]) -> None:
-        """Put simulations where episodes begin, and look at them there."""
+    def _begin(self, ids: Index, rows: dict[str, Array], uniform: Array) -> None:
+        """Put simulations (k,) where episodes begin, and look at them there.
+
+        Args:
+            ids: which.
+            rows: `_first_states` of theirs.
+            uniform: (k, ...) what their beginnings are drawn from.
+        """
         e, s, task, sim = self.episodes, self.scene, self.task, self.sim
         if task.randomize:
-            self._randomise(ids, self._beginnings.uniform[ids, task.draws :])
+            self._randomise(ids, uniform[:, task.draws :])
         sim.reset(q=rows["q"], v=rows["v"], y=rows["y"], yd=rows["yd"], ids=ids)
         s.ref[ids] = np.stack([rows["q"], rows["v"], np.zeros_like(rows["q"])], axis=1)
         s.memory[ids], s.tail[ids] = 0.0, 0.0
@@ -245,20 +276,52 @@ class Batch:
         if self._observation is not None:
             self._observation[ids] = scaled_observation(task, some, self.scale)
 
-    def _first_states(self, begin: Start) -> dict[str, Array]:
+    def _first_states(self, begin: Start, ids: Index) -> dict[str, Array]:
         """States (k, ...) of joints and base, and the goal."""
         k, joints = len(begin.goal), self.system.arm.n
         sizes = {"q": joints, "v": joints, "y": 6, "yd": 6}
         rows = {n: np.broadcast_to(getattr(begin, n), (k, w)) for n, w in sizes.items()}
         return rows | {"goal": begin.goal}
 
-    def _first_rows(self, begin: Start) -> dict[str, Array]:
+    @cached_property
+    def _rehearsal(self) -> tuple[Batch, object]:
+        """Simulations in which beginnings are tried, and the code of their loop."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", EmulationWarning)  # issued for these already
+            spare = Batch(self.task, min(self.n, AT_ONCE), threads=1, compiled=False)
+        return spare, _code_of(spare.sim)
+
+    def _rehearsed_rows(self, begin: Start, ids: Index) -> dict[str, Array]:
+        """All that compiled steps go on from, of simulations that differ or are emulated.
+
+        They begin in spare ones, many together: where lanes end one after another, a
+        beginning would cost as much as twenty.
+        """
+        assert self._compiled is not None
+        spare, code = self._rehearsal
+        states, uniform, out = self._first_states(begin, ids), self._beginnings.uniform[ids], []
+        for first in range(0, len(ids), spare.n):
+            some = slice(first, first + spare.n)
+            those = np.arange(len(ids[some]))
+            for k, i in zip(those.tolist(), ids[some].tolist(), strict=True):
+                spare.sim.generators[k] = self._beginnings.generators[i]
+            mine = {name: values[some] for name, values in states.items()}
+            spare._scene.goal[those] = mine["goal"]
+            spare._begin(those, mine, uniform[some])
+            if _code_of(spare.sim) is not code:
+                raise _Rewired
+            drawn = {f"drawn.{label}": values[those] for label, values in spare.drawn.items()}
+            s, e = spare._scene.rows(those), spare._episodes.rows(those)
+            out.append(self._rows_at(s, e) | drawn | spare.sim.rows_of(those))
+        return {name: np.concatenate([rows[name] for rows in out]) for name in out[0]}
+
+    def _first_rows(self, begin: Start, ids: Index) -> dict[str, Array]:
         """All that compiled steps go on from, where no simulation differs from the others."""
-        rows, backend = self._first_states(begin), self.sim.backend
+        rows, backend = self._first_states(begin, ids), self.sim.backend
         assert self._compiled is not None
         assert isinstance(backend, KernelBackend)
         q, v, y, yd, goal = rows.values()
-        k, shape = len(goal), self._compiled.shape
+        k = len(goal)
         pose, rate = np.hstack([y, q]), np.hstack([yd, v])
         x = backend.states_of(np.zeros(k, np.intp), pose, rate)
         modes = self._compiled.modes
@@ -270,11 +333,16 @@ class Batch:
         s.ref = np.stack([q, v, np.zeros_like(q)], axis=1)
         s.table_values = self.task.lookup(goal, np.zeros(k, np.intp))
         s.tau = self._command(s)
+        return self._rows_at(s, e) | {"engine.x": x}
+
+    def _rows_at(self, s: Scene, e: Episodes) -> dict[str, Array]:
+        """Rows (k, ...) of compiled steps at scene and episodes of k simulations."""
+        assert self._compiled is not None
         return {
-            "x": x,
-            "carry": carry_rows(shape, s, e),
-            "scene": np.hstack([energies, tool, tool]),
-            "goal": goal,
+            "carry": carry_rows(self._compiled.shape, s, e),
+            "scene": np.hstack([s.energies, s.tool, s.tool_seen]),
+            "seen": np.hstack([s.y_seen, s.yd_seen]),
+            "goal": s.goal,
             "table_values": s.table_values,
             "observation": scaled_observation(self.task, s, self.scale).astype(np.float32),
         }

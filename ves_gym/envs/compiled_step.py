@@ -222,21 +222,24 @@ class CompiledStep:
         self._note_diverged()
 
     def begin(self, ids: Index, rows: dict[str, Array]) -> None:
-        """Put simulations where episodes begin, in space.
+        """Put simulations where episodes begin.
 
         Args:
             ids: (k,) which.
-            rows: (k, ...) state `x`, `carry`, `scene`, `goal` and `table_values`.
+            rows: (k, ...) `carry`, `scene`, `seen`, `goal`, `table_values`, and what
+                `Simulator.begin_with` takes.
         """
         block, lane, inputs = ids // LANES, ids % LANES, self.shape.inputs
-        self.backend.begin(ids, rows["x"])
-        self.sim.begun_elsewhere(ids)
+        self.sim.begin_with(ids, rows)
         self._next[block, :, lane] = rows["carry"]
         self._scene_rows[block, :, lane] = rows["scene"]
         if self._goal.shape[1]:
             self._goal[block, :, lane] = rows["goal"]
         if self.shape.table_values:
             self._inputs[block, inputs["table_values"], lane] = rows["table_values"]
+        if self._emulated:
+            seen = slice(inputs["y_seen"].start, inputs["yd_seen"].stop)
+            self._inputs[block, seen, lane] = rows["seen"]
         if self._tailed is not None:
             self._inputs[block, inputs["tail"], lane] = 0.0
         if len(self._stopped):

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ves_gym._util.params import Array, Index, Mask
 from ves_gym.envs.task import Scene, Start, Task
 
-_AT_ONCE = 64  # beginnings: a call costs as much as ten of them
+AT_ONCE = 64  # beginnings: a call costs as much as ten of them
 FAILURE = -2.0  # added to the reward when an episode fails; a straight motion returns about -1
 
 
@@ -168,11 +168,16 @@ class Beginnings:
         task: what the episodes ask.
         n: number of simulations.
         extra: uniform numbers per episode beside the task's.
-        complete: (k beginnings) -> all that is needed of them, (k, ...) by name.
+        complete: (k beginnings, of which simulations) -> all that is needed of them,
+            (k, ...) by name.
     """
 
     def __init__(
-        self, task: Task, n: int, extra: int, complete: Callable[[Start], dict[str, Array]]
+        self,
+        task: Task,
+        n: int,
+        extra: int,
+        complete: Callable[[Start, Index], dict[str, Array]],
     ) -> None:
         self.task, self.n, self.complete = task, n, complete
         self.uniform = np.empty((n, task.draws + extra))
@@ -194,19 +199,19 @@ class Beginnings:
             e: counters; `number` is that of the episode before.
             options: chosen instead of drawn, see `Task.start`.
         """
-        late = ids[~self._ready[ids]]
         if options:
-            self._draw(late, e)
             self._ready[ids] = False
-            return self.complete(self._start(ids, options))
+            self._draw(ids, e)
+            return self.complete(self._start(ids, options), ids)
+        late = ids[~self._ready[ids]]
         if len(late):
-            if e.number[late].min() >= 0 and len(late) < _AT_ONCE:
+            if e.number[late].min() >= 0 and len(late) < AT_ONCE:
                 self._ready[ids] = True  # not to be drawn twice
-                others = np.flatnonzero(~self._ready)[: _AT_ONCE - len(late)]
+                others = np.flatnonzero(~self._ready)[: AT_ONCE - len(late)]
                 self._ready[late] = False
                 late = np.concatenate([late, others])
             self._draw(late, e)
-            rows = self.complete(self._start(late, {}))
+            rows = self.complete(self._start(late, {}), late)
             for name, values in rows.items():
                 if name not in self._rows:
                     self._rows[name] = np.zeros((self.n, *values.shape[1:]), values.dtype)

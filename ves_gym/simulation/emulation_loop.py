@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, Index, Mask, Rows
+from ves_gym.engine.kernel.build import LANES
+from ves_gym.engine.kernel.compiled_function import put_rows
 from ves_gym.engine.kernel.maps import weight_function
 from ves_gym.hardware.admittance import Nonlinear
 from ves_gym.mechanics.base_model import BaseModel, carried
@@ -199,6 +201,22 @@ class EmulationLoop(NotingPart):
             self.memory.put(rows, name, u[name])
         if self.spec.zero_at_start:
             self.zero(ids)
+
+    def rows_of(self, ids: Index) -> dict[str, Array]:
+        """See `Part`."""
+        assert self._code is not None
+        block, lane = ids // LANES, ids % LANES
+        compiled = self._code.lanes[block, :, lane], self._code.parameters[block, :, lane]
+        return dict(zip(("memory", "p"), compiled, strict=True)) | self.numbers.rows_of(ids)
+
+    def begin_with(self, ids: Index, rows: Mapping[str, Array]) -> None:
+        """See `Part`."""
+        assert self._code is not None
+        put_rows(self._code.lanes, ids, rows["memory"])
+        put_rows(self._code.parameters, ids, rows["p"])
+        self.numbers.put_rows(ids, rows)
+        self.forget(ids)
+        self.time[ids], self.next_noise[ids] = 0.0, _AHEAD
 
     def _rows(self, ids: Index) -> Rows:
         """The same simulations; all of them in order as a slice, which copies nothing."""

@@ -6,13 +6,13 @@ They follow from a system's laboratory (`LoopParameters`) and from its arm and v
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import Array, Index, ParameterError, Rows
+from ves_gym._util.params import Array, Index, ParameterError, Rows, object_rows
 from ves_gym.engine.batch_parameters import Bodies, ParameterRows, bodies_of
 from ves_gym.hardware.admittance import admittance_matrices
 from ves_gym.mechanics.arm import Arm
@@ -179,6 +179,25 @@ class LoopNumbers:
         for i, system in assignment.systems:
             self.systems[i] = system
             self._other_bases.discard(i)
+
+    def _arrays(self) -> list[Any]:
+        """All numbers, (n, ...) each."""
+        blocks = [values for p in self.p.values() for values in p.values()]
+        return [*self.parameters.parts(), *self.bodies.parts(), self.noisy, *blocks]
+
+    def rows_of(self, ids: Index) -> dict[str, Array]:
+        """Numbers and systems of simulations (k,)."""
+        own = object_rows([(self.systems[i], i in self._other_bases) for i in ids.tolist()])
+        rows = {str(k): values[ids] for k, values in enumerate(self._arrays())}
+        return rows | {"system": own}
+
+    def put_rows(self, ids: Index, rows: Mapping[str, Array]) -> None:
+        """Give simulations (k,) the numbers and systems of `rows_of`."""
+        for k, values in enumerate(self._arrays()):
+            values[ids] = rows[str(k)]
+        for i, (system, other) in zip(ids.tolist(), rows["system"], strict=True):
+            self.systems[i] = system
+            (self._other_bases.add if other else self._other_bases.discard)(i)
 
     def silence(self) -> None:
         """Take noise and drift out of every sensor."""

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ves_gym._util.params import Array, Index, Mask
+from ves_gym._util.params import Array, Index, Mask, object_rows
 from ves_gym.engine.backends.base import MEANINGLESS, Backend
 from ves_gym.mechanics import attitude
 from ves_gym.mechanics.base_model import BaseModel
@@ -101,6 +101,18 @@ class Part:
             bases: vehicles (k, ...) where effects change them.
         """
         return _nothing
+
+    def rows_of(self, ids: Index) -> dict[str, Array]:
+        """All that simulations (k,) have from their assignment and reset, for `begin_with`."""
+        return {}
+
+    def begin_with(self, ids: Index, rows: Mapping[str, Array]) -> None:
+        """Begin simulations (k,) as others have begun that have not been stepped since.
+
+        Args:
+            ids: which.
+            rows: of `rows_of`, of a simulator of the same system.
+        """
 
     def get_state(self) -> dict[str, Array]:
         """Copies of all arrays needed to continue exactly from here."""
@@ -280,6 +292,19 @@ class Machines(Part):
         self.kp[ids], self.kd[ids] = kp, kd
         self.backend.set_gains(ids, kp, kd)
 
+    def rows_of(self, ids: Index) -> dict[str, Array]:
+        """See `Part`."""
+        sources = [self._sources.get(i, self.system) for i in ids.tolist()]
+        return {"kp": self.kp[ids], "kd": self.kd[ids], "source": object_rows(sources)}
+
+    def begin_with(self, ids: Index, rows: Mapping[str, Array]) -> None:
+        """See `Part`."""
+        self.diverged[ids] = False
+        if rows:
+            self.kp[ids], self.kd[ids] = rows["kp"], rows["kd"]
+            self.note(ids, rows["source"].tolist())
+        self.changed()
+
     def get_state(self) -> dict[str, Array]:
         """See `Part`."""
         return super().get_state() | {"steps": np.full(self.n, float(self.steps))}
@@ -321,6 +346,10 @@ class Charts(Part):
 
     def reset(self, machines: Machines, ids: Index, start: State) -> None:
         """See `Part`. The world is the chart."""
+        self.begin_with(ids, {})
+
+    def begin_with(self, ids: Index, rows: Mapping[str, Array]) -> None:
+        """See `Part`."""
         self.place[ids], self.turn[ids], self.elsewhere[ids] = 0.0, attitude.IDENTITY, False
 
     def before(self, machines: Machines, period: ControlPeriod) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -145,17 +146,33 @@ class Simulator:
         """The engine has been stepped by a program of its own (`KernelBackend.pieces`)."""
         self.machines.changed()
 
-    def begun_elsewhere(self, ids: Index) -> None:
-        """Simulations have been put into other states in the engine itself.
+    def rows_of(self, ids: Index) -> dict[str, Array]:
+        """All that simulations have from their assignment and reset, by name.
 
         Args:
-            ids: (k,) which; in space, nothing beside the engine but charts of free bodies.
+            ids: (k,) which; of a compiled engine, with nothing in Python beside it.
         """
-        self.machines.diverged[ids] = False
-        charts = self.machines.charts
-        if charts.free:
-            charts.reset(self.machines, ids, self.last_state)
-        self.machines.changed()
+        engine: Any = self.backend
+        parts = {part.name: part.rows_of(ids) for part in (self.machines, *self.parts)}
+        parts["engine"] = engine.rows_of(ids)
+        return {f"{part}.{k}": v for part, rows in parts.items() for k, v in rows.items()}
+
+    def begin_with(self, ids: Index, rows: Mapping[str, Array]) -> None:
+        """Begin simulations as others have begun, see `rows_of`.
+
+        Args:
+            ids: (k,) which.
+            rows: (k, ...) by name; of simulations that no system is assigned to,
+                "engine.x" will do.
+        """
+        engine: Any = self.backend
+        of: dict[str, dict[str, Array]] = {}
+        for name, values in rows.items():
+            owner, _, rest = name.partition(".")
+            of.setdefault(owner, {})[rest] = values
+        engine.begin_with(ids, of["engine"])
+        for part in (*self.parts, self.machines):
+            part.begin_with(ids, of.get(part.name, {}))
 
     def note_gains(self, kp: Array, kd: Array) -> None:
         """Take note of servo gains that such a program has set.

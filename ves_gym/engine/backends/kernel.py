@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ves_gym._util.params import Array, Index
+from ves_gym._util.params import Array, Index, object_rows
 from ves_gym.engine.backends.base import MEANINGLESS
 from ves_gym.engine.backends.compiled import CompiledBackend
 from ves_gym.engine.kernel.build import LANES
@@ -231,6 +231,23 @@ class KernelBackend(CompiledBackend):
         self._put(ids, slice(None), x)
         self._u[ids // LANES, :, ids % LANES] = 0.0  # no acceleration of a platform either
         self._start[ids], self._ticks[ids], self._fault[ids] = time, 0, False
+
+    def rows_of(self, ids: Index) -> dict[str, Array]:
+        """State and numbers of simulations (k,), with which `begin_with` begins others."""
+        block, lane = ids // LANES, ids % LANES
+        own = [(self._systems[i], i in self._own_bases) for i in ids.tolist()]
+        numbers = {"p": self._p[block, :, lane], "system": object_rows(own)}
+        return {"x": self._x[block, :, lane], **numbers}
+
+    def begin_with(self, ids: Index, rows: Mapping[str, Array]) -> None:
+        """Put simulations (k,) into states at time 0, with numbers of `rows_of` if given."""
+        self.begin(ids, rows["x"])
+        if "p" not in rows:
+            return
+        self._p[ids // LANES, :, ids % LANES] = rows["p"]
+        for i, (system, own) in zip(ids.tolist(), rows["system"], strict=True):
+            self._systems[i] = system
+            (self._own_bases.add if own else self._own_bases.discard)(i)
 
     def _set_parameter(self, at: int, ids: Index, values: Array) -> None:
         self._p[ids // LANES, at, ids % LANES] = values

@@ -99,6 +99,11 @@ class CompiledLoop:
             rows = flat[which][:, self._entries[key]]
             put_rows(self._p[:, self._places[key]], which, rows)
 
+    @property
+    def parameters(self) -> Array:
+        """(blocks, k, LANES) parameters as the code reads them, in place."""
+        return self._p
+
     def _wired(self, p: Parameters) -> dict[str, list[Piece]]:
         """The blocks of both halves on their places in memory."""
         halves: dict[str, list[Piece]] = {}
