@@ -243,7 +243,6 @@ def test_a_base_that_no_gains_bring_to_rest_is_refused():
     [
         ({"objective": "speed"}, "must be one of strain, worst, estimator, got 'speed'"),
         ({"y": np.zeros(6)}, "other than zero"),
-        ({"starts": 0}, "starts must be >= 1, got 0"),
     ],
 )
 def test_wrong_searches_are_refused(options, message):
@@ -307,7 +306,6 @@ def test_a_map_is_tuned_node_by_node():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: best_configurations(BENT, samples=3, candidates=4), "candidates <= samples"),
         (lambda: damping_map(BENT, (0, 1), Q, points=1), "points must be >= 2, got 1"),
         (lambda: damping_map(BENT, (0, 1), [9.0, 0, 0]), "fixed: joint 1"),
         (lambda: estimated_integral(BENT, Q, np.zeros(3)), r"y must have shape \(6,\)"),

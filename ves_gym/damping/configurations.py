@@ -7,12 +7,12 @@ do tell them; the size of raw Q does not (tests/claims/test_pped.py).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, ParameterError, finite
+from ves_gym._util.params import Array, finite
 from ves_gym.damping.plant import THESIS_DISPLACEMENT, plants
 from ves_gym.damping.tuning import WIDE, Bounds, Tuned, tune
 from ves_gym.planners.coupling import blocks, coupling_matrix, modes
@@ -51,8 +51,7 @@ def estimated_integral(
     return np.asarray(np.sum(energy * (1 / zeta + 4 * zeta) / (4 * m.omega), axis=-1))
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Configuration:
+class Configuration(NamedTuple):
     """A configuration of the arm and what its best gains leave in the base."""
 
     q: Array  # (n,) rad
@@ -64,7 +63,6 @@ def best_configurations(
     system: System,
     y: npt.ArrayLike = THESIS_DISPLACEMENT,
     *,
-    full: bool = False,
     bounds: Bounds = WIDE,
     samples: int = 4096,
     candidates: int = 24,
@@ -86,34 +84,26 @@ def best_configurations(
         progress: called with the fraction done.
 
     Raises:
-        ParameterError: not 1 <= candidates <= samples, or a base that PPED cannot damp.
+        ParameterError: a base that PPED cannot damp.
     """
-    if not 1 <= candidates <= samples:
-        raise ParameterError(f"need 1 <= candidates <= samples, got {candidates} and {samples}")
     arm, rng = system.arm, np.random.default_rng(seed)
     angles = rng.uniform(arm.column("q_min"), arm.column("q_max"), (samples, arm.n))
     estimated = estimated_integral(system, angles, y)
     chosen: list[int] = []
     for i in np.argsort(estimated, kind="stable").tolist():
-        if len(chosen) < candidates and _is_apart(angles[i], angles[chosen]):
+        gaps = np.abs(angles[chosen] - angles[i]).max(axis=1)
+        if len(chosen) < candidates and (gaps > _APART).all():
             chosen.append(i)
     configurations: list[Configuration] = []
     for i, plant in zip(chosen, plants(system, angles[chosen]), strict=True):
-        tuned = tune(plant, y=y, full=full, bounds=bounds, starts=_STARTS, seed=seed)
-        configurations.append(
-            Configuration(q=angles[i], estimated=float(estimated[i]), tuned=tuned)
-        )
+        tuned = tune(plant, y=y, bounds=bounds, starts=_STARTS, seed=seed)
+        configurations.append(Configuration(angles[i], float(estimated[i]), tuned))
         if progress is not None:
             progress(len(configurations) / len(chosen))
     return sorted(configurations, key=lambda c: c.tuned.value)
 
 
-def _is_apart(q: Array, others: Array) -> bool:
-    return bool((np.abs(others - q).max(axis=1) > _APART).all())
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class DampingMap:
+class DampingMap(NamedTuple):
     """A cross-section of joint space: two joints swept, the others fixed."""
 
     joints: tuple[int, int]  # which joints, from 0
@@ -130,11 +120,9 @@ def damping_map(
     fixed: npt.ArrayLike,
     y: npt.ArrayLike = THESIS_DISPLACEMENT,
     *,
-    full: bool = False,
     bounds: Bounds = WIDE,
     points: int = 11,
     seed: int = 0,
-    progress: Callable[[float], None] | None = None,
 ) -> DampingMap:
     """Tune gains all over a cross-section of joint space, beside what the coupling says.
 
@@ -148,20 +136,15 @@ def damping_map(
         seed: of the searches.
 
     Raises:
-        ParameterError: bad joints or points, or a base that PPED cannot damp.
+        ParameterError: bad points, or a base that PPED cannot damp.
     """
     axes, q = cross_section(system, joints, fixed, points, least=2)
-    flat = q.reshape(-1, system.arm.n)
     integrals: list[float] = []
     near = None  # gains of the neighbour
-    for plant in plants(system, flat):
-        tuned = tune(
-            plant, y=y, full=full, bounds=bounds, starts=_STARTS, seed=seed, first=near
-        )
+    for plant in plants(system, q.reshape(-1, system.arm.n)):
+        tuned = tune(plant, y=y, bounds=bounds, starts=_STARTS, seed=seed, first=near)
         near = tuned.gains
         integrals.append(tuned.value)
-        if progress is not None:
-            progress(len(integrals) / len(flat))
     return DampingMap(
         joints=joints,
         axes=axes,

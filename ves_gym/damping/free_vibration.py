@@ -6,13 +6,12 @@ Twice: by the linear model that gains are found with, and by the simulator.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.integrate import trapezoid
 
-from ves_gym._util.params import Array, ParameterError, finite
+from ves_gym._util.params import Array, finite
 from ves_gym.damping.plant import THESIS_DISPLACEMENT, GainMatrices, plant_at, respond
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.planners.coupling import modes
@@ -23,8 +22,7 @@ from ves_gym.system.system import System
 _RECORDS = 16  # of a period of the stiffest base mode
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class FreeVibration:
+class FreeVibration(NamedTuple):
     """Base motion under several sets of gains on one clock. Leading axis = gains."""
 
     t: Array  # (N,) s
@@ -37,17 +35,14 @@ class FreeVibration:
     @property
     def E_int(self) -> Array:
         """(m,) integral of the strain energy over the run [J s]."""
-        integral: Array = trapezoid(self.strain, self.t, axis=-1)
-        return integral
+        return np.asarray(np.trapezoid(self.strain, self.t, axis=-1))
 
     @property
     def t_5(self) -> Array:
         """(m,) s until E stays below 5 % of its peak; inf if it does not within the run."""
         late = self.total > SETTLED * self.total.max(axis=-1, keepdims=True)
         last = len(self.t) - late[:, ::-1].argmax(axis=-1)  # the sample after the last above
-        ends = np.r_[self.t, np.inf]
-        settled: Array = ends[last]
-        return settled
+        return np.asarray(np.r_[self.t, np.inf][last])
 
 
 def linear_free_vibration(
@@ -91,20 +86,17 @@ def simulate_free_vibration(
     y: npt.ArrayLike = THESIS_DISPLACEMENT,
     *,
     seconds: float = 30.0,
-    backend: str = "auto",
 ) -> FreeVibration:
     """Run the simulator under several sets of gains: large motions, limited motors.
 
     Diagonal gains act inside the physics step, as those of any servo; the torque by which
     full matrices couple the joints is constant over each physics step. Arguments as those of
-    `linear_free_vibration`; `backend`: the engine's name, or auto.
+    `linear_free_vibration`.
 
     Raises:
-        ParameterError: a prescribed drive, a joint beyond its limits, or too short a run.
+        ParameterError: a joint beyond its limits.
     """
     arm, (t, stride) = system.arm, _clock(system, q, seconds)
-    if system.drive != "motor":
-        raise ParameterError(f"gains need drive motor, got drive {system.drive}")
     start = arm.require_within_limits(q)
     K, B = (np.stack([getattr(g, name) for g in gains]) for name in ("K", "B"))
     kp, kd = (np.diagonal(k, axis1=1, axis2=2) for k in (K, B))
@@ -112,7 +104,7 @@ def simulate_free_vibration(
     crossed = bool(across_K.any() or across_B.any())
     fine = system.replace(control_dt=system.physics_dt)
     zero = (0.0,) * arm.n
-    sim = Simulator(fine, len(gains), servo=JointServo(kp=zero, kd=zero), backend=backend)
+    sim = Simulator(fine, len(gains), servo=JointServo(kp=zero, kd=zero))
     sim.set_gains(kp, kd)
     sim.reset(q=start, y=finite(y, (6,), "y"))
     hold = kp * start
@@ -138,12 +130,9 @@ def simulate_free_vibration(
     joints, pose, rate = (
         np.stack([getattr(s, name) for s in states], axis=1) for name in ("q", "y", "yd")
     )
-    shaken = [k for k in internal if k is not None]
-    modes_of_base = None
-    if shaken:
-        u, ud = (np.stack(part, axis=1) for part in zip(*shaken, strict=True))
-        modes_of_base = u, ud
-    energy = base_energy(system, joints, pose, rate, modes_of_base)
+    shaken = [np.stack(k) for k in internal if k is not None]
+    shaking: Any = tuple(np.stack(shaken, axis=2)) if shaken else None
+    energy = base_energy(system, joints, pose, rate, shaking)
     return FreeVibration(
         t=t,
         y=pose,
@@ -159,11 +148,6 @@ def _clock(system: System, q: npt.ArrayLike, seconds: float) -> tuple[Array, int
 
     The control period, or what shows a swing of the stiffest base mode by _RECORDS.
     """
-    if not (np.isfinite(seconds) and seconds >= system.control_dt):
-        raise ParameterError(
-            f"seconds must be finite and at least a control period of {system.control_dt:g} s,"
-            f" got {seconds}"
-        )
     start = system.arm.require_within_limits(q)
     period = 2 * np.pi / float(modes(system, start).omega.max())
     stride = int(np.clip(period / _RECORDS / system.physics_dt, 1, system.substeps))

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,8 +46,7 @@ _LISTED = 5  # configurations printed
 Progress = Callable[[str, float], None]
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class GainRow:
+class GainRow(NamedTuple):
     """One set of gains and what it does."""
 
     name: str
@@ -101,8 +100,8 @@ class GainComparison:
         }
 
     def _row(self, row: GainRow, k: int) -> dict[str, Any]:
-        facts = {name: getattr(row, name) for name in ("name", "objective", "full", "seconds")}
-        out = {**facts, **row.damping.to_dict(), "simulated": None}
+        out = row._asdict()
+        out |= {**out.pop("damping").to_dict(), "simulated": None}
         if (run := self.simulated) is not None:
             t_5 = float(run.t_5[k])
             out["simulated"] = {
@@ -201,22 +200,16 @@ def compare_gains(
     rows = []
     if plant.n == len(HIGH_GAINS.kp):
         for name, servo in ((_HIGH, HIGH_GAINS), (_PPED, PPED_GAINS)):
-            rows.append(GainRow(name=name, damping=analyse(plant, GainMatrices.of(servo), y)))
+            rows.append(GainRow(name, analyse(plant, GainMatrices.of(servo), y)))
     searches = list(itertools.product(objectives, (False, True) if full else (False,)))
     for k, (objective, symmetric) in enumerate(searches):
         progress("searching gains", k / (len(searches) + 1))
         tuned = tune(plant, objective, y=y, full=symmetric, bounds=bounds, seed=seed)
-        rows.append(
-            GainRow(
-                name=f"by {objective}" + (", full" if symmetric else ""),
-                damping=analyse(plant, tuned.gains, y),
-                objective=objective,
-                full=symmetric,
-                seconds=tuned.seconds,
-            )
-        )
+        name = f"by {objective}" + (", full" if symmetric else "")
+        damping = analyse(plant, tuned.gains, y)
+        rows.append(GainRow(name, damping, objective, symmetric, tuned.seconds))
     virtual, _ = tune_virtual(system, q, y=y, bounds=bounds, seed=seed)
-    rows.append(GainRow(name="virtual arm (4.1)", damping=analyse(plant, virtual, y)))
+    rows.append(GainRow("virtual arm (4.1)", analyse(plant, virtual, y)))
     progress("searching gains", 1.0)
     gains = [row.damping.gains for row in rows]
     simulated, trouble = None, ""
@@ -227,18 +220,15 @@ def compare_gains(
     configurations: list[Configuration] = []
     maps: list[DampingMap] = []
     if points is not None:
+        search: dict[str, Any] = {"y": y, "bounds": bounds, "seed": seed}
         configurations = best_configurations(
-            system, y, bounds=bounds, seed=seed,
-            progress=lambda done: progress("looking for configurations", done),
-        )  # fmt: skip
+            system, **search, progress=lambda done: progress("looking for configurations", done)
+        )
         pairs = list(itertools.combinations(range(min(system.arm.n, _WIDEST)), 2))
         for k, two in enumerate(pairs):
             progress("mapping", k / len(pairs))
-            maps.append(
-                damping_map(
-                    system, two, configurations[0].q, y, bounds=bounds, points=points, seed=seed
-                )
-            )
+            at = configurations[0].q
+            maps.append(damping_map(system, two, at, points=points, **search))
     return GainComparison(
         system=system,
         plant=plant,

@@ -11,15 +11,15 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import Array
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.planners.prediction import BaseState, LinearBase, hold
 from ves_gym.system.system import System
 
 # Standard deviations, this project: what is unknown of the motion against what is of a pose.
-_WRENCH = (2.0, 2.0, 2.0, 2.0, 2.0, 2.0)  # N s^0.5, N m s^0.5
+_WRENCH = 2.0  # N s^0.5, N m s^0.5
 _MODE = 1.0  # kg^0.5 m/s^1.5, the same as of a wrench, on internal modes
-_POSE = (1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4)  # m, rad
+_POSE = 1e-4  # m, rad
 
 
 class BaseObserver:
@@ -31,20 +31,9 @@ class BaseObserver:
         system: arm and vehicle.
         at: (n, joints) configurations [rad].
         dt: between measurements [s].
-        wrench: (6,) noise density of what moves the base unknown [N s^0.5, N m s^0.5].
-        pose: (6,) noise of a measured pose [m, rad].
     """
 
-    def __init__(
-        self,
-        system: System,
-        at: npt.ArrayLike,
-        dt: float,
-        wrench: npt.ArrayLike = _WRENCH,
-        pose: npt.ArrayLike = _POSE,
-    ) -> None:
-        if not (np.isfinite(dt) and dt > 0):
-            raise ParameterError(f"dt must be > 0 s and finite, got {dt}")
+    def __init__(self, system: System, at: npt.ArrayLike, dt: float) -> None:
         angles = np.atleast_2d(np.asarray(at, float))
         self.system, self._linear = system, LinearBase(system)
         b = self.b = self._linear.b
@@ -54,9 +43,9 @@ class BaseObserver:
         self._Phi, *drive = hold(A, B[..., :6], dt)
         self._drive = np.stack(drive)
         # a mode that nothing unknown ever moved would be believed for good
-        force = np.r_[np.asarray(wrench, float), np.full(b - 6, _MODE)]
+        force = np.r_[np.full(6, _WRENCH), np.full(b - 6, _MODE)]
         unknown = np.vstack([np.zeros((b, b)), np.diag(force) * np.sqrt(dt)])
-        noise = np.diag(np.asarray(pose, float) ** 2)
+        noise = _POSE**2 * np.eye(6)
         C = np.eye(6, size)
         gains = []
         for Phi in self._Phi:

@@ -150,8 +150,7 @@ _MARGIN = 1e-9  # 1/s: a pole this near the imaginary axis does not decay
 _SAMPLE = 0.01  # s, of the response in which t_5 is looked for
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class DampingAnalysis:
+class DampingAnalysis(NamedTuple):
     """Poles and measures of a displaced base under a set of gains, by the linear model."""
 
     gains: GainMatrices
@@ -189,25 +188,13 @@ def analyse(
     A = plant.closed(gains)
     poles = np.linalg.eigvals(A).astype(np.complex128)
     poles = poles[np.lexsort((poles.imag, np.abs(poles).round(9)))]
-    value = estimator(poles)
-    if poles.real.max() > -_MARGIN:
-        never, nowhere = math.inf, np.full(6, np.nan)
-        return DampingAnalysis(
-            gains=gains, poles=poles, estimator=value, E_int=never, t_5=never, worst=never,
-            worst_y=nowhere,
-        )  # fmt: skip
-    P = Lyapunov(A).cost(plant.strain)
-    x = plant.start(y)
-    worst, direction = worst_displacement(plant, P)
-    return DampingAnalysis(
-        gains=gains,
-        poles=poles,
-        estimator=value,
-        E_int=float(x @ P @ x),
-        t_5=_settling_time(plant, A, x),
-        worst=worst,
-        worst_y=direction,
-    )
+    E_int = t_5 = worst = math.inf
+    worst_y = np.full(6, np.nan)
+    if poles.real.max() <= -_MARGIN:
+        P, x = Lyapunov(A).cost(plant.strain), plant.start(y)
+        E_int, t_5 = float(x @ P @ x), _settling_time(plant, A, x)
+        worst, worst_y = worst_displacement(plant, P)
+    return DampingAnalysis(gains, poles, estimator(poles), E_int, t_5, worst, worst_y)
 
 
 def estimator(poles: npt.ArrayLike) -> float:

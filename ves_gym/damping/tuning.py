@@ -14,6 +14,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -170,8 +171,7 @@ class _Inside:
         return T[self.at]
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Tuned:
+class Tuned(NamedTuple):
     """Gains found by a search."""
 
     gains: GainMatrices
@@ -207,8 +207,6 @@ def tune(
     Raises:
         ParameterError: an unknown objective, or a base that no gains bring to rest.
     """
-    if starts < 1:
-        raise ParameterError(f"starts must be >= 1, got {starts}")
     began = time.perf_counter()
     goal = objective_of(plant, objective, y)
     boxes = [_Inside(plant.n, b, full) for b in (bounds.K, bounds.B)]
@@ -334,7 +332,6 @@ def two_masses(system: System, q: npt.ArrayLike) -> LinearPlant:
 def tune_virtual(
     system: System,
     q: npt.ArrayLike,
-    objective: str = "strain",
     *,
     y: npt.ArrayLike = THESIS_DISPLACEMENT,
     full: bool = False,
@@ -349,7 +346,7 @@ def tune_virtual(
     Returns:
         The joint gains, and what the two masses promise, with K_d and B_d (3, 3).
     """
-    search = tune(two_masses(system, q), objective, y=y, full=full, bounds=CARTESIAN, seed=seed)
+    search = tune(two_masses(system, q), y=y, full=full, bounds=CARTESIAN, seed=seed)
     joint = joint_gains(system.arm, q, search.gains)
     least = np.eye(system.arm.n)
     gains = GainMatrices(joint.K + bounds.K[0] * least, joint.B + bounds.B[0] * least)

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import (
-    Array,
-    ParameterError,
-    read_result,
-    write_result,
-)
+from ves_gym._util.params import Array, ParameterError, read_result, write_result
 from ves_gym._util.tables import table
 from ves_gym._util.views import Viewable
 from ves_gym.mechanics.limits import LimitCheck
@@ -36,12 +32,12 @@ class ComparisonRow:
     """One planner's answer to the query."""
 
     planner: str
-    predicted: dict[str, float] | None  # E_mean, E_res, E_peak [J]
-    simulated: Energies | None  # None: no motion, or the run was stopped
-    ratio: float | None  # simulated E_mean over that of the straight line
     seconds: float  # planning time
     failure: str | None  # why there is no motion, or what limit it breaks
-    energy: Array | None  # (N,) E of the base [J]
+    predicted: dict[str, float] | None = None  # E_mean, E_res, E_peak [J]
+    simulated: Energies | None = None  # None: no motion, or the run was stopped
+    ratio: float | None = None  # simulated E_mean over that of the straight line
+    energy: Array | None = None  # (N,) E of the base [J]
     reference_breaks: str | None = None  # limits that the motion breaks, asked for or not
     arm_breaks: str | None = None  # limits that the simulated arm breaks
     disturbance: Disturbance | None = None  # simulated
@@ -50,11 +46,6 @@ class ComparisonRow:
     def feasible(self) -> bool:
         """True where there is a motion, inside the limits and clear of everything."""
         return self.failure is None
-
-    @property
-    def arm_verdict(self) -> str:
-        """'simulated arm NOT inside the limits' where it is not, else nothing."""
-        return "simulated arm NOT inside the limits" if self.arm_breaks else ""
 
     @property
     def cells(self) -> tuple[str, ...]:
@@ -68,16 +59,16 @@ class ComparisonRow:
             "-" if moved is None else f"{moved.acceleration_peak:.3g} m/s^2",
             "-" if moved is None else f"{1e3 * moved.tip_peak:.3g} mm",
             f"{self.seconds:.2f} s",
-            self.failure or self.arm_verdict,
+            self.failure or ("simulated arm NOT inside the limits" if self.arm_breaks else ""),
         )
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         return {
             **vars(self),
-            "simulated": None if self.simulated is None else self.simulated.to_dict(),
+            "simulated": self.simulated and self.simulated.to_dict(),
             "energy": None if self.energy is None else self.energy.tolist(),
-            "disturbance": None if self.disturbance is None else self.disturbance.to_dict(),
+            "disturbance": self.disturbance and self.disturbance.to_dict(),
         }
 
 
@@ -119,15 +110,7 @@ class Comparison(Viewable):
         peak: largest acceleration of the arm's mount; tip: largest error of the tool.
         """
         head = ("planner", "predicted", "simulated", "ratio", "peak", "tip", "planned in", "")
-        table = [head, *(row.cells for row in self.rows)]
-        widths = [max(len(cells[k]) for cells in table) for k in range(len(head))]
-        return "\n".join(
-            "  ".join(
-                text.ljust(width) if k in (0, len(head) - 1) else text.rjust(width)
-                for k, (text, width) in enumerate(zip(cells, widths, strict=True))
-            ).rstrip()
-            for cells in table
-        )
+        return table(head, [row.cells for row in self.rows], left=(0, len(head) - 1))
 
     def __str__(self) -> str:
         return self.table
@@ -147,7 +130,7 @@ class Comparison(Viewable):
             "duration": self.duration,
             "t": self.t.tolist(),
             "rows": [row.to_dict() for row in self.rows],
-            "straight": None if self.straight is None else self.straight.to_dict(),
+            "straight": self.straight and self.straight.to_dict(),
         }
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -191,29 +174,22 @@ def compare_planners(query: Query, planners: Sequence[Planner], *, seed: int = 0
     energies = measured(run)
     straight = energies[-1]
     rows: list[ComparisonRow] = []
-    i = -1
+    played = itertools.count()
     for plan in plans:
-        row = ComparisonRow(plan.planner, None, None, None, plan.seconds, plan.failure, None)
+        found: dict[str, Any] = {}
         if plan.motion is not None and plan.predicted and plan.reference:
-            i += 1  # its run
-            row = replace(
-                row,
-                predicted=plan.predicted.to_dict(),
-                reference_breaks=plan.reference.reasons,
-                arm_breaks=run.limit_check(i, v_max=query.v_max).reasons,
-            )
+            i = next(played)  # its run
+            found["predicted"] = plan.predicted.to_dict()
+            found["reference_breaks"] = plan.reference.reasons
+            found["arm_breaks"] = run.limit_check(i, v_max=query.v_max).reasons
             if (simulated := energies[i]) is not None:
-                motion = run.q[i], run.y[i], run.yd[i]
-                row = replace(
-                    row,
-                    simulated=simulated,
-                    ratio=simulated.E_mean / straight.E_mean
-                    if straight is not None and straight.E_mean > 0
-                    else None,
-                    energy=base_energy(query.system, *motion, run.internal(i)).total,
-                    disturbance=run.disturbance(i, weight=query.weight),
-                )
-        rows.append(row)
+                found["simulated"] = simulated
+                if straight is not None and straight.E_mean > 0:
+                    found["ratio"] = simulated.E_mean / straight.E_mean
+                motion = run.q[i], run.y[i], run.yd[i], run.internal(i)
+                found["energy"] = base_energy(query.system, *motion).total
+                found["disturbance"] = run.disturbance(i, weight=query.weight)
+        rows.append(ComparisonRow(plan.planner, plan.seconds, plan.failure, **found))
     name = query.name or query.ends_in_words
     return Comparison(name, query.duration, run.t, tuple(rows), straight, tuple(plans))
 
@@ -235,11 +211,9 @@ def measured(run: Recording) -> list[Energies | None]:
     """Energies of each run; None for one that a safety stop ended."""
     stopped = {event.simulation for event in run.events}
     complete = [i for i in range(len(run.q)) if i not in stopped]
-    out: list[Energies | None] = [None] * len(run.q)
-    if complete:
-        for i, part in zip(complete, run.energies(complete, as_it_is=True), strict=True):
-            out[i] = part
-    return out
+    found = run.energies(complete, as_it_is=True) if complete else []
+    energies = dict(zip(complete, found, strict=True))
+    return [energies.get(i) for i in range(len(run.q))]
 
 
 _SHOWN = ("predicted", "simulated", "straight")
@@ -277,7 +251,7 @@ class PlanReport:
             return f"{plan.planner}: {plan.failure} ({plan.seconds:.2f} s)"
         rows: list[tuple[str, list[float]]] = []
         for name, value in plan.predicted.to_dict().items():
-            played = [getattr(self.energies[k], name) for k in _SHOWN[1:]]
+            played = (getattr(self.energies[k], name) for k in _SHOWN[1:])
             rows.append((f"{name} [J]", [value, *played]))
         for name, unit in Disturbance.units().items():
             values = [getattr(self.disturbances[k], name) for k in _SHOWN]

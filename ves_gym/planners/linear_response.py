@@ -10,8 +10,8 @@ and, with a column per sample, the matrices of quadratic forms in u.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from ves_gym._util.params import Array
 from ves_gym.mechanics.kinematics import joint_positions, tool_jacobian
 from ves_gym.mechanics.modes import root
 from ves_gym.mechanics.motion import Motion
+from ves_gym.planners.case import Query
 from ves_gym.planners.prediction import (
     FINE,
     NODES,
@@ -30,16 +31,12 @@ from ves_gym.planners.prediction import (
     inertia_along,
     joint_momentum,
 )
-from ves_gym.planners.query import Query
 from ves_gym.system.disturbance import Disturbance, mount_of
 from ves_gym.system.energy import TAIL
 from ves_gym.system.frequency_weight import FrequencyWeight
 
-QUANTITIES = ("acceleration", "angular", "tip", "displacement", "rotation", "filtered")
 
-
-@dataclass(frozen=True)
-class Quantity:
+class Quantity(NamedTuple):
     """A vector of r entries that is affine in the columns of a response."""
 
     nodes: Array  # (N, r, C) while the joints move
@@ -129,7 +126,11 @@ class LinearResponse:
     # ------------------------------------------------------------------- quantities
 
     def quantity(self, name: str) -> Quantity:
-        """One of `QUANTITIES`: vectors of three; the square of `filtered` is an energy."""
+        """Vectors of three; `filtered`: of which the square is an energy.
+
+        Args:
+            name: acceleration, angular, tip, displacement, rotation or filtered.
+        """
         if name == "tip":
             return self._tip()
         if name == "filtered":

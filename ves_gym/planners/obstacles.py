@@ -137,25 +137,24 @@ class Collisions:
         """Pairs of shapes that overlap at q (n,), by name, the base displaced by y (6,)."""
         self.data.qpos[self._base] = y
         try:
-            contacts = self._detect(q, 0.0)
-            if self.data.ncon == 0:
-                return []
-            pairs = contacts.geom[contacts.dist < 0]
+            return self._nearer(q, 0.0)
         finally:
             self.data.qpos[:6] = 0.0
-        return sorted({" and ".join(self.model.geom(g).name for g in pair) for pair in pairs})
 
     def first_contact(self, path: npt.ArrayLike) -> int | None:
         """Index of the first configuration of (N, n) nearer than the clearance, or None."""
-        for k, q in enumerate(np.asarray(path, float)):
-            if not self.is_clear(q):
-                return k
-        return None
+        points = enumerate(np.asarray(path, float))
+        return next((k for k, q in points if not self.is_clear(q)), None)
 
     def contact_names(self, q: npt.ArrayLike) -> list[str]:
         """Pairs of shapes nearer than the clearance at a configuration (n,) [rad], by name."""
-        contacts = self._detect(np.asarray(q, float), self.clearance)
-        pairs = contacts.geom[contacts.dist < self.clearance]
+        return self._nearer(np.asarray(q, float), self.clearance)
+
+    def _nearer(self, q: Array, distance: float) -> list[str]:
+        contacts = self._detect(q, distance)
+        if self.data.ncon == 0:  # the usual answer, without NumPy
+            return []
+        pairs = contacts.geom[contacts.dist < distance]
         return sorted({" and ".join(self.model.geom(g).name for g in pair) for pair in pairs})
 
     def proximity(self, q: Array, within: float) -> Proximity:

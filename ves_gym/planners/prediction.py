@@ -32,6 +32,7 @@ from ves_gym.mechanics.spatial import matvec, quadratic
 from ves_gym.system.energy import TAIL
 from ves_gym.system.system import System
 
+_DOUBLINGS = 24
 _PER_SECOND = 60.0  # samples: six and more of a joint on its servo (10 Hz)
 NODES = 96  # samples of a motion; energies converge to about 1e-3 (docs/physics.md)
 FINE = 10  # parts of a sample for peaks, which may be as short as a joint's swing on its servo
@@ -64,9 +65,8 @@ class BaseState:
             raise ParameterError(
                 f"BaseState.u must have {base.m} internal coordinates, got {len(self.u)}"
             )
-        if not self.u:
-            return np.r_[y, base.attached(y)], np.r_[yd, base.attached(yd)]
-        return np.r_[y, self.u], np.r_[yd, self.ud]
+        u, ud = (self.u, self.ud) if self.u else (base.attached(y), base.attached(yd))
+        return np.r_[y, u], np.r_[yd, ud]
 
 
 @dataclass(frozen=True)
@@ -307,13 +307,11 @@ def hold(A: Array, B: Array, dt: float) -> tuple[Array, Array, Array]:
     return E[..., :n, :n], E[..., :n, n : n + m] - slope, slope
 
 
-def gramian(A: Array, C: Array, span: float, doublings: int = 24) -> Array:
+def gramian(A: Array, C: Array, span: float) -> Array:
     """int_0^span exp(A^T t) C exp(A t) dt, by doubling from a short Simpson step."""
-    h = span / 2**doublings
+    h = span / 2**_DOUBLINGS
     half = scipy.linalg.expm(A * h / 2)
     full = half @ half
-    S, _ = sum_quadratic(
-        full, h / 6 * (C + 4 * half.T @ C @ half + full.T @ C @ full), doublings
-    )
-    out: Array = (S + S.T) / 2
-    return out
+    first = h / 6 * (C + 4 * half.T @ C @ half + full.T @ C @ full)
+    S, _ = sum_quadratic(full, first, _DOUBLINGS)
+    return np.asarray((S + S.T) / 2)

@@ -9,13 +9,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.motion import Motion
-from ves_gym.planners.objective import Objective, QuadraticForm
+from ves_gym.planners.objective import Objective
+
+if TYPE_CHECKING:
+    from ves_gym.planners.direct import MotionProblem
 
 _ROUNDS = 4  # of looking for torque between samples
 _PATHS = 2  # that the tool's error is linearised about, after the straight line
@@ -27,19 +29,6 @@ _MISSED = 1e-8  # of a limit by which a step may break what it did not mind
 _RIDGE = 1e-7  # of the mean curvature, on flat directions
 _BARELY = 1e-4  # of a limit: less is nothing to tell optimisations apart by
 _ACCEPTED = 1e-6  # of a limit by which an answer may break it; `_SHARE` is for that
-
-
-class DecisionProblem(Protocol):
-    """Motions by the decision x (free n,) [rad], their energy, and limits: `MotionProblem`."""
-
-    energy: QuadraticForm
-
-    @property
-    def bounds(self) -> tuple[Array, Array]: ...
-    def momentum(self, x: Array) -> tuple[Array, Array]: ...
-    def limits(self, x: Array) -> tuple[Array, Array]: ...
-    def motion(self, x: Array) -> Motion: ...
-    def add_torque_samples(self, x: Array) -> bool: ...
 
 
 @dataclass(frozen=True)
@@ -55,11 +44,7 @@ class Minimum:
 
     def info(self) -> dict[str, Any]:
         """Statistics of the search as plain data."""
-        return {
-            "evaluations": self.evaluations,
-            "iterations": self.iterations,
-            "message": self.message,
-        }
+        return {k: getattr(self, k) for k in ("evaluations", "iterations", "message")}
 
 
 def rank(minimum: Minimum) -> tuple[float, float]:
@@ -78,14 +63,11 @@ class _Point(NamedTuple):
     slope: Array  # of u
     limits: Array
     rows: Array  # derivative of limits
-
-    @property
-    def excess(self) -> float:
-        return float(self.limits.max(initial=-1.0))
+    excess: float  # the largest of the limits
 
 
 def minimise(
-    problem: DecisionProblem, x0: Array, iterations: int = 60, tolerance: float = 1e-4
+    problem: MotionProblem, x0: Array, iterations: int = 60, tolerance: float = 1e-4
 ) -> Minimum:
     """Find the least E_mean from x0 by steps in a trust region that an exact penalty judges.
 
@@ -105,7 +87,7 @@ def minimise(
     return replace(minimum, iterations=done, evaluations=evaluations)
 
 
-def about_itself(problem: DecisionProblem, minimum: Minimum, iterations: int = 60) -> Minimum:
+def about_itself(problem: MotionProblem, minimum: Minimum, iterations: int = 60) -> Minimum:
     """Minimise again with the tool on the path that was found, where its error counts."""
     energy = problem.energy
     if not (isinstance(energy, Objective) and energy.follows_path):
@@ -118,15 +100,14 @@ def about_itself(problem: DecisionProblem, minimum: Minimum, iterations: int = 6
     return replace(minimum, iterations=done, evaluations=evaluations)
 
 
-def _minimise(
-    problem: DecisionProblem, x0: Array, iterations: int, tolerance: float
-) -> Minimum:
+def _minimise(problem: MotionProblem, x0: Array, iterations: int, tolerance: float) -> Minimum:
     low, high = problem.bounds
 
     def at(x: Array) -> _Point:
         u, slope = problem.momentum(x)
         limits, rows = problem.limits(x)
-        return _Point(x, problem.energy.value(u), u, slope, limits, rows)
+        excess = float(limits.max(initial=-1.0))
+        return _Point(x, problem.energy.value(u), u, slope, limits, rows, excess)
 
     point = at(np.clip(x0, low, high))
     scale = max(point.energy, 1e-12)
