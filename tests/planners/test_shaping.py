@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
 from ves_gym.planners.coupling import modes
 from ves_gym.planners.paths import septic
@@ -13,7 +12,6 @@ from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.shaping import (
     BaseMode,
-    Shaped,
     Shaper,
     SmoothJerk,
     excited_modes,
@@ -131,10 +129,3 @@ def test_a_smoother_law_on_the_same_line():
     s = plan.motion.at(np.linspace(0, 4, 101))
     progress = (s.q - QUERY.start) / (np.array(QUERY.goal) - QUERY.start)
     np.testing.assert_allclose(progress, septic(s.t / 4)[:, None] * np.ones(3), atol=1e-6)
-
-
-def test_a_shaper_that_is_none():
-    with pytest.raises(
-        ParameterError, match=r"Shaped\.kind must be one of zv, zvd, got 'zvdd'"
-    ):
-        Shaped("zvdd")

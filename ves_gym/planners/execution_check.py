@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import Array
 from ves_gym.mechanics.limits import check_limits, middle_of_range
 from ves_gym.planners.obstacles import RESOLUTION, collisions
 from ves_gym.planners.query import Plan, Planner, Query, answer_limits, first_violation, solve
@@ -64,20 +64,14 @@ def _touched(query: Query, q: Array, y: Array) -> str | None:
     if query.surroundings is None:
         return None
     checker = collisions(query.system.ideal(), query.surroundings)
-    for k in _spaced(q, RESOLUTION / 8):
-        names = checker.touching(q[k], y[k])
-        if names:
+    last = np.inf
+    for at, pose in zip(q, y, strict=True):
+        if np.abs(at - last).max() < RESOLUTION / 8:
+            continue
+        last = at  # looked at
+        if names := checker.touching(at, pose):
             return f"the arm touches: {', '.join(names)}"
     return None
-
-
-def _spaced(q: Array, step: float) -> list[int]:
-    """Records (N, n) to look at: the first, then each that is a step from the one before."""
-    out = [0]
-    for k in range(1, len(q)):
-        if np.abs(q[k] - q[out[-1]]).max() >= step:
-            out.append(k)
-    return out
 
 
 def solve_with_reserve(
@@ -88,17 +82,12 @@ def solve_with_reserve(
     Where the planner has no answer to that, it plans with the limits as they are; the plan's
     seconds are those of all planning. `reserve`: share of the limits that is left, in [0, 1).
     """
-    if not 0 <= reserve < 1:
-        raise ParameterError(f"reserve must be in [0, 1), got {reserve}")
     if query.v_max is None or reserve == 0:
         return solve(planner, query, seed)
     slower = replace(query, v_max=tuple((1 - reserve) * k for k in query.v_max))
     plan = solve(planner, slower, seed)
-    if (
-        plan.feasible
-        and plan.motion is not None
-        and first_violation(query, plan.motion) is None
-    ):
+    kept = plan.motion is not None and first_violation(query, plan.motion) is None
+    if plan.feasible and kept:
         return replace(plan, query=query)
     plan_again = solve(planner, query, seed)
     return replace(plan_again, seconds=plan.seconds + plan_again.seconds)

@@ -10,7 +10,6 @@ what is minimised is the cost of not knowing; what it may cost as described is l
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -37,7 +36,7 @@ from ves_gym.planners.objective import MeanEnergy, running_integral
 from ves_gym.planners.query import Query, first_violation
 from ves_gym.planners.refine import _FREE, Refined
 from ves_gym.planners.sequential import minimise
-from ves_gym.system.candidate import Candidate, Scope
+from ves_gym.system.candidate import Scope
 from ves_gym.system.effect import EFFECTS, ArmEffect, BaseEffect
 from ves_gym.system.system import System
 
@@ -126,7 +125,7 @@ class Robust:
         Args:
             problem: of all scenarios.
             x0: the nominal optimum. before: its energies [J].
-            known: least energies [J], the scales.
+            informed: least energies [J], the scales.
         """
         risk = problem.risk
         risk.scale = np.r_[before[0], informed[1:]]
@@ -235,13 +234,13 @@ class Risk:
         self.sharpness = self.price = 0.0
         self.only: int | None = None
         sizes = [len(forms[groups.index(k)].hessian) for k in range(max(groups) + 1)]
-        ends = np.cumsum([0, *sizes])
-        self._slices = [slice(a, b) for a, b in itertools.pairwise(ends)]
+        ends = np.cumsum([0, *sizes]).tolist()
+        self.parts = [slice(ends[g], ends[g + 1]) for g in groups]  # of u, per machine
 
     def energies(self, u: Array) -> Array:
         """E_mean on every machine [J] of the momenta of all groups."""
-        pairs = zip(self.forms, self.groups, strict=True)
-        return np.array([form.value(u[self._slices[g]]) for form, g in pairs])
+        pairs = zip(self.forms, self.parts, strict=True)
+        return np.array([form.value(u[part]) for form, part in pairs])
 
     def value(self, u: Array) -> float:
         """The function itself [1]."""
@@ -256,26 +255,25 @@ class Risk:
     def force(self, u: Array) -> Array:
         """Derivative of `value`."""
         out = np.zeros_like(u)
-        parts = zip(self._weights(u), self.forms, self.groups, strict=True)
-        for weight, form, g in parts:
+        for weight, form, part in zip(self._weights(u), self.forms, self.parts, strict=True):
             if weight:
-                out[self._slices[g]] += weight * form.force(u[self._slices[g]])
+                out[part] += weight * form.force(u[part])
         return out
 
     def curvature(self, u: Array, slope: Array) -> Array:
         """Second derivative of `value` (k, k) along directions: `slope` of u (size of u, k)."""
         weights, k = self._weights(u), slope.shape[1]
         out = np.zeros((k, k))
-        for g, part in enumerate(self._slices):
-            pairs = zip(weights, self.forms, self.groups, strict=True)
-            parts = [w * form.hessian for w, form, at in pairs if at == g and w]
-            if parts:
-                out += slope[part].T @ (sum(parts) @ slope[part])
+        for g in range(max(self.groups) + 1):  # machines of one momentum at once
+            members = [i for i, at in enumerate(self.groups) if at == g and weights[i]]
+            if members:
+                directions = slope[self.parts[members[0]]]
+                hessian = sum(weights[i] * self.forms[i].hessian for i in members)
+                out += directions.T @ (hessian @ directions)
         if self.sharpness == 0 or self.only is not None:
             return out
-        scaled = list(zip(self.forms, self.groups, self.scale, strict=True))[1:]
-        parts = [(form, self._slices[g], size) for form, g, size in scaled]
-        rows = np.array([slope[at].T @ form.force(u[at]) / size for form, at, size in parts])
+        scaled = list(zip(self.forms, self.parts, self.scale, strict=True))[1:]
+        rows = np.array([slope[at].T @ form.force(u[at]) / size for form, at, size in scaled])
         share = weights[1:] * self.scale[1:]
         mean = share @ rows
         out += self.sharpness * ((rows.T * share) @ rows - np.outer(mean, mean))
@@ -449,29 +447,22 @@ def read_uncertainty(path: str | os.PathLike[str]) -> Uncertainty:
 
 def _ends(system: System, entry: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
     """Fields of a diagnosed effect that are not as by default: (low, high) of each."""
-    candidate = _candidate(system, entry)
+    scope = Scope(system.arm.n, system)
+    known = {c.slot: c for c in EFFECTS[entry["kind"]].candidates(scope)}
+    if entry["slot"] not in known:
+        raise ParameterError(f"the diagnosis names {entry['name']}, which this machine lacks")
+    candidate = known[entry["slot"]]
     values = np.array([entry["value"][name] for name in candidate.names])
     estimate = candidate.effect(values)
-    fields = dataclasses.fields(estimate)
-    named = [f.name for f in fields if getattr(estimate, f.name) != f.default]
-    lowest = {name: np.asarray(getattr(estimate, name), float) for name in named}
-    highest = dict(lowest)
+    corners = [estimate]  # the estimate, and each number at the ends of its interval
     for k, name in enumerate(candidate.names):
-        interval = entry["interval"][name]
-        for end in () if interval is None else interval:
+        for end in entry["interval"][name] or ():
             moved = values.copy()
             moved[k] = end
-            effect = candidate.effect(moved)
-            for field in lowest:
-                at = np.asarray(getattr(effect, field), float)
-                lowest[field] = np.minimum(lowest[field], at)
-                highest[field] = np.maximum(highest[field], at)
-    return {name: (lowest[name].tolist(), highest[name].tolist()) for name in lowest}
-
-
-def _candidate(system: System, entry: dict[str, Any]) -> Candidate:
-    scope = Scope(system.arm.n, system)
-    for candidate in EFFECTS[entry["kind"]].candidates(scope):
-        if candidate.slot == entry["slot"]:
-            return candidate
-    raise ParameterError(f"the diagnosis names {entry['name']}, which this machine lacks")
+            corners.append(candidate.effect(moved))
+    out = {}
+    for field in dataclasses.fields(estimate):
+        if getattr(estimate, field.name) != field.default:
+            at = np.array([getattr(effect, field.name) for effect in corners], float)
+            out[field.name] = at.min(axis=0).tolist(), at.max(axis=0).tolist()
+    return out

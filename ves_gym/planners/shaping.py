@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.linalg
 
-from ves_gym._util.params import Array, require_choice
+from ves_gym._util.params import Array
 from ves_gym.mechanics.motion import Motion, quintic
 from ves_gym.planners.coupling import blocks
 from ves_gym.planners.paths import septic
@@ -20,7 +20,6 @@ from ves_gym.planners.prediction import modal_energies, spectral_energy
 from ves_gym.planners.query import Query, first_violation
 from ves_gym.system.system import System
 
-SHAPERS = ("zv", "zvd")
 _SAMPLES = 2001
 _CONTROLS = 96  # of the fitted motion: follows a shaped law to about 1e-4 of the way
 
@@ -52,7 +51,6 @@ class Shaped:
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
-        require_choice(self, "kind", SHAPERS)
         self.name = f"shaped-{kind}"
         self.summary = f"straight joint line, quintic law, {kind.upper()} input shaping"
 
@@ -120,12 +118,8 @@ def excited_modes(system: System, motion: Motion) -> list[BaseMode]:
     at = motion.at(motion.duration / 2).q
     (frozen, energy), (_, D, K) = modal_energies(system, motion, _SAMPLES), system.base.full()
     damping = _damping(blocks(system, at).Mt, D, K, frozen.omega)
-    base_modes = [
-        BaseMode(float(w), float(z), float(e))
-        for w, z, e in zip(frozen.omega, damping, energy, strict=True)
-        if w > 0
-    ]
-    return sorted(base_modes, key=lambda mode: -mode.energy)
+    numbers = zip(frozen.omega.tolist(), damping.tolist(), energy.tolist(), strict=True)
+    return sorted((BaseMode(*k) for k in numbers if k[0] > 0), key=lambda mode: -mode.energy)
 
 
 def _damping(M: Array, D: Array, K: Array, omega: Array) -> Array:

@@ -18,15 +18,12 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.kinematics import ToolPose, tool_twists
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED, Motion
 from ves_gym.mechanics.spatial import matvec
-from ves_gym.mechanics.tool_pose import (
-    CLOSE,
-    configurations_at,
-    towards_pose,
-)
+from ves_gym.mechanics.tool_pose import CLOSE, configurations_at, towards_pose
 from ves_gym.planners.objective import MeanEnergy
 from ves_gym.planners.obstacles import collisions
 from ves_gym.planners.query import Plan, Planner, Query, solve
 
+_STARTS = 128  # of the inverse kinematics
 _NODES = 32  # of a prediction while goals are compared
 _BEST = 4  # goals moved along their redundancy
 _FIRST, _LAST = 0.4, 0.04  # rad: steps along it
@@ -35,13 +32,7 @@ _TOO_FAST = 1e9  # J: behind everything that is not
 
 
 def solve_to_tool(
-    planner: Planner,
-    query: Query,
-    pose: ToolPose,
-    seed: int = 0,
-    *,
-    starts: int = 128,
-    tries: int = 3,
+    planner: Planner, query: Query, pose: ToolPose, seed: int = 0, *, tries: int = 3
 ) -> Plan:
     """Plan to a tool pose: to the configuration of least predicted E_mean that reaches it.
 
@@ -50,7 +41,6 @@ def solve_to_tool(
         query: its goal is not used.
         pose: of the tool, base at rest.
         seed: of the planner, >= 0.
-        starts: of the inverse kinematics.
         tries: goals planned for, the cheapest straight lines first.
 
     Returns:
@@ -58,49 +48,43 @@ def solve_to_tool(
         its `info["tool"]` the pose and what the tries cost [J].
 
     Raises:
-        ParameterError: the pose is out of reach, or tries < 1.
+        ParameterError: the pose is out of reach.
     """
-    if tries < 1:
-        raise ParameterError(f"tries must be >= 1, got {tries}")
-    goals = choose_goals(query, pose, starts=starts)[:tries]
+    goals = choose_goals(query, pose)[:tries]
     if not len(goals):
         raise ParameterError(_out_of_reach(query, pose))
     plans = [solve(planner, replace(query, goal=tuple(goal.tolist())), seed) for goal in goals]
-    best = min(
-        plans,
-        key=lambda p: (not p.feasible, np.inf if p.predicted is None else p.predicted.E_mean),
-    )
     costs = [None if p.predicted is None else p.predicted.E_mean for p in plans]
+    ranks = [
+        (not p.feasible, np.inf if k is None else k) for p, k in zip(plans, costs, strict=True)
+    ]
+    best = plans[ranks.index(min(ranks))]
     info = {"pose": to_plain(pose), "goal": list(best.query.goal), "tried": costs}
     seconds = sum(p.seconds for p in plans)
     return replace(best, seconds=seconds, info={**best.info, "tool": info})
 
 
-def choose_goals(query: Query, pose: ToolPose, *, starts: int = 128) -> Array:
+def choose_goals(query: Query, pose: ToolPose) -> Array:
     """Configurations (k, n) that bring the tool to a pose, the cheapest straight line first.
 
     Those too near an obstacle are left out; those the straight line cannot reach inside the
-    speed limits come last. The query's goal is not used; `starts`: of the inverse kinematics.
+    speed limits come last. The query's goal is not used.
     """
     arm = query.system.arm
     start, _ = query.ends
-    goals = configurations_at(arm, pose, near=start, starts=starts)
+    goals = configurations_at(arm, pose, near=start, starts=_STARTS)
     if query.surroundings is not None:
         checker = collisions(query.system.ideal(), query.surroundings)
         goals = np.array([q for q in goals if checker.is_clear(q)]).reshape(-1, arm.n)
     if not len(goals):
         return goals
     cost = _cost(query, goals[0])
-    costs = cost(goals)
-    order = np.argsort(costs, kind="stable")
-    goals, costs = goals[order], costs[order]
+    goals = goals[np.argsort(cost(goals), kind="stable")]
     for k in range(min(_BEST, len(goals))):
-        goals[k], costs[k] = _along_redundancy(arm, pose, goals[k], cost)
+        goals[k] = _along_redundancy(arm, pose, goals[k], cost)
     if query.surroundings is not None:
-        clear = [checker.is_clear(q) for q in goals]
-        goals, costs = goals[clear], costs[clear]
-    out: Array = goals[np.argsort(costs, kind="stable")]
-    return out
+        goals = goals[[checker.is_clear(q) for q in goals]]
+    return np.asarray(goals[np.argsort(cost(goals), kind="stable")])
 
 
 def _cost(query: Query, near: Array) -> Callable[[Array], Array]:
@@ -132,7 +116,7 @@ def _cost(query: Query, near: Array) -> Callable[[Array], Array]:
 
 def _along_redundancy(
     arm: Arm, pose: ToolPose, q: Array, cost: Callable[[Array], Array]
-) -> tuple[Array, float]:
+) -> Array:
     """Step along the tool's self-motion while that is cheaper; the pose stays."""
     step, least = _FIRST, float(cost(q[None])[0])
     for _ in range(_TURNS):
@@ -149,7 +133,7 @@ def _along_redundancy(
             q, least = moved[k], float(costs[k])
         else:
             step /= 2
-    return q, least
+    return q
 
 
 def _out_of_reach(query: Query, pose: ToolPose) -> str:
