@@ -102,10 +102,7 @@ class Roadmap:
         tails = np.r_[near, size + 1]  # start and goal are neighbours, too
         costs = self._lengths(places[heads], places[tails])
         # 32-bit indices: what SciPy's graph routines take in every supported release
-        ends = tuple(
-            np.concatenate(k).astype(np.int32)
-            for k in zip(self._edges, (heads, tails), strict=True)
-        )
+        ends = tuple(np.hstack([self._edges, (heads, tails)]).astype(np.int32))
         graph = scipy.sparse.csr_array((np.r_[self._costs, costs], ends), shape=(size + 2,) * 2)
         _, before = dijkstra(graph, directed=False, indices=size, return_predecessors=True)
         nodes = [size + 1]
@@ -129,9 +126,7 @@ def _relax(system: System, path: Array, duration: float | None) -> Array:
     def value(x: Array) -> tuple[float, Array]:
         points = np.vstack([path[0], x.reshape(-1, n), path[-1]])
         step, at = np.diff(points, axis=0), (points[1:] + points[:-1]) / 2
-        shifts = np.concatenate(
-            [np.zeros((1, n)), _DIFFERENCE * np.eye(n), -_DIFFERENCE * np.eye(n)]
-        )
+        shifts = _DIFFERENCE * np.vstack([np.zeros(n), np.eye(n), -np.eye(n)])
         Q = metric(system, at + shifts[:, None, :], duration)
         squares = np.einsum("ki,skij,kj->sk", step, Q, step)
         by_point = (squares[1 : n + 1] - squares[n + 1 :]).T / (2 * _DIFFERENCE)
@@ -141,17 +136,14 @@ def _relax(system: System, path: Array, duration: float | None) -> Array:
         gradient[:-1] += -by_step + by_point / 2
         return k * float(squares[0].sum() + least * np.sum(step**2)), k * gradient[1:-1].ravel()
 
-    arm = system.arm
-    bounds = scipy.optimize.Bounds(
-        np.tile(arm.column("q_min"), k - 1), np.tile(arm.column("q_max"), k - 1)
-    )
+    low, high = (np.tile(system.arm.column(end), k - 1) for end in ("q_min", "q_max"))
     scale = max(value(path[1:-1].ravel())[0], 1e-12)
     result = scipy.optimize.minimize(
         lambda x: tuple(part / scale for part in value(x)),
         path[1:-1].ravel(),
         jac=True,
         method="L-BFGS-B",
-        bounds=bounds,
+        bounds=scipy.optimize.Bounds(low, high),
         options={"maxiter": 200},
     )
     return np.vstack([path[0], result.x.reshape(-1, n), path[-1]])
@@ -210,8 +202,9 @@ def worst_order(system: System, start: Array, goal: Array) -> list[int]:
                 longest[after], last[after] = longest[moved] + part[k, moved], k
     order, moved = [], count - 1
     while moved:
-        order.append(moving[last[moved]])
-        moved &= ~(1 << int(last[moved]))
+        k = int(last[moved])
+        order.append(moving[k])
+        moved -= 1 << k
     return order[::-1]
 
 

@@ -21,6 +21,7 @@ from ves_gym._util.params import Array
 from ves_gym.mechanics.kinematics import joint_positions, tool_jacobian
 from ves_gym.mechanics.modes import root
 from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.spatial import skew
 from ves_gym.planners.case import Query
 from ves_gym.planners.prediction import (
     FINE,
@@ -34,6 +35,22 @@ from ves_gym.planners.prediction import (
 from ves_gym.system.disturbance import Disturbance, mount_of
 from ves_gym.system.energy import TAIL
 from ves_gym.system.frequency_weight import FrequencyWeight
+
+# Measures of a disturbance, and the quantities whose means, ends and peaks they are.
+MEANS = {
+    "acceleration": "acceleration",
+    "angular": "angular",
+    "tip": "tip",
+    "E_weighted": "filtered",
+}
+ENDS = {"tip_end": "tip", "attitude_end": "rotation"}
+PEAKS = {
+    "acceleration_peak": "acceleration",
+    "angular_peak": "angular",
+    "tip_peak": "tip",
+    "displacement_peak": "displacement",
+    "rotation_peak": "rotation",
+}
 
 
 class Quantity(NamedTuple):
@@ -138,7 +155,7 @@ class LinearResponse:
         size = self.linear.size
         rows = np.eye(3, size, 3 if name in ("angular", "rotation") else 0)
         if name in ("acceleration", "displacement"):
-            rows[:, 3:6] = -_cross(mount_of(self.linear.system.arm))
+            rows[:, 3:6] = -skew(mount_of(self.linear.system.arm))
         if name in ("displacement", "rotation"):
             return Quantity(rows @ self.s[:, :size], self._widened(rows))
         constant = self._forced(self.M[-1:], np.zeros_like(self.M[-1:]))[0]
@@ -161,7 +178,7 @@ class LinearResponse:
         q = self.path.at(self.t).q
         rows = np.zeros((len(q), 3, linear.size))
         rows[:, :, :3] = np.eye(3)
-        rows[:, :, 3:6] = -_cross(joint_positions(arm, q)[:, -1])
+        rows[:, :, 3:6] = -skew(joint_positions(arm, q)[:, -1])
         if linear.size > linear.b:
             rows[:, :, linear.b :] = tool_jacobian(arm, q)
         return Quantity(rows @ self.s[:, : linear.size], self._widened(rows[-1]))
@@ -223,15 +240,6 @@ def slope(values: Array, step: float) -> Array:
     return out / step
 
 
-def _cross(points: Array) -> Array:
-    """(..., 3) p -> (..., 3, 3) matrix of p x."""
-    out = np.zeros((*points.shape, 3))
-    x, y, z = points[..., 0], points[..., 1], points[..., 2]
-    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -z, y, -x
-    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = z, -y, x
-    return out
-
-
 _AFTER = 3.0  # s after the motion in which peaks are looked for: a swing of 0.2 Hz
 
 
@@ -247,26 +255,14 @@ def predict_disturbance(query: Query, motion: Motion) -> Disturbance:
         linear, motion, motion, t, u[..., None], query.weight, base=query.base, parts=FINE
     )
 
-    def mean(name: str) -> float:
+    out: dict[str, float] = {}
+    for measure, name in MEANS.items():
         rows, tail = response.mean_square(name)
-        return float(np.sum(rows**2) + tail[0, 0])
-
-    def size(values: Array) -> Array:
-        return np.asarray(np.linalg.norm(values[..., 0], axis=-1), np.float64)
-
-    def peak(name: str) -> float:
-        return float(size(response.samples(name, float(t[1]), _AFTER)).max())
-
-    return Disturbance(
-        acceleration=mean("acceleration") ** 0.5,
-        acceleration_peak=peak("acceleration"),
-        angular=mean("angular") ** 0.5,
-        angular_peak=peak("angular"),
-        tip=mean("tip") ** 0.5,
-        tip_peak=peak("tip"),
-        tip_end=float(size(response.quantity("tip").nodes[-1])),
-        displacement_peak=peak("displacement"),
-        rotation_peak=peak("rotation"),
-        attitude_end=float(size(response.quantity("rotation").nodes[-1])),
-        E_weighted=mean("filtered"),
-    )
+        square = float(np.sum(rows**2) + tail[0, 0])
+        out[measure] = square if measure == "E_weighted" else square**0.5
+    for measure, name in ENDS.items():
+        out[measure] = float(np.linalg.norm(response.quantity(name).nodes[-1]))
+    for measure, name in PEAKS.items():
+        samples = response.samples(name, float(t[1]), _AFTER)[..., 0]
+        out[measure] = float(np.linalg.norm(samples, axis=-1).max())
+    return Disturbance(**out)

@@ -25,7 +25,7 @@ from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.modes import root
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import JointServo
-from ves_gym.planners.linear_response import LinearResponse
+from ves_gym.planners.linear_response import ENDS, MEANS, PEAKS, LinearResponse
 from ves_gym.planners.prediction import (
     NODES,
     BaseState,
@@ -166,11 +166,8 @@ class MeanEnergy(QuadraticForm):
 
 def running_integral(t: Array) -> Array:
     """Matrix (N, N) that integrates samples at even times from the first on (trapezoids)."""
-    weight = np.tril(np.full((len(t), len(t)), t[1] - t[0]), -1)
-    weight[:, 0] /= 2
-    np.fill_diagonal(weight, (t[1] - t[0]) / 2)
-    weight[0] = 0.0
-    return weight
+    steps = (np.eye(len(t))[1:] + np.eye(len(t))[:-1]) * (t[1] - t[0]) / 2
+    return np.vstack([np.zeros(len(t)), np.cumsum(steps, axis=0)])
 
 
 ENERGY = "energy"  # the weight of E_mean
@@ -178,21 +175,6 @@ WEIGHTS = (ENERGY, *MEASURES)
 _POWER = 12.0  # p of a peak
 _AFTER, _SAMPLES = 2.0, 64  # s after the motion in which peaks count, and samples of it
 _SMALL = 0.2  # of a peak: what is below it adds less than 1e-7 to its slope
-
-_MEANS = {
-    "acceleration": "acceleration",
-    "angular": "angular",
-    "tip": "tip",
-    "E_weighted": "filtered",
-}
-_ENDS = {"tip_end": "tip", "attitude_end": "rotation"}
-_PEAKS = {
-    "acceleration_peak": "acceleration",
-    "angular_peak": "angular",
-    "tip_peak": "tip",
-    "displacement_peak": "displacement",
-    "rotation_peak": "rotation",
-}
 
 
 def checked_weights(weights: Mapping[str, float] | None) -> dict[str, float]:
@@ -294,14 +276,14 @@ class Objective(QuadraticForm):
         )
 
     def _form(self, name: str) -> QuadraticForm | _Peak:
-        if name in _MEANS:
-            rows, after = self._response.mean_square(_MEANS[name])
+        if name in MEANS:
+            rows, after = self._response.mean_square(MEANS[name])
             return QuadraticForm(rows.T @ rows + after)
-        if name in _ENDS:
-            rows = self._response.quantity(_ENDS[name]).nodes[-1]
+        if name in ENDS:
+            rows = self._response.quantity(ENDS[name]).nodes[-1]
             return QuadraticForm(rows.T @ rows)
         step = _AFTER / _SAMPLES
-        return _Peak(self._response.samples(_PEAKS[name], step, _AFTER))
+        return _Peak(self._response.samples(PEAKS[name], step, _AFTER))
 
     def _collect(self) -> None:
         """Add up the quadratic forms; peaks stay what they are."""

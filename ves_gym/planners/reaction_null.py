@@ -55,8 +55,6 @@ def reaction_null_space(
         share: of the largest coupling (root of Q's eigenvalue) at which a direction counts.
     """
     at = system.arm.require_within_limits(q)
-    if not 0 <= share < 1:
-        raise ParameterError(f"share must be >= 0 and < 1, got {share}")
     b, K = blocks(system, at), system.base.full()[2]
     moved = np.linalg.solve(b.Mt, b.Hbm)  # of the base, per joint motion
     if attitude:
@@ -164,78 +162,77 @@ class ReactionNull:
         Raises:
             NoPlan: an arm that cannot be reactionless gains nothing by trying.
         """
-        start, goal = query.ends
-        stays = np.array_equal(start, goal)
+        stays = query.start == query.goal
         free = not query.system.base.full()[2].any()
-        null = [reaction_null_space(query.system, q, attitude=free) for q in (start, goal)]
+        null = [reaction_null_space(query.system, q, attitude=free) for q in query.ends]
         if all(space.shape[1] for space in null) and not stays:
-            return self._least(query, free)
-        ahead = self._flow(query.system, start, goal)
-        back = self._flow(query.system, goal, ahead[-1])
-        motion, share = feasible_part(query, _joined(query, ahead, back))
-        lengths = [
-            float(np.linalg.norm(np.diff(k, axis=0), axis=1).sum()) for k in (ahead, back)
-        ]
+            return _least(query, free)
+        ahead, back = flows = _flows(query, free, self.share)
+        motion, share = feasible_part(query, _joined(query, *flows))
+        length = sum(float(np.linalg.norm(np.diff(k, axis=0), axis=1).sum()) for k in flows)
         gap = float(np.linalg.norm(ahead[-1] - back[-1]))
         if not stays and not any(space.shape[1] for space in null):
             why = _none_for(query.system.arm.n, free)
-            if sum(lengths) == 0:
+            if length == 0:
                 raise NoPlan(why)
             ratio = _over_straight(query, motion)
             if ratio > 1:
                 raise NoPlan(f"{why}; what comes nearest costs {ratio:.3g} x the straight line")
         return motion, {
-            "null_share": sum(lengths) / max(sum(lengths) + gap, 1e-300),  # of the length
+            "null_share": length / max(length + gap, 1e-300),  # of the length
             "share": share,  # of the way from the straight line that the limits allow
         }
 
-    def _least(self, query: Query, free: bool) -> tuple[Motion, dict[str, Any]]:
-        """Least reaction from the straight line and, where it leads on, from the null space."""
-        problem = ReactionProblem(query, _FREE)
-        start, goal = query.ends
-        starts = [problem.straight]
-        flow = ReactionNull(share=_TRULY)
-        ahead = flow._flow(query.system, start, goal)
-        back = flow._flow(query.system, goal, ahead[-1])
-        if len(ahead) + len(back) > 2:
-            path = _joined(query, ahead, back)
-            starts.append(problem.of(Motion.through(path, query.duration)))
-        minima = [minimise(problem, x, _ITERATIONS) for x in starts]
-        best = min(minima, key=lambda m: (m.excess > _MISSED, m.energy))
-        motion = problem.motion(best.x)
-        remaining = problem.reaction(best.x) / max(problem.reaction(problem.straight), 1e-300)
-        ratio = 0.0 if free else _over_straight(query, motion)
-        if ratio > 1:
-            raise NoPlan(
-                f"no reactionless motion joins these ends: {100 * remaining:.3g} % of the"
-                f" straight line's reaction is left at least, at {ratio:.3g} x its energy"
-            )
-        info = {"null_share": _null_share(query.system, motion, free), "reaction": remaining}
-        return motion, info | best.info()
 
-    def _flow(self, system: System, start: Array, goal: Array) -> Array:
-        """(k, n) configurations from start towards goal along null directions."""
-        arm, path = system.arm, [start]
-        low, high = arm.column("q_min"), arm.column("q_max")
-        free = not system.base.full()[2].any()
+def _least(query: Query, free: bool) -> tuple[Motion, dict[str, Any]]:
+    """Least reaction from the straight line and, where it leads on, from the null space."""
+    problem = ReactionProblem(query, _FREE)
+    starts = [problem.straight]
+    ahead, back = _flows(query, free, _TRULY)
+    if len(ahead) + len(back) > 2:
+        path = _joined(query, ahead, back)
+        starts.append(problem.of(Motion.through(path, query.duration)))
+    minima = [minimise(problem, x, _ITERATIONS) for x in starts]
+    best = min(minima, key=lambda m: (m.excess > _MISSED, m.energy))
+    motion = problem.motion(best.x)
+    remaining = problem.reaction(best.x) / max(problem.reaction(problem.straight), 1e-300)
+    ratio = 0.0 if free else _over_straight(query, motion)
+    if ratio > 1:
+        raise NoPlan(
+            f"no reactionless motion joins these ends: {100 * remaining:.3g} % of the"
+            f" straight line's reaction is left at least, at {ratio:.3g} x its energy"
+        )
+    info = {"null_share": _null_share(query.system, motion, free), "reaction": remaining}
+    return motion, info | best.info()
+
+
+def _flows(query: Query, free: bool, share: float) -> tuple[Array, Array]:
+    """(k, n) configurations from both ends towards each other, along null directions."""
+    arm, (start, goal) = query.system.arm, query.ends
+    low, high = arm.column("q_min"), arm.column("q_max")
+
+    def way(q: Array, goal: Array) -> Array:
+        """The part of the way to the goal that lies in the null space."""
+        null = reaction_null_space(query.system, q, attitude=free, share=share)
+        return np.asarray(null @ (null.T @ (goal - q)))
+
+    def flow(start: Array, goal: Array) -> Array:
+        path = [start]
         for _ in range(_LONGEST):
             q, distance = path[-1], float(np.linalg.norm(goal - path[-1]))
-            way = self._way(system, q, goal, free)
-            length = float(np.linalg.norm(way))
+            on = way(q, goal)
+            length = float(np.linalg.norm(on))
             if length < _LITTLE * distance or length < 1e-9:
                 break
             step = min(_STEP / length, 1.0)
-            middle = np.clip(q + 0.5 * step * way, low, high)
-            q = q + step * self._way(system, middle, goal, free)
+            q = q + step * way(np.clip(q + 0.5 * step * on, low, high), goal)
             if (q < low).any() or (q > high).any() or np.linalg.norm(goal - q) >= distance:
                 break
             path.append(q)
         return np.array(path)
 
-    def _way(self, system: System, q: Array, goal: Array, free: bool) -> Array:
-        """The part of the way to the goal that lies in the null space."""
-        null = reaction_null_space(system, q, attitude=free, share=self.share)
-        return null @ (null.T @ (goal - q))
+    ahead = flow(start, goal)
+    return ahead, flow(goal, ahead[-1])
 
 
 def _joined(query: Query, ahead: Array, back: Array) -> Array:
