@@ -19,10 +19,11 @@ class Gentle:
         return vg.Motion.fit(start + law * (goal - start), query.duration), {}
 
 
-query = vg.Query(
-    system=vg.System(),
-    start=tuple(np.deg2rad([0, -45, 90])),
-    goal=tuple(np.deg2rad([80, 40, -40])),
-    duration=4.0,
-)
-print(vg.compare(query, ["straight", "gentle", "direct"]).table)
+if __name__ == "__main__":
+    query = vg.Query(
+        system=vg.System(),
+        start=tuple(np.deg2rad([0, -45, 90])),
+        goal=tuple(np.deg2rad([80, 40, -40])),
+        duration=4.0,
+    )
+    print(vg.compare(query, ["straight", "gentle", "direct"]).table)

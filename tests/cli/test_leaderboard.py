@@ -54,7 +54,7 @@ def test_a_planner_of_ones_own_is_loaded_by_its_name(call, refused, tmp_path, mo
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "mypackage", raising=False)
     words = ("leaderboard", "run", "paths", "bent-1s-quick")
-    assert "cannot be loaded" in refused(*words, "mypackage:Missing")
+    assert "mypackage has nothing called Missing" in refused(*words, "mypackage:Missing")
     assert call(*words, "mypackage:Mine")[0] == 0
     folder = tmp_path / "out/paths_bent-1s-quick_anonymous_mine"
     monkeypatch.delitem(sys.modules, "mypackage")

@@ -20,6 +20,7 @@ from typing import Any
 from pebble import ProcessPool
 from threadpoolctl import threadpool_limits
 
+from ves_gym._util.own import IMPORTED, import_own
 from ves_gym._util.params import ParameterError
 
 # Numerical libraries read these when they are loaded; torch takes the first.
@@ -50,7 +51,9 @@ class Workers(Executor):
             raise ParameterError(f"workers must be >= 1, got {count}")
         self.seconds = seconds
         context = multiprocessing.get_context("spawn")
-        self._pool: Any = ProcessPool(count, initializer=_begin, context=context)
+        self._pool: Any = ProcessPool(
+            count, initializer=_begin, initargs=[tuple(IMPORTED)], context=context
+        )
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Run `function(*args, **kwargs)` in a worker."""
@@ -80,10 +83,12 @@ class Workers(Executor):
 # ------------------------------------------------------------------------- in a worker
 
 
-def _begin() -> None:
+def _begin(modules: tuple[str, ...]) -> None:
     os.environ.update(ONE_THREAD)
     threadpool_limits(1)  # of the libraries that are loaded already
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    for module in modules:
+        import_own(module)
 
 
 def _end_with_parent() -> None:

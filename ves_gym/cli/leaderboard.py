@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import statistics
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.one_line import on_one_line
+from ves_gym._util.own import import_own
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.cli.flags import (
     Answer,
@@ -113,10 +113,9 @@ def _loaded(words: Sequence[str]) -> Any:
     module, colon, name = words[0].partition(":")
     if len(words) > 1 or not (colon and name.isidentifier()):
         return list(words) if len(words) > 1 else words[0]
-    try:
-        loaded = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError) as error:
-        raise ParameterError(f"{words[0]}: cannot be loaded: {error}") from None
+    loaded = getattr(import_own(module), name, None)
+    if loaded is None:
+        raise ParameterError(f"{module} has nothing called {name}")
     return loaded() if isinstance(loaded, type) else loaded
 
 

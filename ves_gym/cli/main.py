@@ -17,10 +17,11 @@ from typing import Any, NoReturn
 
 from ves_gym._util.one_line import on_one_line
 from ves_gym._util.optional import explain, lacking
+from ves_gym._util.own import IMPORTED, import_own
 from ves_gym._util.params import write_text
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.version import __version__
-from ves_gym.cli.flags import Answer, Context, Flag, integer, path, say, values
+from ves_gym.cli.flags import Answer, Context, Flag, Place, integer, path, say, values
 from ves_gym.report.figures import write_figures
 
 COMMANDS = {  # name -> its module, loaded when it is asked for, and what it does
@@ -53,11 +54,21 @@ COMMANDS = {  # name -> its module, loaded when it is asked for, and what it doe
 }
 EMULATED = ("emulation-check", "list")  # mode of their machine where nothing says it
 DONE, NEGATIVE, BAD_INPUT = 0, 1, 2
+
+
+def _own(name: str, place: Place) -> str:
+    import_own(name)
+    return name
+
+
 EVERY = (  # options of every command
     Flag("--json", "FILE", help="write the result as JSON; -: print it in place of the text"),
     Flag("--out", "DIR", path, "folder for files this command makes"),
     Flag("--seed", "N", integer(), "default 0"),
-)
+    Flag("--import", "MODULE", _own,
+         "a module or .py file of your own, first: what it registers then goes by its name;"
+         " repeatable", many=True),
+)  # fmt: skip
 
 
 class UsageError(ValueError):
@@ -158,6 +169,7 @@ def _carry_out(args: argparse.Namespace) -> int:
     """Pass a command what it takes, and print its answer."""
     texts, flags = vars(args), args.flags
     every = values(EVERY, texts, None)
+    IMPORTED[:] = every.pop("import", ())
     with ExitStack() as bars:
         at, arm = Context(progress=Bars(args.command, bars), **every), None
         if any(flag.name == "--case" for flag in flags):
@@ -187,7 +199,8 @@ def _print(answer: Answer, file: str | None) -> int:
     lines = [str(answer.text)] if str(answer.text) else []
     if answer.files:
         lines.append(f"written: {'  '.join(files)}")
-    lines += [f"next: {shlex.join(['ves-gym', *map(str, words)])}" for words in answer.then]
+    own = [word for name in IMPORTED for word in ("--import", name)]
+    lines += [f"next: {shlex.join(['ves-gym', *map(str, k), *own])}" for k in answer.then]
     if file is not None and answer.plain is not None:
         plain = {**answer.plain, "files": files} if answer.files else answer.plain
         text = json.dumps(plain, indent=1, allow_nan=False)

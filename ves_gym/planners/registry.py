@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Any, TypeVar
 
+from ves_gym._util.own import require_free
 from ves_gym._util.params import ParameterError, require_one_of
 from ves_gym.planners.objective import parse_weights
 from ves_gym.planners.query import Planner
@@ -69,11 +70,8 @@ def register_planner(planner: P) -> P:
                 "a planner needs name, summary and find(query, seed),"
                 f" got {instance!r} without {part}"
             )
-    if instance.name in PLANNERS:
-        raise ParameterError(
-            f"planner {instance.name!r} is already registered by"
-            f" {type(PLANNERS[instance.name]).__name__}"
-        )
+    taken = type(PLANNERS[instance.name]) if instance.name in PLANNERS else None
+    require_free(instance.name, "planner", type(instance), taken)
     PLANNERS[instance.name] = instance
     return planner
 

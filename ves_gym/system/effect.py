@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 import numpy as np
 
 from ves_gym._util.on_demand import load
+from ves_gym._util.own import require_free
 from ves_gym._util.params import Array, ParameterError, nested_tuples, to_plain, unit
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.system.candidate import Candidate, Scope, derived
@@ -318,10 +319,7 @@ def register(kind: str) -> Callable[[E], E]:
                 f"effect {kind!r}: port must be one of {choices}, got {got!r}"
                 f"{did_you_mean(got, PORTS)}"
             )
-        if kind in EFFECTS:
-            raise ParameterError(
-                f"effect {kind!r} is already registered by {EFFECTS[kind].__name__}"
-            )
+        require_free(kind, "effect", cls, EFFECTS.get(kind))
         cls.kind = kind
         EFFECTS[kind] = cls
         return cls
