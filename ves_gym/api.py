@@ -415,8 +415,9 @@ def evaluate(
         ParameterError: an unknown environment, controller or setting.
     """
     from ves_gym.baselines.comparison import compare_controllers, line_up
+    from ves_gym.baselines.evaluate import spec_of
 
-    id = id if "/" in id else f"ves/{id}"
+    id = spec_of(id if "/" in id else f"ves/{id}").id
     single = isinstance(controllers, (str, os.PathLike)) or hasattr(controllers, "act")
     chosen: Any = [controllers] if single else controllers
     settings |= {"n_envs": n_envs, "threads": threads, "progress": progress}

@@ -10,6 +10,7 @@ import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any
 
 import gymnasium as gym
@@ -186,9 +187,18 @@ def run_episodes(
 
 
 def spec_of(id: str) -> EnvSpec:
-    """Return what is registered under an id; an unknown one is refused with the known ones."""
+    """Return what is registered under an id; an unknown one is refused with the known ones.
+
+    Args:
+        id: also "module:id", as `gym.make` takes it: the module is imported first.
+    """
+    module, _, plain = id.rpartition(":")
     try:
-        return gym.spec(id)
+        if module:
+            import_module(module)
+        return gym.spec(plain)
+    except ImportError as error:
+        raise ParameterError(f"{id}: {error}") from None
     except gym.error.Error as error:
         ids = sorted(k for k in gym.registry if k.startswith("ves/"))
         raise ParameterError(

@@ -27,8 +27,10 @@ from ves_gym.envs.episode import (
     count,
     ended_energies,
     endings,
+    goal_width,
     judge,
     outcome,
+    require_answers,
     scaled_observation,
 )
 from ves_gym.envs.randomize import Draws
@@ -129,11 +131,11 @@ class Batch:
             raise ParameterError(
                 f"base_control needs backend kernel or mujoco, got {self.sim.backend_name}"
             )
+        goals = goal_width(task)
         self.scale = np.concatenate([f.scale for f in task.fields()])
         self.observations = sum(f.size for f in task.parts())
         self._observation: npt.NDArray[np.float32] | None = None  # as of the last compiled step
         joints = arm.n
-        goals = task.start(np.zeros((1, task.draws))).goal.shape[1]
         table_values = task.lookup(np.zeros((1, goals)), np.zeros(1, np.intp)).shape[1]
         follows = motor and control.level != "torque"
         hold = control.servo_for(arm) if follows else own_gains(arm)
@@ -143,6 +145,7 @@ class Batch:
             "tool_seen": 3, "energies": 2, "goal": goals, "memory": task.memory,
             "table_values": table_values, "tau": joints,
         }  # fmt: skip
+        require_answers(task, self._blank(2)[0], self.dt)
         self.scene, self.episodes = self._blank(n)
         self.drawn: dict[str, Array] = {r.label: np.zeros((n, r.size)) for r in task.randomize}
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -21,7 +20,6 @@ from ves_gym.mechanics.spatial import quadratic
 
 
 @register_task("damp")
-@dataclass(frozen=True, kw_only=True)
 class Damp(ArmTask):
     """The base is displaced and released, the arm at rest; damp it by moving the arm.
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, Index, Mask
+from ves_gym._util.params import Array, Index, Mask, ParameterError
 from ves_gym.envs.task import Scene, Start, Task
 
 AT_ONCE = 64  # beginnings: a call costs as much as ten of them
@@ -41,6 +41,58 @@ class Verdict(NamedTuple):
     terms: dict[str, Array]  # (n,) of the reward
     reward: Array  # (n,) their sum
     solved: Mask  # (n,)
+
+
+def goal_width(task: Task) -> int:
+    """Return the size of a task's goal; what `fields` and `start` give is checked.
+
+    Raises:
+        ParameterError: shapes or names that are not as `Task` says.
+    """
+    names = [f.name for f in task.fields()]
+    _require(task, "number of different names of fields", len(set(names)), len(names))
+    for f in task.fields():
+        _require(task, f"dimensions of the scale of field {f.name}", np.ndim(f.scale), 1)
+    start = task.start(np.zeros((2, task.draws)))
+    _require(task, "answer of start", type(start), Start)
+    _require(task, "q of start(u) for two episodes", np.shape(start.q), (2, task.system.arm.n))
+    _require(task, "goal of start(u) for two episodes", np.shape(start.goal)[:-1], (2,))
+    return int(np.shape(start.goal)[1])
+
+
+def require_answers(task: Task, s: Scene, dt: float) -> None:
+    """Refuse a task whose formulas give other shapes than `Task` says.
+
+    Args:
+        task: what the episodes ask.
+        s: two simulations, written.
+        dt: period [s].
+
+    Raises:
+        ParameterError: what the formula gave, and what was expected.
+    """
+    with np.errstate(all="ignore"):  # zeros are no scene
+        seen = task.observe(s)
+        task.remember(s, dt)
+        terms = task.reward(s, dt, np.zeros(2, bool))
+        verdicts = {"success": task.success(s), "failed": task.failed(s)}
+    _require(task, "number of arrays of observe", len(seen), len(task.fields()))
+    for f, value in zip(task.fields(), seen, strict=True):
+        where = f"shape of {f.name} in observe, of two simulations"
+        _require(task, where, np.shape(value), (2, f.size))
+    _require(task, "answer of reward", type(terms), dict)
+    for name, value in terms.items():
+        where = f"shape of {name!r} in reward, of two simulations"
+        _require(task, where, np.shape(value), (2,))
+    for name, verdict in verdicts.items():
+        got = np.shape(verdict), str(np.asarray(verdict).dtype)
+        _require(task, f"shape and type of {name}, of two simulations", got, ((2,), "bool"))
+
+
+def _require(task: Task, what: str, got: object, expected: object) -> None:
+    if got != expected:
+        plain = [k.__name__ if isinstance(k, type) else k for k in (expected, got)]
+        raise ParameterError(f"task {task.kind}: {what} must be {plain[0]}, got {plain[1]}")
 
 
 def bounded(e: Episodes, actions: Array) -> Array:

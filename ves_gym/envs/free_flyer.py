@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,7 +20,6 @@ _TRIES = 6  # candidate targets per episode; the first that is far enough counts
 
 
 @register_task("free_flyer")
-@dataclass(frozen=True, kw_only=True)
 class FreeFlyerReach(ArmTask):
     """Bring the tool to a point fixed in space, the satellite turning as little as it can.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, NamedTuple
 
@@ -33,7 +32,6 @@ class Optimum(NamedTuple):
 
 
 @register_task("lqr")
-@dataclass(frozen=True, kw_only=True)
 class Lqr(ArmTask):
     """The base sways by millimetres; calm it at least cost, which is known in closed form.
 

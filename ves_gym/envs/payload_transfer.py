@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -40,7 +39,6 @@ BOX = Payload(
 
 
 @register_task("payload_transfer")
-@dataclass(frozen=True, kw_only=True)
 class PayloadTransfer(ArmTask):
     """Fetch a floating payload of unknown mass and berth it at rest, on a base that sways.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -28,7 +27,6 @@ _PLACE, _TURN, _ENERGY = slice(0, 3), slice(3, 12), 12  # columns of the goal
 
 
 @register_task("pose_reach")
-@dataclass(frozen=True, kw_only=True)
 class PoseReach(ArmTask):
     """Bring the tool to a pose in space, place and orientation, and hold it there at rest.
 

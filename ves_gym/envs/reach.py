@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -60,7 +59,6 @@ def reachable(
 
 
 @register_task("reach")
-@dataclass(frozen=True, kw_only=True)
 class Reach(ArmTask):
     """Bring the tool to a point fixed in space and keep it there until the deadline.
 
@@ -173,7 +171,6 @@ class Reach(ArmTask):
 
 
 @register_task("reach_goal")
-@dataclass(frozen=True, kw_only=True)
 class ReachGoal(Reach):
     """`Reach`, goal-conditioned: the tool as measured is achieved, the target desired.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
@@ -19,7 +18,6 @@ _TRIES = 12  # candidate queries per episode; the first that respects the speed 
 
 
 @register_task("rest_to_rest")
-@dataclass(frozen=True, kw_only=True)
 class RestToRest(Task):
     """Bring the arm from one configuration to another, at rest at the deadline.
 

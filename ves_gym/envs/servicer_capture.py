@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -66,7 +66,6 @@ SERVICER = replace(
 
 
 @register_task("servicer_capture")
-@dataclass(frozen=True, kw_only=True)
 class ServicerCapture(ArmTask):
     """Catch a tumbling satellite with a free-flying servicer, and bring both to rest.
 

@@ -7,13 +7,14 @@ changes during an episode is held by `Batch`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar, dataclass_transform
 
 import numpy as np
 
+from ves_gym._util.own import require_free
 from ves_gym._util.params import (
     Array,
     Index,
@@ -35,16 +36,20 @@ if TYPE_CHECKING:
     from ves_gym.simulation.simulator import Simulator
 
 TASKS: dict[str, type[Task]] = {}
+T = TypeVar("T", bound="type[Task]")
 _WIDTHS = {"y": 6, "yd": 6, "pose": 6, "target": 3}  # of options that are not joint angles
 
 
 @dataclass(frozen=True)
 class Field:
-    """A named part of the observation: value / scale, clipped to +-`Task.CLIP`."""
+    """A named part of the observation: value / scale, clipped to +-`Task.CLIP`.
+
+    `scale` (size,) is what counts as one, in the unit.
+    """
 
     name: str
     unit: str
-    scale: Array  # (size,) what counts as one, in the unit
+    scale: Array
     what: str
 
     @property
@@ -54,37 +59,58 @@ class Field:
 
 
 class Start(NamedTuple):
-    """Initial states of k episodes."""
+    """Initial states of k episodes.
 
-    q: Array  # (k, joints) rad
-    goal: Array  # (k, g) whatever the task compares with
-    y: Array | float = 0.0  # (k, 6)
-    yd: Array | float = 0.0  # (k, 6)
-    v: Array | float = 0.0  # (k, joints)
+    Joints q, v (k, joints) [rad, rad/s], the base's pose and rate y, yd (k, 6), and goal
+    (k, g), whatever the task compares with.
+    """
+
+    q: Array
+    goal: Array
+    y: Array | float = 0.0
+    yd: Array | float = 0.0
+    v: Array | float = 0.0
 
 
 @dataclass
 class Scene:
-    """Every simulation at one instant. Leading axis n."""
+    """Every simulation at one instant. Leading axis n.
 
-    time: Array  # (n,) s since the episode's start
-    q: Array  # (n, joints) rad
-    v: Array  # (n, joints) rad/s
-    y: Array  # (n, 6) base pose, true [m, rad]
-    yd: Array  # (n, 6) its rate
-    y_seen: Array  # (n, 6) what is measured of it: the truth in space, the platform's pose
-    yd_seen: Array  # (n, 6) the same of its rate, in the laboratory of the vehicle emulated
-    tool: Array  # (n, 3) tool in space, true [m]
-    tool_seen: Array  # (n, 3) where it is by the measured pose of the base [m]
-    energies: Array  # (n, 2) E of the base and its strain energy [J]
-    ref: Array  # (n, 3, joints) motion the servos follow: angle, rate, acceleration
-    goal: Array  # (n, g) of the task
-    memory: Array  # (n, `Task.memory`) what the task remembers, zero at an episode's start
-    table_values: Array  # (n, k) of `Task.lookup` at this instant
-    tau: Array  # (n, joints) torque or drive command last asked for
-    tail: Array  # (n,) J s that the base will keep after the end; zero before it
-    kp: Array  # (n, joints) N m/rad in force
-    kd: Array  # (n, joints) N m s/rad in force
+    Attributes:
+        time: (n,) s since the episode's start.
+        q, v: (n, joints) rad and rad/s.
+        y, yd: (n, 6) pose of the base, true [m, rad], and its rate.
+        y_seen, yd_seen: (n, 6) what is measured of them: the truth in space; in the laboratory
+            the platform's pose, and the rate of the vehicle emulated.
+        tool, tool_seen: (n, 3) tool in space [m], true and by the measured pose of the base.
+        energies: (n, 2) E of the base and its strain energy [J].
+        ref: (n, 3, joints) motion that the servos follow: angle, rate, acceleration.
+        goal: (n, g) of the task.
+        memory: (n, `Task.memory`) what the task remembers, zero at an episode's start.
+        table_values: (n, k) of `Task.lookup` at this instant.
+        tau: (n, joints) torque or drive command last asked for.
+        tail: (n,) J s that the base will keep after the end; zero before it.
+        kp, kd: (n, joints) gains in force [N m/rad, N m s/rad].
+    """
+
+    time: Array
+    q: Array
+    v: Array
+    y: Array
+    yd: Array
+    y_seen: Array
+    yd_seen: Array
+    tool: Array
+    tool_seen: Array
+    energies: Array
+    ref: Array
+    goal: Array
+    memory: Array
+    table_values: Array
+    tau: Array
+    tail: Array
+    kp: Array
+    kd: Array
 
     @property
     def energy(self) -> Array:
@@ -109,22 +135,31 @@ class Task(ABC):
     benchmark; their energy is computed from the linearised motion, not simulated. `context`
     appends what was drawn for the episode (`randomize`) to the observation. `base_control`
     appends wheels and jets of a satellite to the action.
+
+    A class says of itself:
+
+    - `draws`: uniform numbers that `start` takes per episode.
+    - `memory`: columns of `Scene.memory`, 0.
+    - `ends`: what the deadline is, terminated or truncated.
+    - `options`: what `reset` lets one choose; keywords of `start`.
+    - `energetic`: terms of the reward that are the objective energy.
+    - `goal_fields`: names of the fields achieved and desired, of goal variants.
+    - `compiled`: that `observe`, `remember`, `reward`, `success` and `failed` are formulas of
+      the scene alone, a simulation per row: the kernel then compiles their NumPy text. It holds
+      for the class that says so, not for those derived from it.
+    - `interacts`: that `on_reset` and `on_period_end` do something; it then steps in NumPy.
     """
 
     REGISTRY: ClassVar[dict[str, type[Task]]] = TASKS
     CLIP: ClassVar[float] = 5.0  # of observations, in their scales
     kind: ClassVar[str]
-    draws: ClassVar[int]  # uniform numbers that `start` takes per episode
-    ends: ClassVar[str] = "terminated"  # what the deadline is: terminated or truncated
-    options: ClassVar[tuple[str, ...]] = ()  # what `reset` lets one choose; keywords of `start`
-    goal_fields: ClassVar[tuple[str, str] | None] = None  # achieved, desired (goal variants)
-    memory: ClassVar[int] = 0  # columns of `Scene.memory`
-    energetic: ClassVar[tuple[str, ...]] = ("energy", "tail")  # terms of the objective energy
-    # Set in a class whose `observe`, `remember`, `reward`, `success` and `failed` are formulas
-    # of the scene alone, a simulation per row: the kernel then compiles them from their NumPy
-    # text. It holds for the class that says so, not for those derived from it.
+    draws: ClassVar[int]
+    ends: ClassVar[str] = "terminated"
+    options: ClassVar[tuple[str, ...]] = ()
+    goal_fields: ClassVar[tuple[str, str] | None] = None
+    memory: ClassVar[int] = 0
+    energetic: ClassVar[tuple[str, ...]] = ("energy", "tail")
     compiled: ClassVar[bool] = False
-    # Set where `on_reset` and `on_period_end` do something; such tasks step in NumPy.
     interacts: ClassVar[bool] = False
 
     system: System = System(physics_dt=2.5e-3)
@@ -301,9 +336,9 @@ class Task(ABC):
     def columns(self) -> dict[str, slice]:
         """Columns of the observation by field."""
         out, at = {}, 0
-        for field in self.parts():
-            out[field.name] = slice(at, at + field.size)
-            at += field.size
+        for part in self.parts():
+            out[part.name] = slice(at, at + part.size)
+            at += part.size
         return out
 
     # ----------------------------------------------------------------- scales
@@ -328,12 +363,23 @@ class Task(ABC):
         return plain
 
 
-def register_task(kind: str) -> Any:
-    """Class decorator: file a task under its name; a name already taken is an error."""
+@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(unit, field))
+def register_task(kind: str) -> Callable[[T], T]:
+    """Class decorator: file a task under its name; a name already taken is an error.
 
-    def decorate(cls: type[Task]) -> type[Task]:
-        if kind in TASKS:
-            raise ParameterError(f"task {kind!r} is already registered by {TASKS[kind]}")
+    A class that is no dataclass yet becomes one, frozen and with keywords alone.
+    """
+
+    def decorate(cls: T) -> T:
+        if not issubclass(cls, Task):
+            raise ParameterError(f"task {kind!r} must be a subclass of Task, got {cls!r}")
+        if not hasattr(cls, "draws"):
+            raise ParameterError(
+                f"task {kind!r} must say `draws`, how many uniform numbers `start` takes"
+            )
+        require_free(kind, "task", cls, TASKS.get(kind))
+        if "__dataclass_params__" not in vars(cls):
+            dataclass(frozen=True, kw_only=True)(cls)  # in place
         cls.kind = kind
         TASKS[kind] = cls
         return cls

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import ClassVar
 
@@ -32,7 +31,6 @@ _EIGHTS = 0.3  # share of joints that swing twice per round
 
 
 @register_task("track")
-@dataclass(frozen=True, kw_only=True)
 class Track(ArmTask):
     """Follow a closed path in space with the tool, from rest to rest, `rounds` times.
 
@@ -226,7 +224,6 @@ def _on_a_boom() -> System:
 
 
 @register_task("seam")
-@dataclass(frozen=True, kw_only=True)
 class Seam(Track):
     """Follow a seam with the tool, a line or an arc fixed in space, while the boom sways.
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ves_gym.mechanics.flexible_base import Strut as Strut
     from ves_gym.mechanics.gravity import GravityModel as GravityModel
     from ves_gym.mechanics.gravity import minimal_model as minimal_model
+    from ves_gym.mechanics.kinematics import tool_frame as tool_frame
     from ves_gym.mechanics.pointing import AttitudeControl as AttitudeControl
     from ves_gym.mechanics.pointing import Jet as Jet
     from ves_gym.mechanics.structure import read_structure as read_structure
@@ -36,6 +37,7 @@ _NAMES = {  # by module
     "finite_elements": ("Material", "Section", "Tube"),
     "flexible_base": ("CornerBody", "FlexibleBase", "Polyline", "Reduced", "Strut"),
     "gravity": ("GravityModel", "minimal_model"),
+    "kinematics": ("tool_frame",),
     "pointing": ("AttitudeControl", "Jet"),
     "structure": ("read_structure",),
     "vehicle": ("BENT", "BENT_THESIS"),
