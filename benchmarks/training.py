@@ -207,7 +207,7 @@ def returns(
                 _held(envs), seed, policy_kwargs={"log_std_init": config.log_std}, **changes
             )
             model.learn(decisions)
-        policy = from_sb3(model, hold=HOLD)
+        policy = from_sb3(model)
         found = evaluate(policy, LEARNED, episodes=episodes, seed=VALIDATION, threads=1)
         theirs.append(float(np.mean(found.values("return")[0])))
     return ours, theirs

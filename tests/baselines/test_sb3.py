@@ -1,9 +1,14 @@
 """The vector environment as Stable-Baselines3 sees it."""
 
+import re
+import textwrap
+from pathlib import Path
+
 import gymnasium as gym
 import numpy as np
 import pytest
 
+import ves_gym as vg
 from tests.envs.walks import IDS
 from ves_gym._util.params import ParameterError
 
@@ -173,6 +178,7 @@ def test_acts_like_the_torch_network(algorithm):
     if algorithm == "PPO":  # its last layer starts next to zero
         model.policy.action_net.weight.data.mul_(50)
     policy = from_sb3(model)
+    assert policy.network.hold == 1
 
     observation, _ = env.reset(seed=3)
     largest = 0.0
@@ -183,3 +189,21 @@ def test_acts_like_the_torch_network(algorithm):
         np.testing.assert_allclose(got, expected, atol=1e-6)
         observation = env.step(got)[0]
     assert largest > 0.01
+
+
+def test_the_recipe_of_the_page_makes_a_policy(tmp_path, monkeypatch):
+    """docs/extending.md, but for the number of decisions; a zip is read as it says."""
+    page = (Path(__file__).parents[2] / "docs" / "extending.md").read_text("utf-8")
+    block = re.search(r"\n\n(    import gymnasium.*?)\n\n\S", page, re.DOTALL)[1]
+    short = textwrap.dedent(block).replace("300_000", "6_500")
+    assert short.count("6_500") == 1
+    read = re.search(r"`(from_sb3\(SAC\.load.*?\))`", page)[1]
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec(short, names)
+    policy = vg.load_policy("mine.json")
+    assert policy.network.hold == 4
+    names["model"].save("model.zip")
+    again = eval(read, names)
+    assert again.network == policy.network
+    np.testing.assert_array_equal(again.weights[0][0], policy.weights[0][0])

@@ -127,7 +127,10 @@ class Sb3VecEnv(VecEnv):
 
 
 def from_sb3(
-    model: Any, about: Mapping[str, Any] | None = None, name: str = "policy", hold: int = 1
+    model: Any,
+    about: Mapping[str, Any] | None = None,
+    name: str = "policy",
+    hold: int | None = None,
 ) -> Policy:
     """The actor of a PPO or SAC model whose policy is a plain perceptron.
 
@@ -135,8 +138,12 @@ def from_sb3(
         model: of Stable-Baselines3.
         about: what the policy's file says of its origin.
         name: of the policy.
-        hold: control periods that the model was trained to hold its actions for.
+        hold: control periods that the model was trained to hold its actions for; default
+            what its environment says, 1 without one.
     """
+    if hold is None:
+        decisions = getattr(model.get_env(), "decisions", None)  # of `Sb3VecEnv`, wrapped too
+        hold = 1 if decisions is None else int(decisions.hold)
     policy = model.policy
     if hasattr(policy, "mlp_extractor"):  # PPO
         trunk, head, output = policy.mlp_extractor.policy_net, policy.action_net, "clip"
