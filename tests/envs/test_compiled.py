@@ -1,6 +1,6 @@
 """A compiled control period gives the numbers of the NumPy text that it was made from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -31,6 +31,8 @@ TASKS = [
     ("lqr", "torque", 60),
     ("free_flyer", "acceleration", 60),
     ("pose_reach", "acceleration", 60),
+    ("payload_transfer", "acceleration", 60),
+    ("servicer_capture", "acceleration", 60),
 ]
 LABORATORY = {"mode": "emulated", "laboratory": "nominal"}
 
@@ -88,6 +90,39 @@ def test_compiled_steps_are_those_of_numpy(task, control, periods):
     assert batches[0].compiled
     ends = require_same_steps(batches, periods)
     assert periods < 100 or ends >= 1
+
+
+@pytest.mark.parametrize("settings", [{}, {"mode": "emulated", "laboratory": "nominal"}])
+def test_latches_close_and_open_as_in_numpy(settings):
+    """A payload put into the grip is carried, and berthed where the tool has stayed."""
+    batches = pair(build_task("payload_transfer", hold=0.1, **settings), 3)
+    for batch in batches:
+        cargo, lane = batch.sim.payload, np.array([1])
+        cargo.change(lane, position=batch.scene.tool[lane] + np.array([0.0, 0.0, 0.15]))
+        batch.scene.goal[1, 3:6] = batch.scene.tool[1]
+        batch.set_state(batch.get_state())  # goals are no step's
+    carried = []
+    for _ in range(12):
+        ours, theirs = (batch.step(np.zeros((3, 3))) for batch in batches)
+        carried.append(batches[0].sim.payload.carried.tolist())
+        assert batches[1].sim.payload.carried.tolist() == carried[-1]
+        for name, value in ours[3].items():
+            require_alike(value, theirs[3][name], name)
+        for name in ("payload", "memory", "q", "y"):
+            require_alike(*(getattr(batch.scene, name) for batch in batches))
+    assert carried[0] == [False, True, False] and carried[-1] == [False] * 3
+    told = [[event.kind for event in batch.sim.payload.events] for batch in batches]
+    assert told == [["grasp", "release"]] * 2
+
+
+def test_a_base_that_may_tumble_and_jets_that_are_searched_stay_in_numpy():
+    """Charts, and forces of jets that have no opposites, are no formulas."""
+    task = build_task("servicer_capture")
+    jets = task.system.vehicle.jets[1:]
+    odd = replace(task.system, vehicle=replace(task.system.vehicle, jets=jets))
+    assert Batch(task, 1).compiled
+    assert not Batch(replace(task, tumbled=1.0), 1).compiled
+    assert not Batch(replace(task, system=odd), 1).compiled
 
 
 EFFECTS = {"joint/viscous": {"damping": ([0.0] * 3, [4.0] * 3)}}

@@ -150,13 +150,15 @@ def test_beginnings_go_round():
         ({"randomize": {"payload/mass": {"mass": [0.1, 1.0]}}}, "no randomised effects"),
         ({"precision": "float16"}, "precision must be float64 or float32, got 'float16'"),
         ({"effects": [{"kind": "command/delay", "delay": 0.02}]}, "no delays of the joints"),
+        ({"task": "payload_transfer"}, "no payloads, wheels or jets"),
+        ({"task": "servicer_capture"}, "no payloads, wheels or jets"),
         ({"starts": 0}, "starts must be a whole number >= 1, got 0"),
         ({"spam": 1}, "unexpected keyword argument 'spam'"),
     ],
 )
 def test_what_it_cannot_do_is_refused(settings, message):
     with pytest.raises(ParameterError, match=message):
-        DeviceVectorEnv(2, "rest_to_rest", device=DEVICE, **settings)
+        DeviceVectorEnv(2, **{"task": "rest_to_rest", "device": DEVICE, **settings})
 
 
 def test_misuse_is_refused():

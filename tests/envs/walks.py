@@ -12,7 +12,7 @@ import pytest
 import ves_gym  # noqa: F401  files the ids
 
 IDS = sorted(id for id in gym.registry if id.startswith("ves/"))
-# compiled in space and in the laboratory, by goals, truncated, in NumPy with payload or wheels
+# in space and in the laboratory, by goals, truncated, with a payload, with wheels and jets
 KINDS = (
     "ves/PumaRestToRest-v0", "ves/PumaTrackEmulated-v0", "ves/PumaReachGoal-v0",
     "ves/PumaDamp-v0", "ves/PayloadTransferEmulated-v0", "ves/ServicerCapture-v0",

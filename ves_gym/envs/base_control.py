@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
+from ves_gym.mechanics.carried import ReactionWheel
 from ves_gym.mechanics.pointing import strongest
+from ves_gym.mechanics.spatial import cross
 from ves_gym.mechanics.vehicle import Satellite, has_jets
 from ves_gym.system.system import System
 
@@ -84,18 +86,34 @@ class BaseControl:
             sim: the simulations.
             action: (n, width) in [-1, 1].
         """
-        acts, vehicle = sim.base_actuators, sim.system.vehicle
-        assert acts is not None and isinstance(vehicle, Satellite)
-        motors = self._motors(sim.system)
-        asked = action * self.scale(sim.system)
-        wrench = None
-        if self.jets:
-            wrench = asked[:, motors:].copy()
-            com = np.asarray(vehicle.body.com, float)
-            wrench[:, 3:] += np.cross(com, wrench[:, :3])  # about the platform
-        torque = asked[:, :motors] if motors else None
-        acts.command(wrench, torque)
+        assert sim.base_actuators is not None
+        sim.base_actuators.command(*self.asked(sim.system, action))
+
+    def asked(self, system: System, action: Array) -> tuple[Array, Array]:
+        """Return what an action asks of jets and wheels.
+
+        Args:
+            system: on a satellite.
+            action: (n, width) in [-1, 1].
+
+        Returns:
+            Wrench (n, 6) in platform axes at the platform [N, N m], torques (n, w) [N m].
+        """
+        vehicle, motors = system.vehicle, self._motors(system)
+        assert isinstance(vehicle, Satellite)
+        asked = action * self.scale(system)
+        wrench = asked[:, motors:].copy() if self.jets else np.zeros((len(action), _AXES))
+        com = np.array(vehicle.body.com, dtype=float)
+        wrench[:, 3:] += cross(com, wrench[:, :3])  # about the platform
+        torque = (
+            asked[:, :motors] if motors else np.zeros((len(action), len(wheels_of(system))))
+        )
+        return wrench, torque
 
     def _motors(self, system: System) -> int:
-        wheels = getattr(system.vehicle, "wheels", None)
-        return len(wheels or ()) if self.wheels else 0
+        return len(wheels_of(system)) if self.wheels else 0
+
+
+def wheels_of(system: System) -> tuple[ReactionWheel, ...]:
+    """Return the reaction wheels of a vehicle."""
+    return getattr(system.vehicle, "wheels", None) or ()

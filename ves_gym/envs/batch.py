@@ -18,7 +18,7 @@ from ves_gym._util.params import Array, Index, Mask, ParameterError, content_has
 from ves_gym.engine.backends.kernel import KernelBackend
 from ves_gym.engine.kernel.maps import SceneMap, TorqueMap
 from ves_gym.envs.compiled import Shape, carry_rows, plain_command
-from ves_gym.envs.compiled_step import CompiledStep
+from ves_gym.envs.compiled_step import CompiledStep, release_still
 from ves_gym.envs.episode import (
     AT_ONCE,
     Beginnings,
@@ -37,6 +37,7 @@ from ves_gym.envs.randomize import Draws
 from ves_gym.envs.recording import Recorder
 from ves_gym.envs.tail import FreeDecay
 from ves_gym.envs.task import Scene, Start, Task
+from ves_gym.mechanics.latch import TARGET
 from ves_gym.mechanics.servo import own_gains
 from ves_gym.simulation.loop_linearisation import EmulationWarning
 from ves_gym.simulation.simulator import Simulator
@@ -144,6 +145,8 @@ class Batch:
             "q": joints, "v": joints, "y": 6, "yd": 6, "y_seen": 6, "yd_seen": 6, "tool": 3,
             "tool_seen": 3, "energies": 2, "goal": goals, "memory": task.memory,
             "table_values": table_values, "tau": joints,
+            "payload": TARGET if task.interacts else 0,
+            "wheels": self.sim.machines.wheels,
         }  # fmt: skip
         require_answers(task, self._blank(2)[0], self.dt)
         self.scene, self.episodes = self._blank(n)
@@ -153,7 +156,7 @@ class Batch:
             parts = self._scene, self._scenes, self._torques
             self._compiled = CompiledStep(self.sim, task, *parts)
         # whether all that a beginning needs can be written where it belongs
-        alike = not (self._emulated or task.randomize)
+        alike = not (self._emulated or task.randomize or task.interacts or task.base_control)
         self._direct = self._compiled is not None and (alike or n >= _MANY)
         rows = self._first_rows if alike else self._rehearsed_rows
         complete = rows if self._direct else self._first_states
@@ -163,7 +166,8 @@ class Batch:
     def _blank(self, n: int) -> tuple[Scene, Episodes]:
         """Scene and episodes of n simulations, zeros but for the gains that hold joints."""
         scene = Scene(
-            time=np.zeros(n), tail=np.zeros(n), ref=np.zeros((n, 3, self.system.arm.n)),
+            time=np.zeros(n), tail=np.zeros(n), propellant=np.zeros(n),
+            ref=np.zeros((n, 3, self.system.arm.n)),
             kp=np.tile(self._hold[0], (n, 1)), kd=np.tile(self._hold[1], (n, 1)),
             **{name: np.zeros((n, size)) for name, size in self._sizes.items()},
         )  # fmt: skip
@@ -267,10 +271,10 @@ class Batch:
         for k in (e.steps, e.clipped, e.once, e.total, e.sums):
             k[ids] = 0
         if task.interacts:
-            task.on_reset(sim, ids, rows["goal"])
+            assert sim.payload is not None
+            sim.payload.change(ids, **task.payload(rows["goal"]))
         self._update_scene(ids)
-        if task.interacts and task.on_period_end(sim, s, ids):
-            self._update_scene()
+        self._grasp(np.isin(np.arange(self.n), ids))
         some = s.rows(ids)
         s.tau[ids] = some.tau = self._command(some)
         e.peaks[ids] = some.energies
@@ -278,6 +282,15 @@ class Batch:
             self._compiled.load(ids, some, e.rows(ids))
         if self._observation is not None:
             self._observation[ids] = scaled_observation(task, some, self.scale)
+
+    def _grasp(self, among: Mask) -> None:
+        """Close latches of some simulations (n,), where the task has it."""
+        if not self.task.interacts:
+            return
+        ids = np.flatnonzero(among & self.task.closes(self.scene))
+        if len(ids):
+            self.sim.grasp(ids)
+            self._update_scene()
 
     def _first_states(self, begin: Start, ids: Index) -> dict[str, Array]:
         """States (k, ...) of joints and base, and the goal."""
@@ -295,7 +308,7 @@ class Batch:
         return spare, _code_of(spare.sim)
 
     def _rehearsed_rows(self, begin: Start, ids: Index) -> dict[str, Array]:
-        """All that compiled steps go on from, of simulations that differ or are emulated.
+        """All that compiled steps go on from, of simulations with more than their engine.
 
         They begin in spare ones, many together: where lanes end one after another, a
         beginning would cost as much as twenty.
@@ -341,9 +354,10 @@ class Batch:
     def _rows_at(self, s: Scene, e: Episodes) -> dict[str, Array]:
         """Rows (k, ...) of compiled steps at scene and episodes of k simulations."""
         assert self._compiled is not None
+        names = self._compiled.shape.scene
         return {
             "carry": carry_rows(self._compiled.shape, s, e),
-            "scene": np.hstack([s.energies, s.tool, s.tool_seen]),
+            "scene": np.hstack([np.reshape(getattr(s, k), (len(s.q), -1)) for k in names]),
             "seen": np.hstack([s.y_seen, s.yd_seen]),
             "goal": s.goal,
             "table_values": s.table_values,
@@ -388,6 +402,7 @@ class Batch:
         if self._compiled is not None:
             out = self._compiled.step(actions, over, self.goals, lambda: self.free_decay)
             self._observation = self._compiled.observation
+            out[3].update(self.task.step_info(self.sim, out[1] | out[2]))
             out[3].update(self.account(self._compiled.stopped, over))
             return out
         e, s, task = self.episodes, self.scene, self.task
@@ -399,15 +414,17 @@ class Batch:
         joints = actions[:, : self._joint_width]
         task.control.drive(self.sim, s, joints, remaining, self._command)
         self._update_scene()
-        if task.interacts and task.on_period_end(self.sim, s, np.arange(self.n)):
-            self._update_scene()
-        count(task, s, e, before, self.dt)
         diverged = self.sim.diverged
         waiting = np.zeros(self.n, bool) if over is None else over
         lost, stopped = diverged, None
         if self._emulated:  # after a safety stop the platform stands still for good
             stopped = self.measured()[2]
             lost = lost | stopped
+        free = ~(lost | waiting)
+        self._grasp(free)
+        count(task, s, e, before, self.dt)
+        if task.interacts and (opens := task.opens(s) & free).any():
+            release_still(self.sim, np.flatnonzero(opens))
         last, failed = endings(task, s, e, lost, waiting)
         ended = last | failed
         info: dict[str, Any] = {}
@@ -426,7 +443,7 @@ class Batch:
         info.update((f"reward/{name}", term) for name, term in terms.items())
         info["success"], info["success_once"] = solved, e.once.copy()
         info["clipped"] = e.clipped.copy()
-        info.update(task.step_info(self.sim, s, ended))
+        info.update(task.step_info(self.sim, ended))
         info.update(self.account(stopped, over))
         return reward, *outcome(task, last, failed), info
 
@@ -482,6 +499,14 @@ class Batch:
             "yd_seen": yd_seen, "energies": energies, "tool": tool, "tool_seen": tool_seen,
             "table_values": table_values,
         }  # fmt: skip
+        if self.sim.machines.wheels:
+            parts["wheels"] = self.sim.wheel_speed[rows]
+        if self.task.interacts:
+            assert self.sim.payload is not None
+            which = np.arange(self.n) if ids is None else ids
+            parts["payload"] = self.sim.payload.target(which).rows()
+        if self.sim.base_actuators is not None:
+            parts["propellant"] = self.sim.base_actuators.propellant[rows].copy()
         for name, values in parts.items():
             if ids is None:
                 setattr(s, name, values)

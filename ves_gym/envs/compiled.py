@@ -26,10 +26,16 @@ from ves_gym.engine.kernel import symbolic
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
 from ves_gym.engine.kernel.numbers import is_ours
 from ves_gym.engine.kernel.symbolic import Traced, batch_of_symbols, column, per_row
+from ves_gym.envs.base_control import wheels_of
 from ves_gym.envs.control import Control
 from ves_gym.envs.episode import Episodes, bounded, count, endings, judge, scaled_observation
 from ves_gym.envs.task import Scene, Task
-from ves_gym.mechanics.spatial import SINGULAR
+from ves_gym.mechanics.latch import TARGET, target, tool_in_space
+from ves_gym.mechanics.pointing import opposites
+from ves_gym.mechanics.spatial import SINGULAR, twist
+from ves_gym.mechanics.vehicle import has_jets
+from ves_gym.simulation.base_actuators import act
+from ves_gym.simulation.capture import BODY, NUMBERS, named
 from ves_gym.system.system import System
 
 if TYPE_CHECKING:
@@ -37,6 +43,7 @@ if TYPE_CHECKING:
 
 WIDEST = 64  # numbers of a goal that formulas may see; longer ones are tables (`Task.lookup`)
 FLAGS = ("last", "failed", "solved", "once", "diverged", "event")  # last rows of `close`
+LATCHES = ("closes", "opens")  # and where a payload takes part
 
 
 def layout(*parts: tuple[str, int]) -> dict[str, slice]:
@@ -104,8 +111,40 @@ class Shape:
         """Columns of the outputs of `close`."""
         size = sum(f.size for f in self.task.fields())
         terms = [(f"reward/{name}", 1) for name in self.terms]
-        flags = [(name, 1) for name in FLAGS]
+        flags = [(name, 1) for name in self.flags]
         return layout(("observation", size), *terms, ("reward", 1), *flags)
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """Names of the last outputs of `close`."""
+        return (*FLAGS, *(LATCHES if self.task.interacts else ()))
+
+    @cached_property
+    def scene(self) -> dict[str, slice]:
+        """Columns of what is computed of the state for `close`."""
+        parts = [("energies", 2), ("tool", 3), ("tool_seen", 3)]
+        if self.task.interacts:
+            parts.append(("payload", TARGET))
+        if self.task.base_control is not None:
+            parts.append(("propellant", 1))
+        return layout(*parts)
+
+    @cached_property
+    def wheels(self) -> slice:
+        """Columns of the engine's state that are speeds of reaction wheels."""
+        arm = self.system.actual.arm
+        first = self.coordinates + 6 + self.joints + len(arm.geared) + arm.bends
+        wheels = len(wheels_of(self.system)) if self.system.mode == "ideal" else 0
+        return slice(first, first + wheels)
+
+    @cached_property
+    def actuators(self) -> dict[str, slice]:
+        """Columns of what wheels and jets do and remember."""
+        jets = len(getattr(self.system.vehicle, "jets", None) or ())
+        wheels = self.wheels.stop - self.wheels.start
+        return layout(
+            ("torque", wheels), ("wrench", 6), ("owed", jets), ("left", jets), ("propellant", 1)
+        )
 
     @cached_property
     def nodes(self) -> int:
@@ -125,10 +164,12 @@ def carry_rows(shape: Shape, s: Scene, e: Episodes) -> Array:
 
 
 def compiles(task: Task) -> bool:
-    """Task and control say of themselves that they are formulas."""
+    """Task and control say of themselves that they are formulas, and jets have one."""
     control, drive = type(task.control), type(task.control).drive
     says = all(vars(k).get("compiled", False) for k in (type(task), control))
-    return says and drive is Control.drive and task.base_control is None
+    jets = getattr(task.system.vehicle, "jets", None) or ()
+    searched = task.base_control is not None and jets and opposites(jets) is None
+    return says and drive is Control.drive and not (searched or task.tumbles)
 
 
 def functions(shape: Shape, probe: bytes | None = None) -> dict[str, CompiledFunction]:
@@ -150,7 +191,11 @@ def functions(shape: Shape, probe: bytes | None = None) -> dict[str, CompiledFun
             shape.coordinates, shape.terms, shape.signals,
         )  # fmt: skip
     return {
-        name: CompiledFunction(what and (name, what), partial(_followed, shape.task, make))
+        name: CompiledFunction(
+            what and (name, what),
+            partial(_followed, shape.task, make),
+            in_place=name == "actuate",
+        )
         for name, make in _graphs(shape).items()
     }
 
@@ -185,6 +230,10 @@ def _graphs(shape: Shape) -> dict[str, Callable[[], casadi.Function]]:
     makers = {"keep": _keep, "move": _move, "follow": _follow, "close": _close}
     out: dict[str, Callable[[], casadi.Function]]
     out = {name: partial(make, shape) for name, make in makers.items()}
+    if shape.task.base_control is not None:
+        out["actuate"] = partial(_actuate, shape)
+    if shape.task.interacts:
+        out["target"] = partial(_target, shape)
     if shape.signals:
         names = ("before", "nodes", "after", "seen", "modes")[: 5 if shape.system.base.m else 4]
         out |= {f"lab_{k}": partial(_laboratory, shape, f"lab_{k}") for k in names}
@@ -208,7 +257,8 @@ def _scene(shape: Shape, carried: Traced, z: Traced, zd: Traced, goal: Traced) -
         q=z[:, 6:].copy(), v=zd[:, 6:].copy(), y=z[:, :6].copy(), yd=zd[:, :6].copy(),
         y_seen=none, yd_seen=none, tool=none, tool_seen=none, energies=k["energies"],
         ref=k["ref"].reshape(rows, 3, n), goal=goal, memory=k["memory"], table_values=none,
-        tau=k["tau"], tail=none, kp=k["kp"], kd=k["kd"],
+        tau=k["tau"], tail=none, kp=k["kp"], kd=k["kd"], payload=none, wheels=none,
+        propellant=np.zeros(rows),
     )  # fmt: skip
 
 
@@ -232,11 +282,12 @@ def _move(shape: Shape) -> casadi.Function:
         s, e = _scene(shape, carried, z, zd, goal), _episodes(shape, carried)
         remaining: Any = task.duration - e.steps * dt
         follow = lambda: plain_command(task, s)  # noqa: E731
-        control.command(s, bounded(e, action), system.arm, dt, remaining, follow)
+        joints = bounded(e, action)[:, : control.width(system.arm)]
+        control.command(s, joints, system.arm, dt, remaining, follow)
         return s.ref.reshape(len(z), 3 * n), s.kp, s.kd, e.clipped, s.tau
 
     size = 6 + n
-    sizes = (size, size, width(shape.carry), shape.goal, control.width(system.arm))
+    sizes = (size, size, width(shape.carry), shape.goal, task.action_width)
     return _graph("move", advanced, sizes, (3 * n, n, n, 1, n))
 
 
@@ -283,7 +334,11 @@ def _close(shape: Shape) -> casadi.Function:
         s.ref = reference[:, shape.reference["ref"]].reshape(s.ref.shape)
         s.kp, s.kd = (reference[:, shape.reference[k]] for k in ("kp", "kd"))
         s.tau, e.clipped = tau, reference[:, shape.reference["clipped"]][:, 0]
-        s.energies, s.tool, s.tool_seen = np.split(scene_rows, [2, 5], axis=1)
+        for name, at in shape.scene.items():
+            setattr(s, name, scene_rows[:, at])
+        if "propellant" in shape.scene:
+            s.propellant = s.propellant[:, 0]
+        s.wheels = x[:, shape.wheels]
         k = {name: inputs[:, at] for name, at in shape.inputs.items()}
         s.table_values, s.tail, over, stopped = (
             k["table_values"], k["tail"][:, 0], k["over"][:, 0], k["stopped"][:, 0],
@@ -291,15 +346,21 @@ def _close(shape: Shape) -> casadi.Function:
         s.y_seen, s.yd_seen = s.y, s.yd
         if system.mode == "emulated":
             s.y_seen, s.yd_seen = k["y_seen"], k["yd_seen"]
-        count(task, s, e, before, dt)
         # as the engine and `Simulator` judge
         sane: Mask = np.all(np.abs(x) < MEANINGLESS, axis=1)
         if system.base.body is not None:
             sane = sane & (np.cos(z[:, 4]) >= SINGULAR)
+        closes = task.closes(s) if task.interacts else None
+        count(task, s, e, before, dt)
         last, failed = endings(task, s, e, stopped | ~sane, over)
         verdict = judge(task, s, e, dt, last, failed, over, ~sane)
         terms = tuple(verdict.terms[name] for name in shape.terms)
-        flags = (last, failed, verdict.solved, e.once, ~sane, last | failed | ~sane)
+        event, latches = last | failed | ~sane, []
+        if closes is not None:
+            acts = sane & ~(stopped | over)
+            latches = [closes & acts, task.opens(s) & acts]
+            event = event | latches[0] | latches[1]
+        flags = (last, failed, verdict.solved, e.once, ~sane, event, *latches)
         carry = (
             s.ref.reshape(len(z), -1), s.kp, s.kd, e.clipped, s.tau, s.memory, s.energies,
             e.sums, e.peaks, e.total, e.once, e.steps,
@@ -309,11 +370,48 @@ def _close(shape: Shape) -> casadi.Function:
     size, at = 6 + shape.joints, shape.carry
     sizes = (
         size, size, 2 * shape.coordinates, width(at), width(shape.reference), shape.joints,
-        shape.goal, width(shape.inputs), 8,
+        shape.goal, width(shape.inputs), width(shape.scene),
     )  # fmt: skip
     outputs = tuple(k.stop - k.start for k in shape.outputs.values())
     carried = tuple(k.stop - k.start for k in at.values())
-    return _graph("close", closed, sizes, (*outputs, *carried), split=len(outputs))
+    return _graph("close", closed, sizes, (*outputs, *carried), len(outputs))
+
+
+def _actuate(shape: Shape) -> casadi.Function:
+    """(action, x, `Shape.actuators`) -> the same after it, propellant, the engine's inputs."""
+    task, at = shape.task, shape.actuators
+    control = task.base_control
+    assert control is not None
+    engine = at["torque"].stop + 6 * has_jets(shape.system.vehicle)
+    alone = (1,) * (1 + engine)
+
+    def acted(action: Traced, x: Traced, memory: Traced) -> tuple[Any, ...]:
+        beside = np.clip(action[:, task.control.width(shape.system.arm) :], -1.0, 1.0)
+        state = (memory[:, at[k]] for k in ("owed", "left", "propellant"))
+        asked = control.asked(shape.system, beside)
+        out = act(shape.system, *asked, x[:, shape.wheels], *state)
+        return np.concatenate(out, axis=1), out[-1], *np.concatenate(out[:2], axis=1).T[:engine]
+
+    sizes = task.action_width, 2 * shape.coordinates, width(at)
+    return _graph("actuate", acted, sizes, (width(at), *alone), *range(1, 1 + len(alone)))
+
+
+def _target(shape: Shape) -> casadi.Function:
+    """(x, free body, its other numbers) -> `latch.Target` in rows."""
+    arm, n, order = shape.system.actual.arm, shape.joints, shape.coordinates
+
+    def seen(x: Traced, body: Traced, others: Traced) -> tuple[Any, ...]:
+        y, q, yd, v = x[:, :6], x[:, 6 : 6 + n], x[:, order : order + 6], x[:, order + 6 :]
+        q, v = q.copy(), v[:, :n].copy()
+        for k, i in enumerate(arm.geared):  # the links turn further than the rotors
+            q[:, i] += x[:, 6 + n + k]
+            v[:, i] += x[:, order + 6 + n + k]
+        tool = tool_in_space(arm, y, twist(y, yd), q, v)
+        parts = named(body, BODY) | named(others, NUMBERS)
+        return (target(tool, arm.tool_rotation, parts).rows(),)
+
+    sizes = 2 * order, sum(BODY.values()), sum(NUMBERS.values())
+    return _graph("target", seen, sizes, (TARGET,))
 
 
 def _laboratory(shape: Shape, name: str) -> casadi.Function:
@@ -374,14 +472,15 @@ def _graph(
     function: Callable[..., tuple[Any, ...]],
     sizes: tuple[int, ...],
     shapes: tuple[int, ...],
-    split: int | None = None,
+    *splits: int,
 ) -> casadi.Function:
-    """NumPy text as a graph; its results are stacked, those from `split` on apart."""
+    """NumPy text as a graph; its results are stacked, from each of `splits` on anew."""
     import casadi as ca
 
     rows = [batch_of_symbols(f"{name}{i}_", size) for i, size in enumerate(sizes)]
     parts = per_row(function, *rows, shapes=shapes)
-    stacks = [parts] if split is None else [parts[:split], parts[split:]]
+    ends = 0, *splits, len(parts)
+    stacks = [parts[a:b] for a, b in itertools.pairwise(ends)]
     outputs = [ca.vertcat(*(k for part in stack for k in part)) for stack in stacks]
     inputs = [column(row[0]) for row in rows]
     return ca.Function(name, inputs, [ca.densify(k) for k in ca.cse(outputs)])

@@ -25,10 +25,11 @@ from ves_gym.engine.kernel.compiled_function import (
 )
 from ves_gym.engine.kernel.maps import SceneMap, TorqueMap
 from ves_gym.envs import compiled
-from ves_gym.envs.compiled import WIDEST, Shape, carry_rows, compiles, width
+from ves_gym.envs.compiled import WIDEST, Shape, carry_rows, compiles, layout, width
 from ves_gym.envs.episode import FAILURE, Episodes, ended_energies, outcome
 from ves_gym.envs.tail import FreeDecay
 from ves_gym.envs.task import Scene, Task
+from ves_gym.simulation.capture import BODY, NUMBERS, free_flight
 from ves_gym.simulation.simulator import Simulator
 
 # what is known here of the signals that come from outside the emulation loop
@@ -46,6 +47,14 @@ def signals_of(sim: Simulator) -> tuple[tuple[str, ...], tuple[str, ...]] | None
         return None
     first, second = (tuple(k for k in names if k in external) for names in (_BEFORE, _AFTER))
     return first, second
+
+
+def release_still(sim: Simulator, ids: Index) -> None:
+    """Open latches where something else holds the payloads from then on (`Task.opens`)."""
+    assert sim.payload is not None
+    sim.release(ids)
+    still = np.zeros((len(ids), 3))
+    sim.payload.change(ids, velocity=still, spin=still)
 
 
 class CompiledStep:
@@ -70,7 +79,8 @@ class CompiledStep:
     @classmethod
     def possible(cls, sim: Simulator, task: Task) -> bool:
         """Whether a period is a program: formulas, the kernel, nothing acts from Python."""
-        acts = sim.base_actuators is not None or sim.joint_delays is not None
+        acts = sim.base_actuators is not None and task.base_control is None
+        acts = acts or sim.joint_delays is not None
         known = sim.emulation_loop is None or signals_of(sim) is not None
         return known and not acts and isinstance(sim.backend, KernelBackend) and compiles(task)
 
@@ -90,14 +100,14 @@ class CompiledStep:
         at, outputs = shape.reference, shape.outputs
         rows = lambda k: aligned(blocks, k, LANES)  # noqa: E731
         self._carry, self._next = rows(width(shape.carry)), rows(width(shape.carry))
-        self._action, self._reference = rows(task.control.width(system.arm)), rows(width(at))
+        self._action, self._reference = rows(task.action_width), rows(width(at))
         self._goal, self._inputs = rows(goal), rows(width(shape.inputs))
         self._outputs, tau, extra = rows(width(outputs)), rows(n), rows(n)
-        self._scene_rows, self._modes = rows(8), rows(2 * m)
+        self._scene_rows, self._modes = rows(width(shape.scene)), rows(2 * m)
         self._commands = rows(shape.nodes * (6 + n))
         self._waiting = False  # a simulation is marked as over
         self._stopped = np.flatnonzero(sim.diverged)  # these stay where they are
-        self._flags = slice(outputs["last"].start, outputs["event"].stop)
+        self._flags = slice(outputs["last"].start, width(outputs))
         self._observed, self._reward = outputs["observation"], outputs["reward"].start
         self._terms = [(f"reward/{name}", outputs[f"reward/{name}"].start) for name in terms]
         self._clipped = shape.carry["clipped"].start
@@ -115,6 +125,12 @@ class CompiledStep:
             first.append(torques.piece([self._reference[:, at["ref"]]], extra))
         followed = before, self._reference, extra, self._commands, tau, gains
         first.append(functions["follow"].piece(*followed))
+        self._acts = sim.base_actuators
+        if self._acts is not None:
+            self._acting = rows(width(shape.actuators))
+            used = self._scene_rows[:, shape.scene["propellant"]]
+            acting = self._action, x, self._acting, self._acting, used
+            first.append(functions["actuate"].piece(*acting, *backend.rows_of_actuators()))
         # columns of the engine's state that are the base's internal modes, and their rates
         hidden = 6 + n + len(system.actual.arm.geared) + system.actual.arm.bends
         second = backend.coordinates + hidden
@@ -123,14 +139,19 @@ class CompiledStep:
         if m and not self._emulated:  # effects add theirs after the base's own
             modes = [part[:, :m] for part in backend.rows_of_modes()]
         closed = z, zd, x, self._carry, self._reference, tau, self._goal, self._inputs
-        last = [
-            scenes.piece([z, zd, measured, *modes], self._scene_rows),
-            functions["close"].piece(*closed, self._scene_rows, self._outputs, self._next),
-        ]
+        last = [scenes.piece([z, zd, measured, *modes], self._scene_rows[:, :8])]
+        self._cargo = sim.payload if task.interacts else None
+        self._flight = rows(0)  # steps of free flight in a period
+        if self._cargo is not None:
+            self._bodies, self._numbers = (rows(sum(k.values())) for k in (BODY, NUMBERS))
+            payload = self._scene_rows[:, shape.scene["payload"]]
+            seen = x, self._bodies, self._numbers, payload
+            last.append(functions["target"].piece(*seen))
+        last.append(
+            functions["close"].piece(*closed, self._scene_rows, self._outputs, self._next)
+        )
         self._first, self._last, self._after = first, last, Program(last)
         if not self._emulated:
-            pieces = backend.pieces(self._commands, shape.nodes, system.substeps)
-            self._period = [Program([*first, piece, *last]) for piece in pieces]
             return
         count = system.substeps + 1
         self._nodes = rows(count * (6 + n))
@@ -143,11 +164,19 @@ class CompiledStep:
         return not self._emulated or signals_of(self.sim) == self.shape.signals
 
     def _programs(self) -> list[Program]:
-        """Programs of a period, built anew when the loop's code or memory are others."""
-        loop = self.sim.emulation_loop
+        """Programs of a period, built anew when the loop's code or memory are others.
+
+        In space, when payloads fly more steps than before.
+        """
+        loop, functions, backend = self.sim.emulation_loop, self._functions, self.backend
         if loop is None:
+            if self._made_of[0] is not self._flight:
+                self._made_of = self._flight, None
+                pieces = backend.pieces(self._commands, self.shape.nodes, self.system.substeps)
+                others = [*self._flights(), *self._last]
+                self._period = [Program([*self._first, k, *others]) for k in pieces]
             return self._period
-        code, functions, backend = loop.code, self._functions, self.backend
+        code = loop.code
         assert code is not None
         if code is self._made_of[0] and code.version is self._made_of[1]:
             return self._period
@@ -178,6 +207,16 @@ class CompiledStep:
         self._period = [Program([*before, piece, *after]) for piece in physics]
         return self._period
 
+    def _flights(self) -> list[Piece]:
+        """Return the steps of the free payloads."""
+        if not self._flight.shape[1]:
+            return []
+        at = layout(*NUMBERS.items())
+        constant = (self._numbers[:, at[k]] for k in ("com", "inertia"))
+        body, flight = [self._bodies, *constant], self._flight
+        steps = [flight[:, k : k + 1] for k in range(flight.shape[1])]
+        return [free_flight().piece(*body, step, self._bodies) for step in steps]
+
     def _modes_piece(self) -> list[Piece]:
         """Return what sets the base's internal modes on the platform, if it has any."""
         loop, m = self.sim.emulation_loop, self.system.base.m
@@ -203,6 +242,7 @@ class CompiledStep:
             terms = task.reward(s, dt, last)
             parts: list[npt.NDArray[Any]] = [*task.observe(s), s.memory, *terms.values()]
             parts += [task.success(s), task.failed(s), *task.joint_range]
+            parts += [task.closes(s), task.opens(s)] if task.interacts else []
         parts += [np.array([FAILURE])]
         return (*terms, "failure"), b"".join(np.ascontiguousarray(k).tobytes() for k in parts)
 
@@ -259,7 +299,12 @@ class CompiledStep:
         if self.task.control.level == "gains":
             self.sim.note_gains(s.kp, s.kd)
         rows = unlane(self._scene_rows, self.n)
-        s.energies, s.tool, s.tool_seen = rows[:, :2], rows[:, 2:5], rows[:, 5:]
+        for name, columns in self.shape.scene.items():
+            setattr(s, name, rows[:, columns])
+        if self._acts is not None:
+            s.propellant = s.propellant[:, 0]
+        if self.sim.machines.wheels:
+            s.wheels = self.sim.wheel_speed
         rows, inputs = unlane(self._inputs, self.n), self.shape.inputs
         s.table_values, s.tail = (rows[:, inputs[k]] for k in ("table_values", "tail"))
         s.tail = s.tail[:, 0]
@@ -295,8 +340,10 @@ class CompiledStep:
             self._look_up(goals)
         if loop is not None:
             fill(self._draws, loop.draws())
+        self._load_parts()
         backend.run_program(self._programs(), self.system.substeps, self._stopped)
         sim.stepped_elsewhere()
+        self._store_parts()
         self.ahead = True
         rows = numbers(self._outputs, self.n)
         flags = rows[self._flags] != 0
@@ -309,7 +356,11 @@ class CompiledStep:
             loop.ran_elsewhere(unlane(self._reading, self.n) if some else None)
             self.stopped = loop.frozen
         if some:
+            if self._cargo is not None and flags[6].any():
+                rows, flags = self._grasp(np.flatnonzero(flags[6]), rows, flags)
             rows, flags, info = self._end(rows, flags, decay)
+            if self._cargo is not None and flags[7].any():
+                release_still(sim, np.flatnonzero(flags[7]))
         for key, at in self._terms:
             info[key] = rows[at]
         last, failed, info["success"], info["success_once"] = flags[:4]
@@ -320,9 +371,52 @@ class CompiledStep:
     def _note_diverged(self) -> None:
         """Those that have diverged stay where they are, and have failed."""
         self._stopped = np.flatnonzero(self.sim.diverged)
+        if self._cargo is not None:
+            self._cargo.written = True  # these do not fly on either
         marks = self._lost if self._emulated else self._inputs[:, self.shape.inputs["stopped"]]
         marks[:] = 0.0
         marks[self._stopped // LANES, 0, self._stopped % LANES] = 1.0
+
+    def _load_parts(self) -> None:
+        """Take over what payloads, wheels and jets are, where Python has set it."""
+        cargo, acts = self._cargo, self._acts
+        if acts is not None and acts.written:
+            acts.written = False
+            names = self.shape.actuators
+            fill(self._acting, np.hstack([getattr(acts, k).reshape(self.n, -1) for k in names]))
+        if cargo is not None and cargo.written:
+            cargo.written = False
+            fill(self._bodies, cargo.rows(BODY))
+            fill(self._numbers, cargo.rows(NUMBERS))
+            steps = cargo.steps(self.system.control_dt, self.sim.machines.running)
+            if steps.shape[1] > self._flight.shape[1]:
+                self._flight = aligned(self.backend.blocks, steps.shape[1], LANES)
+            self._flight[:, steps.shape[1] :] = 0.0
+            fill(self._flight[:, : steps.shape[1]], steps)
+
+    def _store_parts(self) -> None:
+        """Tell payloads, wheels and jets of the period."""
+        if self._acts is not None:
+            memory = unlane(self._acting, self.n)
+            self._acts.take(*(memory[:, k] for k in self.shape.actuators.values()))
+        if self._cargo is not None and self._flight.shape[1]:
+            self._cargo.store(unlane(self._bodies, self.n))
+
+    def _grasp(
+        self, ids: Index, rows: Array, flags: npt.NDArray[np.bool_]
+    ) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Close latches, and look at these simulations again."""
+        assert self._cargo is not None
+        ids = ids[self._cargo.closes(ids)]  # where rounding decides, as it does there
+        if len(ids):
+            self.sim.grasp(ids)
+            self._load_parts()
+            block, lane = ids // LANES, ids % LANES
+            for i in np.unique(block).tolist():
+                self._after(i, i + 1)
+            rows[:, ids] = self._outputs[block, :, lane].T
+            flags = rows[self._flags] != 0
+        return rows, flags
 
     def _mark(self, over: Mask | None) -> None:
         at = self.shape.inputs["over"]

@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from ves_gym._util.params import Array, Index, Mask, ParameterError, Vector, finite, unit
+from ves_gym._util.params import Array, Mask, ParameterError, Vector, finite, unit
 from ves_gym.envs.arm_task import ArmTask
 from ves_gym.envs.control import Acceleration, Control
 from ves_gym.envs.reach import reachable
 from ves_gym.envs.task import Field, Scene, Start, register_task
 from ves_gym.mechanics.arm import Inertial, Mount, diagonal
-from ves_gym.mechanics.attitude import to_matrix
+from ves_gym.mechanics.attitude import from_angles, to_matrix
 from ves_gym.mechanics.kinematics import joint_positions
+from ves_gym.mechanics.latch import Target
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.spatial import matvec, rotation
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
 
-if TYPE_CHECKING:
-    from ves_gym.simulation.simulator import Simulator
-
 _TRIES = 16  # candidates per place and episode; the first that is near and dexterous counts
 _LEG = 0.35  # share of an episode that a straight motion of either leg takes
 
-# Columns of the memory
-_DISTANCE, _CARRIED, _BERTHED, _HELD = range(4)
-_FIXTURE = slice(4, 7)  # in space [m]
+_BERTHED, _HELD = range(2)  # columns of the memory
 
 BOX = Payload(
     inertial=Inertial(mass=8.0, com=(0.0, 0.0, 0.0), inertia=diagonal(0.12, 0.12, 0.12)),
@@ -66,7 +62,8 @@ class PayloadTransfer(ArmTask):
     """
 
     options: ClassVar[tuple[str, ...]] = ("q",)
-    memory: ClassVar[int] = 7
+    compiled: ClassVar[bool] = True
+    memory: ClassVar[int] = 2
     interacts: ClassVar[bool] = True
     rows: ClassVar[int] = 1 + 2 * _TRIES
     more: ClassVar[int] = 4
@@ -130,55 +127,40 @@ class PayloadTransfer(ArmTask):
         pick = reachable(arm, q, angles[:, 1 : 1 + _TRIES], leg, *limits)
         return q, pick, reachable(arm, pick, angles[:, 1 + _TRIES :], leg, *limits)
 
-    def on_reset(self, sim: Simulator, ids: Index, goal: Array) -> None:
+    def payload(self, goal: Array) -> dict[str, Array]:
         """See `Task`. The payload floats with its fixture at the goal's first point."""
-        cargo, payload = sim.payload, self.system.payload
-        assert cargo is not None and payload is not None
-        described = payload.inertial
+        payload = self.system.payload
+        assert payload is not None
+        described, turn = payload.inertial, to_matrix(from_angles(payload.angles))
         share = goal[:, 6] / described.mass
-        turn = to_matrix(cargo.attitude[ids])
-        grip = matvec(turn, np.tile(payload.grip.position, (len(ids), 1)))
-        cargo.change(
-            ids,
-            mass=goal[:, 6],
-            com=np.array(described.com) + goal[:, 7:10],
-            inertia=share[:, None, None] * np.array(described.inertia),
-            position=goal[:, :3] - grip,
-        )
+        return {
+            "mass": goal[:, 6],
+            "com": np.array(described.com) + goal[:, 7:10],
+            "inertia": share[:, None, None] * np.array(described.inertia),
+            "position": goal[:, :3] - turn @ np.array(payload.grip.position),
+        }
 
-    def on_period_end(self, sim: Simulator, s: Scene, ids: Index) -> bool:
-        """See `Task`. The latch closes, or the berth takes the payload."""
-        cargo, memory = sim.payload, s.memory
-        assert cargo is not None
-        ids = ids[~sim.diverged[ids]]
-        free = ids[~cargo.carried[ids] & (memory[ids, _BERTHED] == 0)]
-        gap = np.linalg.norm(s.tool[free] - cargo.fixture()[0][free], axis=1)
-        caught = free[gap <= 0.1]  # m: only then it is looked at more closely
-        if len(caught):
-            slow = np.linalg.norm(cargo.relative(caught)[:, :3], axis=1) <= self.catch
-            caught = caught[slow & cargo.closes(caught)]
-            sim.grasp(caught)
-        fixture, rate = (part[ids] for part in cargo.fixture())
-        off = np.linalg.norm(fixture - s.goal[ids, 3:6], axis=1)
-        there = cargo.carried[ids] & (off <= self.tolerance)
-        there &= np.linalg.norm(rate, axis=1) <= self.rest
-        held = np.where(there, memory[ids, _HELD] + sim.system.control_dt, 0.0)
-        done = ids[held >= self.hold - 1e-9]
-        if len(done):
-            sim.release(done)
-            still = np.zeros((len(done), 3))
-            cargo.change(done, velocity=still, spin=still)  # the berth holds it
-            memory[done, _BERTHED] = 1.0
-        memory[ids, _FIXTURE], memory[ids, _HELD] = fixture, held
-        memory[ids, _CARRIED] = cargo.carried[ids]
-        return bool(len(caught))
+    def closes(self, s: Scene) -> Mask:
+        """See `Task`."""
+        t = Target.of(s.payload)
+        slow = np.linalg.norm(t.relative[:, :3], axis=1) <= self.catch
+        free: Mask = (t.carried == 0) & (s.memory[:, _BERTHED] == 0)
+        return free & (t.reached > 0) & slow
 
     def remember(self, s: Scene, dt: float) -> None:
-        memory = s.memory
-        tool = np.linalg.norm(memory[:, _FIXTURE] - s.tool, axis=1)
-        berth = np.linalg.norm(s.goal[:, 3:6] - memory[:, _FIXTURE], axis=1)
-        to_go = np.where(memory[:, _CARRIED] > 0, berth, tool + berth)
-        memory[:, _DISTANCE] = np.where(memory[:, _BERTHED] > 0, 0.0, to_go)
+        """See `Task`. The berth takes the payload."""
+        t, memory = Target.of(s.payload), s.memory
+        off = np.linalg.norm(t.fixture - s.goal[:, 3:6], axis=1)
+        there = (t.carried > 0) & (off <= self.tolerance)
+        there = there & (np.linalg.norm(t.fixture_velocity, axis=1) <= self.rest)
+        memory[:, _HELD] = np.where(there, memory[:, _HELD] + dt, 0.0)
+        done = memory[:, _HELD] >= self.hold - 1e-9
+        memory[:, _BERTHED] = np.where(done, 1.0, memory[:, _BERTHED])
+
+    def opens(self, s: Scene) -> Mask:
+        """See `Task`. The berth holds the payload."""
+        held: Mask = Target.of(s.payload).carried > 0
+        return held & self.success(s)
 
     def success(self, s: Scene) -> Mask:
         """The payload is in its berth."""
@@ -198,7 +180,7 @@ class PayloadTransfer(ArmTask):
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
         to_base = np.swapaxes(rotation(s.y_seen), -1, -2)
-        fixture = s.memory[:, _FIXTURE]
+        fixture = Target.of(s.payload).fixture
         return (
             *self.sense(s),
             matvec(to_base, fixture - s.tool_seen),
@@ -211,12 +193,17 @@ class PayloadTransfer(ArmTask):
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         # the count of the hold is back at zero a period after the berth took the payload
         taken = (s.memory[:, _BERTHED] > 0) & (s.memory[:, _HELD] > 0)
+        t = Target.of(s.payload)
+        tool = np.linalg.norm(t.fixture - s.tool, axis=1)
+        berth = np.linalg.norm(s.goal[:, 3:6] - t.fixture, axis=1)
+        to_go = np.where(t.carried > 0, berth, tool + berth)
+        to_go = np.where(s.memory[:, _BERTHED] > 0, 0.0, to_go)
         return {
             "arrival": np.where(taken, self.arrival, 0.0),
-            "distance": -s.memory[:, _DISTANCE] * (dt / self.duration / self.far),
+            "distance": -to_go * (dt / self.duration / self.far),
             **self.energy_terms(s, dt, s.goal[:, 10]),
         }
 
     def marker(self, s: Scene) -> Array:
         """The fixture, then the berth."""
-        return np.stack([s.memory[:, _FIXTURE], s.goal[:, 3:6]], axis=1)
+        return np.stack([Target.of(s.payload).fixture, s.goal[:, 3:6]], axis=1)

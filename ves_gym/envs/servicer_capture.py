@@ -7,40 +7,34 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from ves_gym._util.params import Array, Index, Mask, ParameterError, Vector, finite, unit
+from ves_gym._util.params import Array, Mask, ParameterError, Vector, finite, unit
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
 from ves_gym.envs.arm_task import ArmTask, directions
-from ves_gym.envs.base_control import BaseControl
+from ves_gym.envs.base_control import BaseControl, wheels_of
 from ves_gym.envs.control import Acceleration, Control
 from ves_gym.envs.task import Field, Scene, Start, register_task
 from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.arm_library import get_arm
-from ves_gym.mechanics.attitude import from_matrix, rotate, to_matrix, torque_free_step
+from ves_gym.mechanics.attitude import from_matrix, log, rotate, torque_free_step
 from ves_gym.mechanics.kinematics import joint_positions, pose_dexterity, tool_frame
+from ves_gym.mechanics.latch import Target
 from ves_gym.mechanics.payload import Payload
-from ves_gym.mechanics.spatial import matvec, rotation, twist
+from ves_gym.mechanics.spatial import cross, matvec, rotation, twist
 from ves_gym.mechanics.vehicle import SERVICER_FLEXIBLE, Satellite
+from ves_gym.simulation.machines import LEAVE
 from ves_gym.system.system import System
 
 if TYPE_CHECKING:
     from ves_gym.simulation.simulator import Simulator
-    from ves_gym.simulation.tool_contact import PayloadState
 
 _TRIES = 32  # candidate meetings per episode; the first that is clear and dexterous counts
 _JOINTS = 6  # fewer cannot take a fixture as it turns
 _LEVER = 0.3  # m per radian, of turn beside place in `dexterous`
-_NEAR = 0.1  # m: only then the latch is looked at more closely
 _FLIGHT = 200  # steps of the target's motion back from the meeting: below 1e-9 rad in all
 _STRIDE = 4  # of them at once
 _MORE = 5  # numbers drawn beside joint angles: time, mass, spin and its direction
 
-# Columns of the memory; wheels come last
-_CARRIED, _HELD, _DISTANCE, _TURN, _LOST, _FUEL = range(6)
-_FIXTURE, _MISSING, _CLOSING = slice(6, 9), slice(9, 12), slice(12, 18)  # inertial axes
-_SPIN, _CENTRE = slice(18, 21), slice(21, 24)
-_WHEELS = 24
 _MEETING = 11  # first column of the goal that tells of it
 
 _BOTH = BaseControl()
@@ -110,7 +104,9 @@ class ServicerCapture(ArmTask):
     """
 
     options: ClassVar[tuple[str, ...]] = ("q",)
+    compiled: ClassVar[bool] = True
     interacts: ClassVar[bool] = True
+    memory: ClassVar[int] = 1  # s, at rest so far
     rows: ClassVar[int] = 1 + _TRIES
     more: ClassVar[int] = _MORE
     controls: ClassVar[tuple[str, ...]] = (
@@ -155,12 +151,9 @@ class ServicerCapture(ArmTask):
     fuel: float = unit("1/kg", default=3.0)
 
     @property
-    def memory(self) -> int:  # type: ignore[override]
-        return _WHEELS + self._wheels
-
-    @property
-    def _wheels(self) -> int:
-        return len(getattr(self.system.vehicle, "wheels", None) or ())
+    def tumbles(self) -> bool:
+        """See `Task`."""
+        return self.tumbled > LEAVE
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -250,118 +243,78 @@ class ServicerCapture(ArmTask):
         pick = np.where(good.any(axis=1), good.argmax(axis=1), able.argmax(axis=1))
         return q, ends[rows, pick]
 
-    def on_reset(self, sim: Simulator, ids: Index, goal: Array) -> None:
+    def payload(self, goal: Array) -> dict[str, Array]:
         """See `Task`. The target begins to fly."""
-        cargo, payload = sim.payload, self.system.payload
-        assert cargo is not None and payload is not None
-        com = np.array(payload.inertial.com)
-        mass, attitude = goal[:, 10], goal[:, 3:7]
-        offset = matvec(to_matrix(attitude), np.tile(com, (len(ids), 1)))
-        cargo.change(
-            ids,
-            mass=mass,
-            inertia=mass[:, None, None] * self._shape,
-            position=goal[:, :3] - offset,
-            attitude=attitude,
-            velocity=np.zeros((len(ids), 3)),
-            spin=goal[:, 7:10],
-        )
-
-    def on_period_end(self, sim: Simulator, s: Scene, ids: Index) -> bool:
-        """See `Task`. The latch closes."""
-        cargo, memory = sim.payload, s.memory
-        assert cargo is not None
-        ids = ids[~sim.diverged[ids]]
-        target = cargo.state
-        free = ids[~cargo.carried[ids]]
-        gap = np.linalg.norm(s.tool[free] - self._grip_of(target)[free], axis=1)
-        caught = free[gap <= _NEAR]
-        if len(caught):
-            relative = cargo.relative(caught)
-            slow = np.linalg.norm(relative[:, :3], axis=1) <= self.catch
-            slow &= np.linalg.norm(relative[:, 3:], axis=1) <= self.catch_turn
-            caught = caught[slow & cargo.closes(caught)]
-            for event in sim.grasp(caught):
-                memory[event.simulation, _LOST] = event.lost
-        self._look(sim, s, ids, cargo.state if len(caught) else target)
-        return bool(len(caught))
-
-    def _grip_of(self, target: PayloadState) -> Array:
-        """(n, 3) places of the fixtures in space [m]."""
         payload = self.system.payload
         assert payload is not None
-        grip = np.broadcast_to(payload.grip.position, target.position.shape)
-        out: Array = target.position + rotate(target.attitude, grip)
-        return out
+        com = np.array(payload.inertial.com)
+        mass, attitude = goal[:, 10], goal[:, 3:7]
+        return {
+            "mass": mass,
+            "inertia": mass[:, None, None] * self._shape,
+            "position": goal[:, :3] - rotate(attitude, np.broadcast_to(com, (len(goal), 3))),
+            "attitude": attitude,
+            "velocity": np.zeros((len(goal), 3)),
+            "spin": goal[:, 7:10],
+        }
 
-    def _look(self, sim: Simulator, s: Scene, ids: Index, target: PayloadState) -> None:
-        """Write into the memory what the formulas need of target and wheels."""
-        cargo, memory = sim.payload, s.memory
-        assert cargo is not None
-        turn, held = to_matrix(target.attitude[ids]), cargo.carried[ids]
-        grip, to_centre = self._fixture
-        fixture = self._grip_of(target)[ids]
-        _, tool = tool_frame(sim.system.arm, s.q[ids])
-        missing = turn @ grip @ np.swapaxes(rotation(s.y[ids]) @ tool, -1, -2)
-        vectors = Rotation.from_matrix(missing).as_rotvec()
-        closing = np.zeros((len(ids), 6))
-        free = np.flatnonzero(~held)
-        if len(free):
-            closing[free] = cargo.relative(ids[free])  # of the target where the tool is
-            lever = s.tool[ids[free]] - fixture[free]
-            spin = matvec(turn[free], target.spin[ids[free]])
-            closing[free, :3] += np.cross(spin, lever)
-        memory[ids, _CARRIED] = held
-        memory[ids, _FIXTURE], memory[ids, _MISSING] = fixture, vectors
-        memory[ids, _CLOSING] = closing
-        memory[ids, _SPIN] = matvec(turn, target.spin[ids])
-        memory[ids, _CENTRE] = matvec(turn, np.tile(to_centre, (len(ids), 1)))
-        memory[ids, _DISTANCE] = np.linalg.norm(fixture - s.tool[ids], axis=1)
-        memory[ids, _TURN] = np.sin(np.linalg.norm(vectors, axis=1) / 2)
-        acts = sim.base_actuators
-        if acts is None:
-            return
-        memory[ids, _FUEL] = acts.propellant[ids]
-        if acts.wheels:
-            speeds = np.array([wheel.speed_max for wheel in acts.wheels])
-            memory[ids, _WHEELS:] = sim.wheel_speed[ids] / speeds
+    def closes(self, s: Scene) -> Mask:
+        """See `Task`."""
+        t = Target.of(s.payload)
+        slow = np.linalg.norm(t.relative[:, :3], axis=1) <= self.catch
+        slow = slow & (np.linalg.norm(t.relative[:, 3:], axis=1) <= self.catch_turn)
+        closing: Mask = slow & (t.reached > 0) & (t.carried == 0)
+        return closing
+
+    def _missing(self, t: Target) -> Array:
+        """(n, 3) rotation vectors from the tool to the fixture [rad]."""
+        grip, _ = self._fixture
+        return log(from_matrix(t.turn @ grip @ np.swapaxes(t.tool, -1, -2)))
+
+    @cached_property
+    def _fastest(self) -> Array:
+        """(w,) speeds of the wheels when they are full [rad/s]."""
+        return np.array([wheel.speed_max for wheel in wheels_of(self.system)])
 
     def remember(self, s: Scene, dt: float) -> None:
-        memory = s.memory
-        still = (memory[:, _CARRIED] > 0) & (np.abs(s.v) <= self.settled).all(axis=1)
-        still &= np.linalg.norm(memory[:, _SPIN], axis=1) <= self.rest
+        t = Target.of(s.payload)
+        still = (t.carried > 0) & (np.abs(s.v) <= self.settled).all(axis=1)
+        still &= np.linalg.norm(t.spin, axis=1) <= self.rest
         still &= np.linalg.norm(twist(s.y, s.yd)[:, 3:], axis=1) <= self.rest
         still &= _angle(s) <= self.pointing
-        still &= (np.abs(memory[:, _WHEELS:]) <= self.full).all(axis=1)
-        memory[:, _HELD] = np.where(still, memory[:, _HELD] + dt, 0.0)
+        if len(self._fastest):
+            still &= (np.abs(s.wheels / self._fastest) <= self.full).all(axis=1)
+        s.memory[:, 0] = np.where(still, s.memory[:, 0] + dt, 0.0)
 
     def success(self, s: Scene) -> Mask:
         """Target, arm and base have come to rest together, and the base points as it did."""
-        at_rest: Mask = s.memory[:, _HELD] >= self.hold - 1e-9
+        at_rest: Mask = s.memory[:, 0] >= self.hold - 1e-9
         return at_rest
 
     def failed(self, s: Scene) -> Mask:
         """The base has turned by more than `tumbled`, or a joint limit is broken."""
         return super().failed(s) | (_angle(s) > self.tumbled)
 
-    def step_info(self, sim: Simulator, s: Scene, ended: Mask) -> dict[str, Any]:
+    def step_info(self, sim: Simulator, ended: Mask) -> dict[str, Any]:
         cargo = sim.payload
         assert cargo is not None
         told: dict[str, Any] = {"capture/carried": cargo.carried.copy()}
-        if ended.any():
+        ids, n = np.flatnonzero(ended), len(ended)
+        if len(ids):
+            lost, momentum, energy = np.zeros(n), np.zeros((n, 6)), np.zeros(n)
             with np.errstate(all="ignore"):  # of what diverged
-                at_end = {
-                    "capture/lost": s.memory[:, _LOST].copy(),
-                    "capture/momentum": cargo.momentum,
-                    "capture/energy": np.add(*cargo.energy),
-                }
-            told |= at_end | {f"_{name}": ended for name in at_end}
+                momentum[ids], *energies = cargo.ledger(ids)
+            energy[ids] = sum(energies)
+            lost[ids] = [sum(event.lost for event in k) for k in cargo.history[ids]]
+            at_end = {"lost": lost, "momentum": momentum, "energy": energy}
+            for name, values in at_end.items():
+                told |= {f"capture/{name}": values, f"_capture/{name}": ended}
         return told
 
     # --------------------------------------------------------------- observation
 
     def fields(self) -> tuple[Field, ...]:
-        w = self._wheels
+        w = len(self._fastest)
         wheels = [Field("wheels", "1", np.ones(w), "speed of each wheel in its largest")] * (
             w > 0
         )
@@ -379,16 +332,18 @@ class ServicerCapture(ArmTask):
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
         """See `Task`. What is of tool and target is in the base's axes."""
-        memory, to_base = s.memory, np.swapaxes(rotation(s.y_seen), -1, -2)
-        closing = memory[:, _CLOSING]
-        wheels = [memory[:, _WHEELS:]] if self._wheels else []
+        t, to_base = Target.of(s.payload), np.swapaxes(rotation(s.y_seen), -1, -2)
+        free = t.carried[:, None] == 0
+        # of the target where the tool is, and then where its fixture is
+        closing = t.relative[:, :3] + cross(t.spin, s.tool - t.fixture)
+        wheels = [s.wheels / self._fastest] if len(self._fastest) else []
         vectors = (
-            memory[:, _FIXTURE] - s.tool_seen,
-            memory[:, _MISSING],
-            closing[:, :3],
-            closing[:, 3:],
-            memory[:, _SPIN],
-            memory[:, _CENTRE],
+            t.fixture - s.tool_seen,
+            self._missing(t),
+            np.where(free, closing, 0.0),
+            np.where(free, t.relative[:, 3:], 0.0),
+            t.spin,
+            t.centre - t.fixture,
         )
         return (
             *self.sense(s),
@@ -400,21 +355,22 @@ class ServicerCapture(ArmTask):
     # -------------------------------------------------------------------- reward
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        memory, share = s.memory, dt / self.duration
-        missing = memory[:, _DISTANCE] / self.far + memory[:, _TURN]
-        spin = np.linalg.norm(memory[:, _SPIN], axis=1) / self.spin[1]
+        t, share = Target.of(s.payload), dt / self.duration
+        distance = np.linalg.norm(t.fixture - s.tool, axis=1)
+        half = np.linalg.norm(self._missing(t), axis=1) / 2
+        missing = distance / self.far + np.sin(half)
+        spin = np.linalg.norm(t.spin, axis=1) / self.spin[1]
         return {
-            "approach": np.where(memory[:, _CARRIED] > 0, 0.0, -share * missing),
+            "approach": np.where(t.carried > 0, 0.0, -share * missing),
             "tumble": -share * self.tumble * spin,
             "turn": -share * self.turn * _angle(s),
             "energy": -share * self.energy * s.energy,
-            "fuel": np.where(last, -self.fuel * memory[:, _FUEL], 0.0),
+            "fuel": np.where(last, -self.fuel * s.propellant, 0.0),
         }
 
     def marker(self, s: Scene) -> Array:
         """The fixture."""
-        out: Array = s.memory[:, None, _FIXTURE]
-        return out
+        return Target.of(s.payload).fixture[:, None]
 
 
 def meeting(s: Scene, joints: int) -> tuple[Array, Array]:
@@ -430,8 +386,10 @@ def meeting(s: Scene, joints: int) -> tuple[Array, Array]:
 def _angle(s: Scene) -> Array:
     """(n,) angle by which the base has turned since the start [rad]."""
     turn = rotation(s.y)
-    cosine = (np.trace(turn, axis1=-2, axis2=-1) - 1) / 2
-    out: Array = np.arccos(np.clip(cosine, -1.0, 1.0))
+    pairs = ((2, 1), (0, 2), (1, 0))
+    aside = np.stack([turn[:, i, j] - turn[:, j, i] for i, j in pairs], axis=1)
+    along = turn[:, 0, 0] + turn[:, 1, 1] + turn[:, 2, 2] - 1
+    out: Array = np.arctan2(np.linalg.norm(aside, axis=1), along)  # twice sine and cosine
     return out
 
 

@@ -89,6 +89,9 @@ class Scene:
         memory: (n, `Task.memory`) what the task remembers, zero at an episode's start.
         table_values: (n, k) of `Task.lookup` at this instant.
         tau: (n, joints) torque or drive command last asked for.
+        payload: (n, k) `latch.Target` of the payload in rows; k = 0 where none takes part.
+        propellant: (n,) used since the start [kg].
+        wheels: (n, w) speeds of the vehicle's reaction wheels [rad/s].
         tail: (n,) J s that the base will keep after the end; zero before it.
         kp, kd: (n, joints) gains in force [N m/rad, N m s/rad].
     """
@@ -108,6 +111,9 @@ class Scene:
     memory: Array
     table_values: Array
     tau: Array
+    payload: Array
+    propellant: Array
+    wheels: Array
     tail: Array
     kp: Array
     kd: Array
@@ -144,10 +150,11 @@ class Task(ABC):
     - `options`: what `reset` lets one choose; keywords of `start`.
     - `energetic`: terms of the reward that are the objective energy.
     - `goal_fields`: names of the fields achieved and desired, of goal variants.
-    - `compiled`: that `observe`, `remember`, `reward`, `success` and `failed` are formulas of
-      the scene alone, a simulation per row: the kernel then compiles their NumPy text. It holds
-      for the class that says so, not for those derived from it.
-    - `interacts`: that `on_reset` and `on_period_end` do something; it then steps in NumPy.
+    - `compiled`: that `observe`, `remember`, `reward`, `success`, `failed`, `closes` and
+      `opens` are formulas of the scene alone, a simulation per row: the kernel then compiles
+      their NumPy text. It holds for the class that says so, not for those derived from it.
+    - `interacts`: that the system's payload takes part: `payload`, `closes` and `opens` are
+      asked.
     """
 
     REGISTRY: ClassVar[dict[str, type[Task]]] = TASKS
@@ -190,6 +197,11 @@ class Task(ABC):
             raise ParameterError(
                 f"{self.kind}.context shows what randomize draws, got nothing to draw"
             )
+
+    @property
+    def tumbles(self) -> bool:
+        """A free base may turn by more than `machines.LEAVE`: such tasks step in NumPy."""
+        return False
 
     @cached_property
     def steps(self) -> int:
@@ -241,35 +253,37 @@ class Task(ABC):
         """
         return np.empty((len(goal), 0))
 
-    def on_reset(self, sim: Simulator, ids: Index, goal: Array) -> None:  # noqa: B027
-        """Prepare simulations whose episodes begin, beyond the states of their `Start`.
+    def payload(self, goal: Array) -> dict[str, Array]:
+        """Return what payloads are and where they fly as episodes begin.
 
         Args:
-            sim: just reset.
-            ids: (k,) which.
-            goal: (k, g) theirs.
-        """
-
-    def on_period_end(self, sim: Simulator, s: Scene, ids: Index) -> bool:
-        """Do what happens at the end of a period beside the motion of the joints.
-
-        Asked once after a reset too, before anything is observed.
-
-        Args:
-            sim: the simulations.
-            s: as the period left them; `s.memory` may be written.
-            ids: (k,) which.
+            goal: (k, g) of the episodes.
 
         Returns:
-            True if a state has jumped.
+            Values (k, ...) of `PayloadHandler.change`; what is not there is as described.
         """
-        return False
+        return {}
 
-    def step_info(self, sim: Simulator, s: Scene, ended: Mask) -> dict[str, Any]:
+    def closes(self, s: Scene) -> Mask:
+        """(n,) whether the latch closes at the end of a period, or of a reset.
+
+        The scene, with the states that the impulse has left, is then looked at anew.
+        """
+        return np.zeros(len(s.q), bool)
+
+    def opens(self, s: Scene) -> Mask:
+        """(n,) whether the latch opens after a period: what is there holds the payload still.
+
+        Args:
+            s: with what is remembered of the period.
+        """
+        return np.zeros(len(s.q), bool)
+
+    def step_info(self, sim: Simulator, ended: Mask) -> dict[str, Any]:
         """Return entries (n, ...) of an info beside those that every task has.
 
         Args:
-            sim, s: as the period left them.
+            sim: as the period left it.
             ended: (n,) episodes that end; the mask of what is told of them alone.
         """
         return {}

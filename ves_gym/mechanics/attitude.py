@@ -70,18 +70,27 @@ def to_matrix(q: npt.ArrayLike) -> Array:
 
 
 def from_matrix(matrix: npt.ArrayLike) -> Array:
-    """(..., 3, 3) rotation -> (..., 4) unit quaternion with w >= 0 (Bar-Itzhack's way).
+    """(..., 3, 3) rotation -> (..., 4) unit quaternion with w >= 0 (Shepperd's way).
 
-    The quaternion belongs to the largest eigenvalue of a symmetric matrix, exact at every
-    angle; a matrix that is orthogonal only to rounding yields the nearest attitude.
+    The matrix gives 4 q q^T; of its columns, all along q, the one with the largest diagonal
+    entry is exact at every angle.
     """
-    R = np.asarray(matrix, float)
-    K = np.empty((*R.shape[:-2], 4, 4))
-    K[..., 0, 0] = np.trace(R, axis1=-2, axis2=-1)
-    K[..., 1:, 1:] = R + np.swapaxes(R, -1, -2) - K[..., :1, :1] * np.eye(3)
-    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0)), start=1):
-        K[..., 0, k] = K[..., k, 0] = R[..., i, j] - R[..., j, i]
-    return _positive(np.linalg.eigh(K)[1][..., -1])
+    R = numbers(matrix)
+    x, y, z = (R[..., i, j] - R[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
+    yz, zx, xy = (R[..., i, j] + R[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
+    a, b, c = (R[..., k, k] for k in range(3))
+    columns = (
+        (1 + a + b + c, x, y, z),
+        (x, 1 + a - b - c, xy, zx),
+        (y, xy, 1 - a + b - c, yz),
+        (z, zx, yz, 1 - a - b + c),
+    )
+    most, out = columns[0][0], np.stack(columns[0], axis=-1)
+    for k in range(1, 4):
+        better = columns[k][k] > most
+        most = np.where(better, columns[k][k], most)
+        out = np.where(better[..., None], np.stack(columns[k], axis=-1), out)
+    return _positive(normalised(out))
 
 
 def rotate(q: npt.ArrayLike, vector: npt.ArrayLike) -> Array:
@@ -106,7 +115,7 @@ def exp(turn: npt.ArrayLike) -> Array:
 
 def log(q: npt.ArrayLike) -> Array:
     """(..., 4) unit quaternion -> (..., 3) shortest rotation vector [rad], angle <= pi."""
-    value = _positive(np.asarray(q, float))
+    value = _positive(numbers(q))
     w, vector = value[..., :1], value[..., 1:]
     sine = np.sqrt(np.sum(vector * vector, axis=-1, keepdims=True))
     small = sine < _SMALL / 2
@@ -170,7 +179,7 @@ def angle_rates(phi: npt.ArrayLike, w: npt.ArrayLike) -> Array:
 
 
 def torque_free_step(
-    q: npt.ArrayLike, w: npt.ArrayLike, inertia: npt.ArrayLike, time: float
+    q: npt.ArrayLike, w: npt.ArrayLike, inertia: npt.ArrayLike, time: Array | float
 ) -> tuple[Array, Array]:
     """Advance a rigid body that nothing acts on by one step, fourth order.
 
@@ -182,7 +191,7 @@ def torque_free_step(
         q: (..., 4) attitude.
         w: (..., 3) angular velocity in the body's axes [rad/s].
         inertia: (..., 3, 3) at the centre of mass, in the body's axes [kg m^2].
-        time: step [s]; the error grows as (|w| time)^5.
+        time: step [s], one or (..., 1); the error grows as (|w| time)^5.
 
     Returns:
         Attitude (..., 4) and angular velocity (..., 3) at the end.

@@ -8,6 +8,7 @@ S^T (J z'+ - X v+) = 0 along the directions S that close (docs/physics.md).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -15,11 +16,12 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.attitude import from_matrix, log, to_matrix
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.carried import carried_inertia
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.kinematics import tool_frame, tool_twists
-from ves_gym.mechanics.spatial import matvec, rate_matrix, rotation, skew
+from ves_gym.mechanics.kinematics import ToolState, tool_frame, tool_state, tool_twists
+from ves_gym.mechanics.spatial import cross, matvec, rate_matrix, rotation, skew
 
 DIRECTIONS = ("x", "y", "z", "about_x", "about_y", "about_z")  # of a relative twist
 
@@ -102,6 +104,92 @@ def directions_of(names: object) -> Array | None:
             f"directions must be names or independent columns (6, k), got {names!r}"
         )
     return columns.astype(np.float64)
+
+
+def tool_in_space(arm: Arm, y: Array, base: Array, q: Array, v: Array) -> ToolState:
+    """Return pose and twist of the tool in inertial axes.
+
+    Args:
+        arm: the arm.
+        y: (n, 6) base pose [m, rad].
+        base: (n, 6) twist of the base in its own axes [m/s, rad/s].
+        q, v: (n, joints) of the links [rad], [rad/s].
+    """
+    tool, R = tool_state(arm, q, v, base), rotation(y)
+    motion = [matvec(R, tool.twist[:, :3]), matvec(R, tool.twist[:, 3:])]
+    return ToolState(
+        y[:, :3] + matvec(R, tool.place), R @ tool.turn, np.concatenate(motion, axis=1)
+    )
+
+
+class Target(NamedTuple):
+    """A payload beside the tool: in space, inertial axes. Leading axis = simulation."""
+
+    carried: Array  # (n,) 1 or 0
+    reached: Array  # (n,) 1 where the tool is within the latch's reach of the fixture
+    distance: Array  # (n,) from the tool to the fixture [m]
+    angle: Array  # (n,) between their axes [rad]
+    fixture: Array  # (n, 3) [m]
+    centre: Array  # (n, 3) of mass [m]
+    velocity: Array  # (n, 3) of it [m/s]
+    spin: Array  # (n, 3) [rad/s]
+    relative: Array  # (n, 6) twist of the tool against the fixture, at the tool
+    turn: Array  # (n, 3, 3) from the payload's axes
+    tool: Array  # (n, 3, 3) from the tool's axes
+
+    def rows(self) -> Array:
+        """(n, `TARGET`) all of it side by side."""
+        return np.concatenate([k.reshape(len(k), -1) for k in self], axis=1)
+
+    @staticmethod
+    def of(rows: Array) -> Target:
+        """Return what lies in rows (n, `TARGET`)."""
+        parts = np.split(rows, np.cumsum([1, 1, 1, 1, 3, 3, 3, 3, 6, 9]), axis=1)
+        turns = [k.reshape(len(k), 3, 3) for k in parts[9:]]
+        return Target(*(k[:, 0] for k in parts[:4]), *parts[4:9], *turns)
+
+    @property
+    def fixture_velocity(self) -> Array:
+        """(n, 3) [m/s]."""
+        out: Array = self.velocity + cross(self.spin, self.fixture - self.centre)
+        return out
+
+
+TARGET = 40  # numbers of a `Target`
+
+
+def target(tool: ToolState, axes: Array, body: Mapping[str, Array]) -> Target:
+    """Return where a payload is, free or carried, as seen from the tool.
+
+    Args:
+        tool: in space, inertial axes.
+        axes: (3, 3) from the tool's axes to the last link's.
+        body: (n, k) `position`, `attitude`, `velocity` and `spin` of a free payload; its pose
+            `place` and `turn` (9) in the last link's frame where it is `carried`; `com`,
+            `grip` and `grip_axes` (9) in its own axes; reach of its latch, `latch_distance`
+            and `latch_angle`.
+    """
+    turned, grip = (body[k].reshape(len(tool.place), 3, 3) for k in ("turn", "grip_axes"))
+    held, link = body["carried"] > 0, tool.turn @ axes.T
+    turn = np.where(held[..., None], link @ turned, to_matrix(body["attitude"]))
+    origin = np.where(held, tool.place + matvec(link, body["place"]), body["position"])
+    centre = origin + matvec(turn, body["com"])
+    linear, angular = tool.twist[:, :3], tool.twist[:, 3:]
+    with_tool = linear + cross(angular, centre - tool.place)
+    velocity = np.where(held, with_tool, body["velocity"])
+    spin = np.where(held, angular, matvec(turn, body["spin"]))
+    fixture = origin + matvec(turn, body["grip"])
+    distance = np.linalg.norm(fixture - tool.place, axis=1)
+    away = log(from_matrix(np.swapaxes(turn @ grip, -1, -2) @ tool.turn))
+    angle = np.linalg.norm(away, axis=1)
+    reached = distance <= body["latch_distance"][:, 0]
+    reached = reached & (angle <= body["latch_angle"][:, 0])
+    there = velocity + cross(spin, tool.place - centre)  # of the payload where the tool is
+    relative = np.concatenate([linear - there, angular - spin], axis=1)
+    return Target(
+        body["carried"][:, 0], reached, distance, angle, fixture, centre, velocity, spin,
+        relative, turn, tool.turn,
+    )  # fmt: skip
 
 
 class ToolMotion(NamedTuple):

@@ -139,17 +139,6 @@ def with_body(
     return merged([(mass, com, inertia), (other_mass, theirs, turned)])
 
 
-def angle_between(a: npt.ArrayLike, b: npt.ArrayLike) -> Array:
-    """Return the angle of the rotation between two sets of axes [rad].
-
-    Args:
-        a, b: (..., 3, 3) rotations.
-    """
-    trace = np.sum(np.asarray(a) * np.asarray(b), axis=(-2, -1))
-    out: Array = np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0))
-    return np.where(trace >= 3 - math.ulp(4.0), 0.0, out)
-
-
 # --------------------------------------------------------------------------- contact
 
 

@@ -87,13 +87,13 @@ def allocated(jets: tuple[Jet, ...], wrench: Array) -> Array:
         (n, k) [N].
     """
     most = np.array([jet.thrust for jet in jets])
-    pairs = _pairs(jets)
+    pairs = opposites(jets)
     if pairs is not None:  # what opposite jets give together has any sign
         out = np.maximum(matvec(pairs, wrench), 0.0)
     else:
         out = np.array([_nearest(jets, request) for request in wrench]).reshape(-1, len(jets))
-    over = np.max(out / most, axis=1, initial=1.0)
-    return np.asarray(out / over[:, None], dtype=np.float64)
+    forces: Array = out / np.maximum(np.max(out / most, axis=1), 1.0)[:, None]
+    return forces
 
 
 def _scaled(jets: tuple[Jet, ...]) -> tuple[Array, Array]:
@@ -114,7 +114,7 @@ def _nearest(jets: tuple[Jet, ...], wrench: Array) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _pairs(jets: tuple[Jet, ...]) -> Array | None:
+def opposites(jets: tuple[Jet, ...]) -> Array | None:
     """(k, 6) matrix whose product with a wrench, where positive, is what the jets give.
 
     None where a jet has no other that gives the opposite wrench. Where all have, no two of a
@@ -327,4 +327,5 @@ def within_limits(
     )
     up = np.maximum((fastest - speed) * inertia / dt, 0.0)
     down = np.minimum((-fastest - speed) * inertia / dt, 0.0)
-    return np.asarray(np.clip(torque, np.maximum(-most, down), np.minimum(most, up)))
+    out: Array = np.clip(torque, np.maximum(-most, down), np.minimum(most, up))
+    return out

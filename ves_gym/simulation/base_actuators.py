@@ -23,6 +23,7 @@ from ves_gym.mechanics.spatial import matvec  # row by row: a product of all row
 from ves_gym.mechanics.vehicle import Satellite
 from ves_gym.simulation.machines import ControlPeriod, Machines, Part
 from ves_gym.simulation.state import State
+from ves_gym.system.system import System
 
 
 class BaseActuators(Part):
@@ -79,7 +80,7 @@ class BaseActuators(Part):
         self.target[ids] = start.attitude
         if self.pointing is not None:
             self.inertia[ids] = self._about_centre(start.q)
-        self.commanded[:] = False
+        self.commanded[:], self.written = False, True
         self._send(ids)
 
     def _about_centre(self, q: Array) -> Array:
@@ -101,7 +102,10 @@ class BaseActuators(Part):
         if self.pointing is not None:
             self._point()
         else:
-            self._drive(np.zeros_like(self.torque))
+            nothing, speed = np.zeros_like(self.torque), self.machines.wheel_speed
+            if self.wheels:
+                dt = self.system.control_dt
+                self.torque[:] = on_rotors(self.wheels, nothing, speed, dt)
             self.wrench[:] = 0.0
             self._send(np.arange(self.n))
 
@@ -159,18 +163,53 @@ class BaseActuators(Part):
         self._command(wrench, np.zeros_like(self.torque) if torque is None else torque)
 
     def _command(self, wrench: Array, torque: Array) -> None:
-        if not self.jets:
-            self.wrench[:] = wrench if self._any_wrench else 0.0
-        else:  # what their pulses make of it
-            dt, force = self.system.control_dt, allocated(self.jets, wrench)
-            given, self.owed, self.left = pulses(self.jets, self.owed, self.left, force, dt)
-            self.wrench[:] = matvec(wrench_matrix(self.jets), given) / dt
-            self.propellant += propellant(self.jets, given)
-        self._drive(torque)
+        state = self.owed, self.left, self.propellant[:, None]
+        done = act(self.system, wrench, torque, self.machines.wheel_speed, *state)
+        self.take(*done)
         self.commanded[:] = True
         self._send(np.arange(self.n))
+        self.written = True
 
-    def _drive(self, torque: Array) -> None:
-        """Set the torque on the rotors, friction included."""
-        speed, dt = self.machines.wheel_speed, self.system.control_dt
-        self.torque[:] = on_rotors(self.wheels, torque, speed, dt) if self.wheels else 0.0
+    def take(
+        self, torque: Array, wrench: Array, owed: Array, left: Array, propellant: Array
+    ) -> None:
+        """Take over what `act` gives."""
+        self.torque[:], self.wrench[:], self.owed[:], self.left[:] = torque, wrench, owed, left
+        self.propellant[:] = propellant[:, 0]
+
+
+def act(
+    system: System,
+    wrench: Array,
+    torque: Array,
+    speed: Array,
+    owed: Array,
+    left: Array,
+    used: Array,
+) -> tuple[Array, ...]:
+    """Return what wheels and jets of a satellite do in a control period, as asked.
+
+    Args:
+        system: on a satellite.
+        wrench: (n, 6) asked of the jets in platform axes [N, N m].
+        torque: (n, w) asked of the wheels' motors [N m].
+        speed: (n, w) of the wheels at the start [rad/s].
+        owed, left: (n, k) see `pointing.pulses` [N s].
+        used: (n, 1) propellant so far [kg].
+
+    Returns:
+        Torque (n, w) on the rotors, friction included, wrench (n, 6), then `owed`, `left` and
+        `used` after it.
+    """
+    vehicle, dt = system.vehicle, system.control_dt
+    assert isinstance(vehicle, Satellite)
+    wheels, jets = vehicle.wheels or (), vehicle.jets or ()
+    if jets:  # what their pulses make of it
+        given, owed, left = pulses(jets, owed, left, allocated(jets, wrench), dt)
+        wrench = matvec(wrench_matrix(jets), given) / dt
+        used = used + propellant(jets, given)[:, None]
+    elif not vehicle.thrusters:
+        wrench = np.zeros_like(wrench)
+    if wheels:
+        torque = on_rotors(wheels, torque, speed, dt)
+    return torque, wrench, owed, left, used

@@ -3,39 +3,72 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError
+from ves_gym.engine.kernel.compiled_function import CompiledFunction
 from ves_gym.mechanics.attitude import (
     conjugate,
     from_angles,
     from_matrix,
     rotate,
-    to_matrix,
     torque_free_step,
 )
-from ves_gym.mechanics.kinematics import ToolState, tool_state
+from ves_gym.mechanics.kinematics import ToolState
 from ves_gym.mechanics.latch import (
+    Target,
     ToolMotion,
     body_momentum,
     directions_of,
     free_mass,
     inelastic,
     momentum_of,
+    target,
     to_point,
+    tool_in_space,
     tool_motion,
 )
-from ves_gym.mechanics.payload import Payload, angle_between, numbers_of, with_body
-from ves_gym.mechanics.spatial import matvec, quadratic, rate_matrix, rotation
+from ves_gym.mechanics.payload import Payload, numbers_of, with_body
+from ves_gym.mechanics.spatial import matvec, quadratic, rate_matrix
 from ves_gym.simulation.machines import ControlPeriod, Machines, NotingPart
 from ves_gym.simulation.state import State, simulation_ids
 from ves_gym.simulation.tool_contact import PayloadState, ToolContact
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
 _TURN = 3.2e-3  # rad, the most that a free body turns in a step: 1e-13 rad of error
+BODY = {"position": 3, "attitude": 4, "velocity": 3, "spin": 3}  # of a free payload, in rows
+# what else tells of a payload, in rows
+NUMBERS = {
+    "com": 3, "inertia": 9, "carried": 1, "place": 3, "turn": 9, "grip": 3, "grip_axes": 9,
+    "latch_distance": 1, "latch_angle": 1,
+}  # fmt: skip
+
+
+def named(rows: Array, widths: Mapping[str, int]) -> dict[str, Array]:
+    """Return the parts of rows (n, k) by name."""
+    parts = np.split(rows, np.cumsum(list(widths.values()))[:-1], axis=1)
+    return dict(zip(widths, parts, strict=True))
+
+
+@lru_cache(maxsize=1)
+def free_flight() -> CompiledFunction:
+    """(`BODY`, com, inertia, step [s]) -> `BODY`: straight, and turning as free bodies do.
+
+    In place. A step of zero leaves a body where it is, to the bit.
+    """
+
+    def flown(rows: Array, com: Array, inertia: Array, time: Array) -> Array:
+        body, J = named(rows, BODY), inertia.reshape(len(rows), 3, 3)
+        centre = body["position"] + rotate(body["attitude"], com) + time * body["velocity"]
+        q, w = torque_free_step(body["attitude"], body["spin"], J, time)
+        moved = [centre - rotate(q, com), q, body["velocity"], w]
+        return np.where(time != 0.0, np.concatenate(moved, axis=1), rows)
+
+    return CompiledFunction.of("free flight", flown, sum(BODY.values()), 3, 9, 1, in_place=True)
 
 
 class Capture(NamedTuple):
@@ -102,6 +135,7 @@ class PayloadHandler(NotingPart):
         self.attitude = np.zeros((n, 4))
         self.place, self.turn = np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1))
         self.history = np.full(n, None)  # of captures
+        self._fastest = np.zeros(n)  # rad/s, that a free one may come to turn
         self.forget(np.arange(n))
         self.described: list[Payload] = []
         # where the tool can touch it, the engine moves it
@@ -125,12 +159,13 @@ class PayloadHandler(NotingPart):
         payloads = [self.described[i] for i in ids.tolist()]
         for i, payload in zip(ids.tolist(), payloads, strict=True):
             self.mass[i], self.com[i], self.inertia[i] = numbers_of(payload.inertial)
-        self._distance = np.array([payload.latch_distance for payload in self.described])
-        self._angle = np.array([payload.latch_angle or np.inf for payload in self.described])
-        self._grip = np.array([payload.grip.position for payload in self.described])
-        self._grip_axes = np.array([payload.grip.rotation for payload in self.described])
+        self.latch_distance = np.array([k.latch_distance for k in self.described])
+        self.latch_angle = np.array([k.latch_angle or np.inf for k in self.described])
+        self.grip = np.array([k.grip.position for k in self.described])
+        self.grip_axes = np.array([k.grip.rotation for k in self.described])
         self._refit(ids[self.carried[ids]])
         self._describe()
+        self._note_motion(ids)
 
     def reset(self, machines: Machines, ids: Index, start: State) -> None:
         """See `Part`. Payloads are free at their described starts, with described numbers."""
@@ -148,6 +183,15 @@ class PayloadHandler(NotingPart):
             self.attitude[alike], self.spin[alike] = from_angles(payload.angles), payload.spin
         self.forget(ids)
         self._put(ids)
+
+    def rows(self, names: Mapping[str, int]) -> Array:
+        """(n, k) numbers of all payloads side by side: those of `BODY`, or of `NUMBERS`."""
+        return np.hstack([getattr(self, k).reshape(self.machines.n, -1) for k in names])
+
+    def begin_with(self, ids: Index, rows: Mapping[str, Array]) -> None:
+        """See `Part`. The engine has the last links of these."""
+        super().begin_with(ids, rows)
+        self._note_motion(ids)
 
     def before(self, machines: Machines, period: ControlPeriod) -> None:
         """See `Part`. The engine works in other frames now."""
@@ -198,16 +242,21 @@ class PayloadHandler(NotingPart):
     @property
     def state(self) -> PayloadState:
         """Place and motion of the payloads, free or carried."""
-        held = np.flatnonzero(self.carried)
         position, attitude = self.position.copy(), self.attitude.copy()
         velocity, spin = self.velocity.copy(), self.spin.copy()
-        if not len(held):
-            return PayloadState(position, attitude, velocity, spin)
-        turn, origin, twist = self._carried(held, self._tool(held))
-        position[held], attitude[held] = origin, from_matrix(turn)
-        velocity[held] = twist[:, :3]
-        spin[held] = matvec(np.swapaxes(turn, -1, -2), twist[:, 3:])
+        held = np.flatnonzero(self.carried)
+        if len(held):
+            t = self.target(held)
+            position[held] = t.centre - matvec(t.turn, self.com[held])
+            attitude[held], velocity[held] = from_matrix(t.turn), t.velocity
+            spin[held] = matvec(np.swapaxes(t.turn, -1, -2), t.spin)
         return PayloadState(position, attitude, velocity, spin)
+
+    def target(self, ids: Index) -> Target:
+        """Return where the payloads of some simulations are, as seen from their tools."""
+        names = ("position", "attitude", "velocity", "spin", *NUMBERS)
+        body = {k: getattr(self, k)[ids].reshape(len(ids), -1) for k in names}
+        return target(self._tool(ids), self.machines.system.arm.tool_rotation, body)
 
     def set_state(self, state: Mapping[str, Array]) -> None:
         """See `Part`."""
@@ -215,6 +264,7 @@ class PayloadHandler(NotingPart):
         super().set_state(state)
         self._refit(changed)
         self._describe()  # the engine's state has where they are
+        self._note_motion(np.arange(self.machines.n))
 
     def advance(self, time: float, ids: Index | None) -> None:
         """Let free payloads fly on: straight, and turning as torque-free bodies do.
@@ -223,32 +273,48 @@ class PayloadHandler(NotingPart):
             time: [s].
             ids: which simulations run, None for all.
         """
-        if self._still:
-            return
-        free = ~self.carried
-        if ids is not None:
-            running = np.zeros(len(free), bool)
-            running[ids] = True
-            free = free & running
-        rows = np.flatnonzero(free)
-        if not len(rows):
-            return
         if self._contact is not None:
-            free_ones = self.position, self.attitude, self.velocity, self.spin
-            moved = self._contact.bodies(rows, self.com)
-            for own, part in zip(free_ones, moved, strict=True):
-                own[rows] = part
+            rows = np.flatnonzero(self._moves(ids))
+            if len(rows):
+                moved = self._contact.bodies(rows, self.com)
+                for name, part in zip(BODY, moved, strict=True):
+                    getattr(self, name)[rows] = part
             return
-        com = self.position[rows] + rotate(self.attitude[rows], self.com[rows])
-        com += time * self.velocity[rows]
-        steps = np.ceil(np.linalg.norm(self.spin[rows], axis=1) * time / _TURN).astype(int)
-        for count in sorted(set(steps.tolist()) - {0}):  # a body's steps are its own
-            alike = rows[steps == count]
-            q, w, J = self.attitude[alike], self.spin[alike], self.inertia[alike]
-            for _ in range(count):
-                q, w = torque_free_step(q, w, J, time / count)
-            self.attitude[alike], self.spin[alike] = q, w
-        self.position[rows] = com - rotate(self.attitude[rows], self.com[rows])
+        for step in self.steps(time, ids).T:
+            numbers = self.com, self.inertia.reshape(len(step), 9), step[:, None]
+            self.store(free_flight()(self.rows(BODY), *numbers))
+            self.written = True
+
+    def store(self, bodies: Array) -> None:
+        """Take over free payloads (n, `BODY`) that have moved."""
+        for name, part in named(bodies, BODY).items():
+            getattr(self, name)[:] = part
+
+    def steps(self, time: float, ids: Index | None) -> Array:
+        """(n, k) steps of free flight that make up a time [s], zeros behind them.
+
+        Args:
+            time: [s].
+            ids: which simulations run, None for all.
+        """
+        count = np.ceil(self._fastest * time / _TURN)
+        count = np.maximum(count, self.velocity.any(axis=1)) * self._moves(ids)
+        within = np.arange(count.max()) < count[:, None]
+        return np.where(within, time / np.maximum(count, 1.0)[:, None], 0.0)
+
+    def _moves(self, ids: Index | None) -> Mask:
+        """(n,) payloads that fly freely in simulations that run."""
+        running = np.zeros(self.machines.n, bool)
+        running[slice(None) if ids is None else ids] = not self._still
+        return running & ~self.carried
+
+    def _note_motion(self, ids: Index) -> None:
+        """Take note of how fast payloads that have been changed may come to turn."""
+        # with 2 E between |w|^2 times the least and the largest moment of inertia
+        J = np.linalg.eigvalsh(self.inertia[ids])
+        rate = np.linalg.norm(self.spin[ids], axis=1)
+        self._fastest[ids] = rate * np.sqrt(J[:, -1] / J[:, 0])
+        self.written = True
 
     def _describe(self) -> None:
         """Tell the engine mass properties, and whether the bodies can be touched."""
@@ -259,6 +325,7 @@ class PayloadHandler(NotingPart):
 
     def _put(self, ids: Index) -> None:
         """Have the engine's bodies where the payloads are, if it moves them."""
+        self._note_motion(ids)
         if self._contact is not None and len(ids):
             self._describe()
             self._contact.put(ids, self._rows(ids), self.com[ids])
@@ -267,31 +334,21 @@ class PayloadHandler(NotingPart):
 
     def gap(self, ids: npt.ArrayLike | None = None) -> tuple[Array, Array]:
         """Return how far the tool is from the fixture (k,) [m], and the turn missing [rad]."""
-        index = simulation_ids(ids, self.machines.n)
-        _, distance, angle = self._gap(index, self._tool(index))
-        return distance, angle
+        t = self.target(simulation_ids(ids, self.machines.n))
+        return t.distance, t.angle
 
     def closes(self, ids: Index) -> Mask:
         """Return (k,) whether the latches reach the fixtures."""
-        distance, angle = self.gap(ids)
-        within: Mask = (distance <= self._distance[ids]) & (angle <= self._angle[ids])
-        return within
+        return self.target(ids).reached.astype(bool)
 
     def fixture(self) -> tuple[Array, Array]:
         """Return place [m] and velocity [m/s] (n, 3) of the grapple fixtures in space."""
-        state = self.state
-        turn = to_matrix(state.attitude)
-        spin = matvec(turn, state.spin)
-        arm = matvec(turn, self._grip - self.com)
-        velocity: Array = state.velocity + np.cross(spin, arm)
-        return state.position + matvec(turn, self._grip), velocity
+        t = self.target(np.arange(self.machines.n))
+        return t.fixture, t.fixture_velocity
 
     def relative(self, ids: npt.ArrayLike | None = None) -> Array:
         """Return the twist (k, 6) of the tool against the fixture, inertial axes."""
-        index = simulation_ids(ids, self.machines.n)
-        tool = self._tool(index)
-        _, motion, com = self._bodies(index)
-        return tool.twist - matvec(to_point(com, tool.place), motion)
+        return self.target(simulation_ids(ids, self.machines.n)).relative
 
     def grasp(
         self, ids: npt.ArrayLike | None = None, *, directions: object = None
@@ -313,13 +370,13 @@ class PayloadHandler(NotingPart):
         self._require(index, carried=False)
         closed = directions_of(directions)
         motion, rates = self._motion(index)
-        turn, distance, angle = self._gap(index, self._tool(index))
-        for k in np.flatnonzero(~self.closes(index)).tolist():
+        t = self.target(index)
+        for k in np.flatnonzero(t.reached == 0).tolist():
             i, payload = int(index[k]), self.described[index[k]]
             raise ParameterError(
                 f"simulation {i}: the latch closes within {payload.latch_distance:g} m"
                 f"{_degrees(payload.latch_angle)} of the fixture, the tool is"
-                f" {distance[k]:.4g} m{_degrees(float(angle[k]))} away"
+                f" {t.distance[k]:.4g} m{_degrees(float(t.angle[k]))} away"
             )
         M, twist, com = self._bodies(index)
         driven = 6 if self._still else 0  # the platform moves as it is told
@@ -344,10 +401,10 @@ class PayloadHandler(NotingPart):
         machines.backend.set_rates(index, zd, out.rates[:, size:])
         if closed is None:
             link = motion.turn
-            self.turn[index] = np.swapaxes(link, -1, -2) @ turn
+            self.turn[index] = np.swapaxes(link, -1, -2) @ t.turn
             tool = motion.place
             self.place[index] = matvec(np.swapaxes(link, -1, -2), self.position[index] - tool)
-            self.carried[index] = True
+            self.carried[index], self.written = True, True
             self._refit(index)
             self._describe()
         elif not self._still:
@@ -385,26 +442,27 @@ class PayloadHandler(NotingPart):
     @property
     def momentum(self) -> Array:
         """(n, 6) of arm, base and payload about the inertial origin [kg m/s, kg m^2/s]."""
-        motion, rates = self._motion(np.arange(self.machines.n))
-        M, twist, com = self._bodies(np.arange(self.machines.n))
-        own = momentum_of(motion.mass, rates, self.machines.state.y)
-        return own + body_momentum(M, twist, com)
+        return self.ledger(np.arange(self.machines.n))[0]
 
     @property
     def energy(self) -> tuple[Array, Array]:
         """Kinetic energy (n,) of arm with base, and of the payload [J]."""
-        motion, rates = self._motion(np.arange(self.machines.n))
-        M, twist, _ = self._bodies(np.arange(self.machines.n))
-        return quadratic(motion.mass, rates), quadratic(M, twist)
+        _, own, payload = self.ledger(np.arange(self.machines.n))
+        return own, payload
+
+    def ledger(self, ids: Index) -> tuple[Array, Array, Array]:
+        """Return `momentum` (k, 6) and the two of `energy` (k,) of some simulations."""
+        motion, rates = self._motion(ids)
+        M, twist, com = self._bodies(ids)
+        own = momentum_of(motion.mass, rates, self.machines.state.y[ids])
+        energies = quadratic(motion.mass, rates), quadratic(M, twist)
+        return own + body_momentum(M, twist, com), *energies
 
     def _bodies(self, ids: Index) -> tuple[Array, Array, Array]:
         """Mass matrix (k, 6, 6), twist and centre of mass of payloads in space."""
-        state = self._rows(ids)
-        turn = to_matrix(state.attitude)
-        com = state.position + matvec(turn, self.com[ids])
-        M = free_mass(self.mass[ids], self.inertia[ids], turn)
-        twist = np.concatenate([state.velocity, matvec(turn, state.spin)], axis=1)
-        return M, twist, com
+        t = self.target(ids)
+        M = free_mass(self.mass[ids], self.inertia[ids], t.turn)
+        return M, np.concatenate([t.velocity, t.spin], axis=1), t.centre
 
     # ---------------------------------------------------------------- helpers
 
@@ -443,11 +501,7 @@ class PayloadHandler(NotingPart):
             q, v, geared = state.q[which], state.v[which], list(system.arm.geared)
             q[:, geared] += at[which, : len(geared)]  # the links turn further than the rotors
             v[:, geared] += rate[which, : len(geared)]
-            tool = tool_state(system.arm, q, v, base[which])
-            R = rotation(state.y[which])
-            linear, angular = matvec(R, tool.twist[:, :3]), matvec(R, tool.twist[:, 3:])
-            place = state.y[which, :3] + matvec(R, tool.place)
-            return place, R @ tool.turn, np.concatenate([linear, angular], axis=1)
+            return tool_in_space(system.arm, state.y[which], base[which], q, v)
 
         return ToolState(*self._of_systems(ids, moved))
 
@@ -464,25 +518,6 @@ class PayloadHandler(NotingPart):
             for full, part in zip(out, parts, strict=True):
                 full[rows] = part
         return out
-
-    def _gap(self, ids: Index, tool: ToolState) -> tuple[Array, Array, Array]:
-        """Payloads' axes in space (k, 3, 3), distance of the tool (k,), and angle (k,)."""
-        state = self._rows(ids)
-        turn = to_matrix(state.attitude)
-        fixture = state.position + matvec(turn, self._grip[ids])
-        axes = turn @ self._grip_axes[ids]
-        distance: Array = np.linalg.norm(fixture - tool.place, axis=1)
-        return turn, distance, angle_between(axes, tool.turn)
-
-    def _carried(self, ids: Index, tool: ToolState) -> tuple[Array, Array, Array]:
-        """Axes (k, 3, 3), origins (k, 3) and twists of the centres of mass (k, 6) in space."""
-        link = tool.turn @ self.machines.system.arm.tool_rotation.T
-        turn = link @ self.turn[ids]
-        origin = tool.place + matvec(link, self.place[ids])
-        com = origin + matvec(turn, self.com[ids])
-        twist = tool.twist.copy()
-        twist[:, :3] += np.cross(twist[:, 3:], com - tool.place)
-        return turn, origin, twist
 
     def _refit(self, ids: Index) -> None:
         """Make the engine's last links what they are with what they carry, or without."""

@@ -64,6 +64,7 @@ class Part:
     name: ClassVar[str]  # in the tree of arrays
     arrays: ClassVar[tuple[str, ...]] = ()  # attributes that are its memory
     periodic: bool = True  # acts at every control period, not only when it is asked
+    written: bool = True  # its memory is another than a program last took over
 
     def reset(self, machines: Machines, ids: Index, start: State) -> None:
         """Begin anew in some simulations.
@@ -104,7 +105,7 @@ class Part:
 
     def rows_of(self, ids: Index) -> dict[str, Array]:
         """All that simulations (k,) have from their assignment and reset, for `begin_with`."""
-        return {}
+        return {name: getattr(self, name)[ids] for name in self.arrays}
 
     def begin_with(self, ids: Index, rows: Mapping[str, Array]) -> None:
         """Begin simulations (k,) as others have begun that have not been stepped since.
@@ -113,6 +114,9 @@ class Part:
             ids: which.
             rows: of `rows_of`, of a simulator of the same system.
         """
+        for name, values in rows.items():
+            getattr(self, name)[ids] = values
+        self.written = True
 
     def get_state(self) -> dict[str, Array]:
         """Copies of all arrays needed to continue exactly from here."""
@@ -122,6 +126,7 @@ class Part:
         """Return to a state handed out by `get_state`."""
         for name in self.arrays:
             getattr(self, name)[:] = state[name]
+        self.written = True
 
 
 class NotingPart(Part):

@@ -123,6 +123,16 @@ class KernelBackend(CompiledBackend):
         first = self.names.index("kp1")
         return self._p[:, first : first + 2 * self.joints]
 
+    def rows_of_actuators(self) -> list[Array]:
+        """Wheels' motor torques and the jets' wrench in memory, in place, one by one."""
+        every = (f"motorcarried{k + 1}" for k in range(self._carried))
+        at = [
+            self.names.index(k)
+            for k in (*every, *(f"jet{k + 1}" for k in range(6)))
+            if k in self.names
+        ]
+        return [self._p[:, k : k + 1] for k in at]
+
     def pieces(
         self, commands: Array, nodes: int, steps: int, outputs: Array | None = None
     ) -> list[Piece]:

@@ -21,6 +21,14 @@ import numpy.typing as npt
 if TYPE_CHECKING:
     import casadi
 
+_TAN_EIGHTH = math.tan(math.pi / 8)
+# (t - atan t) / t^3 in powers of t^2, |t| <= 7/16 (coefficients of fdlibm)
+_ATAN = (
+    3.33333333333329318027e-01, -1.99999999998764832476e-01, 1.42857142725034663711e-01,
+    -1.11111104054623557880e-01, 9.09088713343650656196e-02, -7.69187620504482999495e-02,
+    6.66107313738753120669e-02, -5.83357013379057348645e-02, 4.97687799461593236017e-02,
+    -3.65315727442169155270e-02, 1.62858201153657823623e-02,
+)  # fmt: skip
 _ROWS = 2  # simulations that a function is followed with: none may look at the other
 
 
@@ -325,6 +333,21 @@ def _power(a: Any, b: Any) -> Any:
     raise Untraceable("power of two expressions")
 
 
+def _arctan2(y: Any, x: Any) -> Any:
+    """Angle of (x, y), of operations that the kernel has; 0 at the origin."""
+    import casadi as ca
+
+    a, b = ca.fabs(x), ca.fabs(y)
+    t = ca.fmin(a, b) / ca.fmax(ca.fmax(a, b), 1e-300)  # of the nearer axis, 0 to 1
+    far = t > _TAN_EIGHTH
+    t = ca.if_else(far, (t - 1) / (t + 1), t)
+    series = functools.reduce(lambda sum, c: sum * t * t + c, reversed(_ATAN))
+    angle = ca.if_else(far, np.pi / 4, 0.0) + (t - t * t * t * series)
+    angle = ca.if_else(b > a, np.pi / 2 - angle, angle)
+    angle = ca.if_else(x < 0, np.pi - angle, angle)
+    return ca.if_else(y < 0, -angle, angle)
+
+
 @functools.cache
 def _operations() -> Mapping[str, Callable[..., Any]]:
     """Each elementwise operation of NumPy as a graph's; truth is 1, falsehood 0."""
@@ -365,7 +388,7 @@ def _operations() -> Mapping[str, Callable[..., Any]]:
     table |= {name: either(getattr(ca, name), getattr(np, name)) for name in same}
     table["fabs"] = table["absolute"]
     others = {
-        "arctan2": ca.atan2,
+        "arctan2": _arctan2,
         "maximum": ca.fmax,
         "minimum": ca.fmin,
         "less": operator.lt,
