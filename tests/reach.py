@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.obstacles import Box, Surroundings
 from ves_gym.planners.query import Query
-from ves_gym.planners.suites import SPEED_LIMITS, get_suite
+from ves_gym.planners.suites import get_suite
 from ves_gym.system.system import System
+
+# Of the PUMA: joint speeds [rad/s], and +- of each joint [rad].
+SPEED_LIMITS = tuple(np.deg2rad([82.0, 54.0, 122.0]).tolist())
+REACH_RANGE = np.deg2rad([120.0, 60.0, 120.0])
 
 # from one side to the other past a pillar that the straight line runs into
 ACROSS = Query(

@@ -18,6 +18,7 @@ from benchmarks.lower_bound.potential import (
     residual_floor,
 )
 from tests.arms import planar_arm, six_joint_arm
+from tests.reach import REACH_RANGE, SPEED_LIMITS
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inertia
@@ -27,7 +28,7 @@ from ves_gym.planners.objective import MeanEnergy
 from ves_gym.planners.prediction import LinearBase, joint_momentum
 from ves_gym.planners.query import Query
 from ves_gym.planners.refine import Refined, detours
-from ves_gym.planners.suites import REACH_RANGE, SPEED_LIMITS, reach100
+from ves_gym.planners.suites import reach100
 from ves_gym.system.system import System
 
 START, GOAL = np.array([0.3, -0.4, 0.6]), np.array([-0.1, 0.1, 0.1])

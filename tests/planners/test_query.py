@@ -13,6 +13,7 @@ import pytest
 
 import ves_gym as vg
 from tests.arms import seven_joint_arm, six_joint_arm
+from tests.reach import SPEED_LIMITS
 from ves_gym._util.params import ParameterError, content_hash, from_plain, to_plain
 from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.motion import Motion
@@ -24,7 +25,7 @@ from ves_gym.planners.obstacles import Sphere, Surroundings, collisions
 from ves_gym.planners.prediction import FINE, BaseState, predict
 from ves_gym.planners.query import Query, first_violation, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
-from ves_gym.planners.suites import SPEED_LIMITS, reach100
+from ves_gym.planners.suites import reach100
 from ves_gym.planners.tool_goal import choose_goals, solve_to_tool
 from ves_gym.system.system import System
 
@@ -186,10 +187,9 @@ from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import PLANNERS
-from ves_gym.planners.suites import SPEED_LIMITS
 system = System(vehicle=BENT_THESIS)
 query = Query(system=system, start={ENDS["start"]}, goal={ENDS["goal"]}, duration=2.0,
-              v_max=SPEED_LIMITS)
+              v_max=tuple(system.arm.column("v_max").tolist()))
 for planner in reversed(list(PLANNERS.values())):
     print(planner.name, content_hash(solve(planner, query, 3).motion))
 """

@@ -137,8 +137,6 @@ def test_of_many_joints_starts_are_compared_with_fewer_points(monkeypatch):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda q: Refined(free=0), "free and starts must be >= 1, got 0 and 5"),
-        (lambda q: Refined(starts=0), "free and starts must be >= 1"),
         (lambda q: refine(q, []), "refine needs at least one motion, got none"),
         (
             lambda q: refine(q, Motion.straight([0.0], [1.0], 2.0)),

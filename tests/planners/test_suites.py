@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.arms import planar_arm, seven_joint_arm, six_joint_arm
+from tests.reach import REACH_RANGE, SPEED_LIMITS
 from ves_gym._util.params import ParameterError, content_hash
 from ves_gym.mechanics.arm_library import PUMA_560, arm_names, get_arm
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
@@ -17,8 +18,6 @@ from ves_gym.planners.suites import (
     ARM_SUITES,
     REACH_DURATIONS,
     REACH_OBSTACLES,
-    REACH_RANGE,
-    SPEED_LIMITS,
     SUITES,
     get_suite,
     reach100,

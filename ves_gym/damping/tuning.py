@@ -14,6 +14,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -21,14 +22,7 @@ import numpy.typing as npt
 import scipy.linalg
 import scipy.optimize
 
-from ves_gym._util.params import (
-    Array,
-    ParameterError,
-    Vector,
-    finite,
-    require_one_of,
-    unit,
-)
+from ves_gym._util.params import Array, ParameterError, Vector, finite, require_one_of, unit
 from ves_gym.damping.plant import (
     THESIS_DISPLACEMENT,
     GainMatrices,
@@ -84,15 +78,12 @@ def objective_of(
     y (6,) is the initial displacement of "strain" [m, rad].
 
     Raises:
-        ParameterError: an unknown name, or a displacement of zero.
+        ParameterError: an unknown name.
     """
     require_one_of("objective", name, OBJECTIVES)
     if name == "estimator":
         return _estimator_objective
-    x = plant.start(y) if name == "strain" else None
-    if x is not None and not x.any():
-        raise ParameterError("y must be a displacement other than zero")
-    return _integral_objective(plant, x)
+    return _integral_objective(plant, plant.start(y) if name == "strain" else None)
 
 
 def _integral_objective(plant: LinearPlant, x: Array | None) -> Objective:
@@ -241,7 +232,7 @@ def tune(
         result = scipy.optimize.minimize(
             lambda u: value(u)[0], best[1], method="Nelder-Mead", options={"maxfev": 1000}
         )
-        best = min(best, (float(result.fun), result.x), key=_least)
+        best = min(best, (float(result.fun), result.x), key=itemgetter(0))
     gains = gains_of(best[1])
     return Tuned(
         gains=gains,
@@ -250,10 +241,6 @@ def tune(
         evaluations=evaluations,
         seconds=time.perf_counter() - began,
     )
-
-
-def _least(result: tuple[float, Array]) -> float:
-    return result[0]
 
 
 def _minimise(
@@ -267,8 +254,8 @@ def _minimise(
         )
         return float(result.fun), result.x
 
-    tried = sorted((search(u, _SCREENING) for u in points), key=_least)
-    return min((search(u, 1000) for _, u in tried[:_FINALISTS]), key=_least)
+    tried = sorted((search(u, _SCREENING) for u in points), key=itemgetter(0))
+    return min((search(u, 1000) for _, u in tried[:_FINALISTS]), key=itemgetter(0))
 
 
 # of the Cartesian spring and damper, far wider than what any joint gives

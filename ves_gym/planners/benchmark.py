@@ -30,7 +30,7 @@ import scipy.stats
 from pebble import ProcessExpired
 
 from ves_gym._util.optional import require
-from ves_gym._util.params import Array, ParameterError, read_table, write_text
+from ves_gym._util.params import ParameterError, read_table, write_text
 from ves_gym._util.process_pool import Workers
 from ves_gym._util.statistics import STATISTICS, bootstrap
 from ves_gym._util.version import __version__
@@ -213,7 +213,8 @@ def _simulate_all(
             batches[run.vehicle, run.system, run.plan.query.duration].append(i)
     pictures: dict[tuple[str, str], list[tuple[int, PlayedPlan]]] = defaultdict(list)
     for (vehicle, system, _), members in batches.items():
-        showcase = _showcase_queries([runs[i].plan.query for i in members])
+        named = list(dict.fromkeys(runs[i].plan.query.name for i in members))
+        showcase = named if len(named) <= 3 else named[:1]  # queries whose traces are kept
         for part in (members[k : k + _BATCH] for k in range(0, len(members), _BATCH)):
             batch = [runs[i] for i in part]
             plans = [r.plan for r in batch]
@@ -244,12 +245,6 @@ def _play(system: System, plans: Sequence[Plan], clock: System, seed: int) -> Re
     return play_motions(
         system, motions, servo=servo, settle=TAIL, record_dt=dt, seed=seed, watch=True
     )
-
-
-def _showcase_queries(queries: list[Query]) -> set[str]:
-    """Queries of a batch whose traces are kept: the first, or all when there are few."""
-    names = list(dict.fromkeys(q.name for q in queries))
-    return set(names if len(names) <= 3 else names[:1])
 
 
 def _showcase(groups: list[Group]) -> list[Group]:
@@ -385,11 +380,8 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         ]
 
     solvable = {(r["vehicle"], r["query"]) for r in rows if r["success"]}
-    groups: dict[tuple[str, float, str], list[dict[str, Any]]] = defaultdict(list)
-    for row in rows:
-        groups[row["vehicle"], row["duration"], row["planner"]].append(row)
     out = []
-    for (vehicle, duration, planner), members in groups.items():
+    for (vehicle, duration, planner), members in _grouped(rows, *_CASE).items():
 
         def median(name: str, members: list[dict[str, Any]] = members) -> float | None:
             return _median(_numbers(members, name))
@@ -399,13 +391,10 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             ratios(members, name, _NO_RATIO) for name in ("E_mean", "E_res", "E_peak")
         )
         interval = bootstrap([np.array(mean)], STATISTICS["median"]) if mean else None
-        emulated = {}
+        emulated: dict[str, Any] = {}
         if "stopped" in members[0]:
-            emulated = {
-                "stopped": sum(r["stopped"] is not None for r in members),
-                "emulation_error_median": median("emulation_error"),
-                "base_error_median": median("base_error"),
-            }
+            emulated["stopped"] = sum(r["stopped"] is not None for r in members)
+            emulated |= {f"{k}_median": median(k) for k in ("emulation_error", "base_error")}
         feasible = [r for r in members if r["failure"] is None]
         errors = [abs(e) for e in _numbers(feasible, "prediction_error")]
         possible = [r["success"] for r in members if (vehicle, r["query"]) in solvable]
@@ -452,13 +441,10 @@ def anytime(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     the final cost at times spaced geometrically, from when half the queries have a solution,
     and the time to come within 5 % of it. A table per vehicle, duration and planner.
     """
-    groups: dict[tuple[str, float, str], list[Array]] = defaultdict(list)
-    for row in rows:
-        if row["info"].get("curve"):
-            curve = np.array(row["info"]["curve"], float)
-            groups[row["vehicle"], row["duration"], row["planner"]].append(curve)
+    searched = [row for row in rows if row["info"].get("curve")]
     out = []
-    for (vehicle, duration, planner), curves in groups.items():
+    for (vehicle, duration, planner), members in _grouped(searched, *_CASE).items():
+        curves = [np.array(row["info"]["curve"], float) for row in members]
         last = max(c[-1, 0] for c in curves)
         first = float(np.median([c[0, 0] for c in curves]))
         at = np.geomspace(min(first, last), last, 41)
@@ -490,21 +476,30 @@ def rank_correlation(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     Per vehicle and duration the median of rho over queries with three planners or more that
     have an energy in both.
     """
-    queries: dict[tuple[str, float, str], list[tuple[float, float]]] = defaultdict(list)
-    for row in rows:
-        if row["E_mean"] is not None:
-            pair = (row["E_mean"], row["E_mean_ideal"])
-            queries[row["vehicle"], row["duration"], row["query"]].append(pair)
+    played = [row for row in rows if row["E_mean"] is not None]
     groups: dict[tuple[str, float], list[float]] = defaultdict(list)
-    for (vehicle, duration, _), pairs in queries.items():
-        emulated, ideal = np.array(pairs).T
-        if len(pairs) >= 3 and np.ptp(emulated) > 0 and np.ptp(ideal) > 0:
+    for (vehicle, duration, _), members in _grouped(
+        played, "vehicle", "duration", "query"
+    ).items():
+        emulated, ideal = np.array([(r["E_mean"], r["E_mean_ideal"]) for r in members]).T
+        if len(members) >= 3 and np.ptp(emulated) > 0 and np.ptp(ideal) > 0:
             rho_query = scipy.stats.spearmanr(emulated, ideal).statistic
             groups[vehicle, duration].append(float(rho_query))
     return [
         {"vehicle": v, "duration": d, "n": len(rho), "rho_median": _median(rho)}
         for (v, d), rho in groups.items()
     ]
+
+
+_CASE = "vehicle", "duration", "planner"
+
+
+def _grouped(rows: Iterable[dict[str, Any]], *keys: str) -> dict[Any, list[dict[str, Any]]]:
+    """Rows that are alike in some columns, in the order of their first."""
+    groups = defaultdict(list)
+    for row in rows:
+        groups[tuple(row[key] for key in keys)].append(row)
+    return groups
 
 
 def _numbers(rows: Iterable[dict[str, Any]], key: str) -> list[float]:
@@ -527,9 +522,7 @@ def packaged() -> dict[str, dict[str, Any]]:
 
 def read_best(path: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
     """Entries of a file, none if there is no such file."""
-    if not Path(path).exists():
-        return {}
-    return _entries(read_table(path), str(path))
+    return _entries(read_table(path), str(path)) if Path(path).exists() else {}
 
 
 def _entries(table: dict[str, Any], where: str) -> dict[str, dict[str, Any]]:

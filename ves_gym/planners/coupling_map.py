@@ -110,12 +110,7 @@ class CouplingMap(Viewable):
 
 
 def cross_section(
-    system: System,
-    joints: tuple[int, int],
-    fixed: npt.ArrayLike,
-    points: int,
-    *,
-    least: int,
+    system: System, joints: tuple[int, int], fixed: npt.ArrayLike, points: int, *, least: int
 ) -> tuple[tuple[Array, Array], Array]:
     """Return both axes of a cross-section of joint space, and its grid (points, points, n).
 

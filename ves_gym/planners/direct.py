@@ -36,12 +36,7 @@ from ves_gym.planners.objective import (
     weighted_name,
 )
 from ves_gym.planners.obstacles import Collisions, collisions
-from ves_gym.planners.prediction import (
-    NODES,
-    Response,
-    respond,
-    steps_of_joints,
-)
+from ves_gym.planners.prediction import NODES, Response, respond, steps_of_joints
 from ves_gym.planners.query import Query, first_violation, require_time
 from ves_gym.planners.sequential import about_itself, minimise
 from ves_gym.system.system import System
@@ -63,8 +58,6 @@ class Direct:
     summary = "minimise predicted E_mean over a smooth motion inside all joint limits"
 
     def __init__(self, free: int = 12, weights: Mapping[str, float] | None = None) -> None:
-        if free < 1:
-            raise ParameterError(f"free must be >= 1, got {free}")
         self.free, self.weights = free, checked_weights(weights)
         self.name = weighted_name("direct", self.weights)
 

@@ -13,7 +13,7 @@ import os
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,7 @@ from ves_gym._util.params import (
 )
 from ves_gym.mechanics.arm import Arm, Capsule
 from ves_gym.mechanics.dynamics import drawn_configurations
+from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import Beam, FlexibleBase
 from ves_gym.system.system import System
 
@@ -89,8 +90,7 @@ class Surroundings:
 
 def read_surroundings(path: str | os.PathLike[str]) -> Surroundings:
     """Surroundings from a TOML or JSON file that mirrors `Surroundings`."""
-    out: Surroundings = from_plain(Surroundings, read_table(path), str(path))
-    return out
+    return cast(Surroundings, from_plain(Surroundings, read_table(path), str(path)))
 
 
 def link_radius(arm: Arm, i: int) -> float:
@@ -216,17 +216,18 @@ def _model(system: System, surroundings: Surroundings) -> Any:
     if isinstance(system.vehicle, (Beam, FlexibleBase)):
         nodes = system.vehicle.nodes
         for k, (a, b) in enumerate(itertools.pairwise(() if nodes is None else nodes)):
-            half = system.vehicle.outer_diameter / 2
-            _rod(spec.worldbody, f"beam segment {k + 1}", "CAPSULE", a, b, half, under)
+            radius = system.vehicle.outer_diameter / 2
+            _rod(spec.worldbody, f"beam segment {k + 1}", "CAPSULE", a, b, radius, under)
     for k, obstacle in enumerate(surroundings.obstacles):
         name = f"obstacle {k + 1} ({obstacle.kind})"
         if isinstance(obstacle, Sphere):
             _add(spec.worldbody, name, "SPHERE", _AROUND, pos=obstacle.centre,
                  size=[obstacle.radius, 0, 0])  # fmt: skip
         else:
-            half_size = [k / 2 for k in obstacle.size]
-            _add(spec.worldbody, name, "BOX", _AROUND, pos=obstacle.centre, size=half_size,
-                 quat=_quaternion(obstacle.angles))  # fmt: skip
+            half = np.array(obstacle.size) / 2
+            turn = _quaternion(rotation(np.array([0.0, 0, 0, *obstacle.angles])))
+            _add(spec.worldbody, name, "BOX", _AROUND, pos=obstacle.centre, size=half,
+                 quat=turn)  # fmt: skip
     for a, b in _too_close(arm):
         spec.add_exclude(bodyname1=f"link_{a + 1}", bodyname2=f"link_{b + 1}")
     if any(link.shape is not None for link in arm.links):
@@ -291,29 +292,24 @@ def _add_capsule(
 
 def _too_close(arm: Arm) -> list[tuple[int, int]]:
     """Links not next to each other, with too little between them to ever be apart."""
-    out = []
-    for i in range(arm.n):
-        for j in range(i + 2, arm.n):
-            between = sum(math.hypot(k.a, k.d) for k in arm.links[i + 1 : j])
-            if any(arm.links[k].shape is not None for k in (i, j)):
-                continue  # see _mostly_overlapping
-            if between <= link_radius(arm, i) + link_radius(arm, j):
-                out.append((i, j))
-    return out
+    slim = [i for i, link in enumerate(arm.links) if link.shape is None]
+    return [  # of links with a shape see _mostly_overlapping
+        (i, j)
+        for i, j in itertools.combinations(slim, 2)
+        if j > i + 1
+        and sum(math.hypot(k.a, k.d) for k in arm.links[i + 1 : j])
+        <= link_radius(arm, i) + link_radius(arm, j)
+    ]
 
 
 def _add_satellite(spec: Any, body: Any, bit: int) -> None:
     """The homogeneous box with the satellite's inertia."""
-    from ves_gym._util.mujoco_loader import mujoco
-
     moments, axes = np.linalg.eigh(np.array(body.inertia))
     axes = axes * np.sign(np.linalg.det(axes))
     squares = 6 / max(body.mass, 1e-9) * (moments.sum() - 2 * moments)
     half = np.sqrt(np.maximum(squares, 1e-4)) / 2
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, axes.flatten())
-    _add(spec.body("satellite"), "satellite", "BOX", bit, pos=body.com, size=half.tolist(),
-         quat=quat.tolist())  # fmt: skip
+    turn = _quaternion(axes)
+    _add(spec.body("satellite"), "satellite", "BOX", bit, pos=body.com, size=half, quat=turn)
 
 
 def _rod(
@@ -338,10 +334,10 @@ def _add(body: Any, name: str, kind: str, bit: int, affinity: int = 0, **shape: 
     )
 
 
-def _quaternion(angles: Vector) -> list[float]:
+def _quaternion(turn: Array) -> Array:
+    """MuJoCo's of a rotation matrix (3, 3)."""
     from ves_gym._util.mujoco_loader import mujoco
-    from ves_gym.mechanics.spatial import rotation
 
-    turn, quat = rotation(np.array([0.0, 0, 0, *angles])), np.zeros(4)
-    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(turn).ravel())
-    return [float(k) for k in quat]
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, turn.flatten())
+    return quat

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ves_gym._util.optional import require
-from ves_gym._util.params import Array, ParameterError, require_choice
+from ves_gym._util.params import Array, require_choice
 from ves_gym._util.process_pool import ONE_THREAD
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.metric import Metric
@@ -51,12 +51,7 @@ class Ompl:
     seconds: float = 30.0
 
     def __post_init__(self) -> None:
-        require_choice(self, "objective", tuple(OBJECTIVES))
         require_choice(self, "algorithm", tuple(ALGORITHMS))
-        if not self.evaluations >= 1:
-            raise ParameterError(f"evaluations must be >= 1, got {self.evaluations}")
-        if not 0 < self.seconds < np.inf:
-            raise ParameterError(f"seconds must be > 0 and finite, got {self.seconds}")
 
     @property
     def name(self) -> str:
@@ -81,19 +76,16 @@ class Ompl:
             fast = replace(self, objective="time").search(query, seed)
             assert fast.path is not None
             motion, share = time_path(query, fast.path)
-        info = {
+        effort = {k: getattr(result, k) for k in ("cost", "bound", "evaluations", "checks")}
+        return motion, {
             "objective": self.objective,
             "algorithm": self.algorithm,
-            "cost": result.cost,
-            "bound": result.bound,  # no path costs less
-            "evaluations": result.evaluations,
-            "checks": result.checks,
+            **effort,
             "curve": [list(point) for point in result.curve],
             "points": len(result.path),
             "share": share,  # of the way from the straight line that the limits allow
             "hurried": hurried,
         }
-        return motion, info
 
     def search(self, query: Query, seed: int) -> PathSearchResult:
         """Return way-points and the anytime curve, from the child process.

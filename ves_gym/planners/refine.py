@@ -50,8 +50,6 @@ class Refined:
         name: str = "refined",
         weights: Mapping[str, float] | None = None,
     ) -> None:
-        if free < 1 or starts < 1:
-            raise ParameterError(f"free and starts must be >= 1, got {free} and {starts}")
         self.free, self.starts, self.weights = free, starts, checked_weights(weights)
         self._plain, self.name = name, weighted_name(name, self.weights)
         self.summary = (

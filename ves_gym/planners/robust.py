@@ -21,13 +21,7 @@ import numpy as np
 import scipy.linalg
 import scipy.special
 
-from ves_gym._util.params import (
-    Array,
-    ParameterError,
-    read_result,
-    read_table,
-    require_one_of,
-)
+from ves_gym._util.params import Array, ParameterError, read_result, read_table, require_one_of
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import has

@@ -26,10 +26,8 @@ from ves_gym.planners.query import Query
 from ves_gym.system.effect import Effect
 from ves_gym.system.system import System
 
-# Rules of the benchmark, not claims about the machine. Of the PUMA: joint speeds [rad/s],
-SPEED_LIMITS: Vector = tuple(np.deg2rad([82.0, 54.0, 122.0]).tolist())
-REACH_RANGE = np.deg2rad([120.0, 60.0, 120.0])  # +- of each joint, see `reach_range`
-REACH_DURATIONS = (0.5, 1.0, 2.0, 4.0)  # s, see `reach_durations`
+# Rules of the benchmark, not claims about the machine
+REACH_DURATIONS = (0.5, 1.0, 2.0, 4.0)  # s, of the PUMA, see `reach_durations`
 REACH_SEED = 560  # the published question set
 _GRID = 60.0  # deg: a joint's range is cut to a multiple of it
 _WIDEST = 180.0  # deg, +-: further on lies the same place
@@ -224,21 +222,15 @@ def reach_durations(arm: Arm) -> tuple[float, ...]:
 
     By the time that the joint in the middle needs for its `reach_range` at its largest rate.
     """
-
-    def pace(of: Arm) -> float:
-        return float(np.median(reach_range(of) / of.column("v_max")))
-
-    factor = 2.0 ** round(math.log2(pace(arm) / pace(PUMA_560)))
+    ours, puma = (np.median(reach_range(of) / of.column("v_max")) for of in (arm, PUMA_560))
+    factor = 2.0 ** round(math.log2(ours / puma))
     return tuple(factor * duration for duration in REACH_DURATIONS)
 
 
 def reach_obstacles(arm: Arm) -> Surroundings:
     """Return `REACH_OBSTACLES` as much larger as the arm is longer than the PUMA."""
-
-    def length(of: Arm) -> float:
-        return sum(math.hypot(link.a, link.d) for link in of.links)
-
-    size = length(arm) / length(PUMA_560)
+    ours, puma = (sum(math.hypot(k.a, k.d) for k in of.links) for of in (arm, PUMA_560))
+    size = ours / puma
 
     def scaled(obstacle: Sphere | Box) -> Sphere | Box:
         centre = tuple(size * x for x in obstacle.centre)
