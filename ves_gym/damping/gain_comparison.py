@@ -100,18 +100,15 @@ class GainComparison:
         }
 
     def _row(self, row: GainRow, k: int) -> dict[str, Any]:
-        out = row._asdict()
-        out |= {**out.pop("damping").to_dict(), "simulated": None}
-        if (run := self.simulated) is not None:
-            t_5 = float(run.t_5[k])
-            out["simulated"] = {
-                "duration": float(run.t[-1]),
-                "E_int": float(run.E_int[k]),
-                "t_5": t_5 if math.isfinite(t_5) else None,
-                "swing": run.swing[k].tolist(),
-                "effort": run.effort[k].tolist(),
-            }
-        return out
+        out, run = row._asdict(), self.simulated
+        simulated = run and {
+            "duration": float(run.t[-1]),
+            "E_int": float(run.E_int[k]),
+            "t_5": float(run.t_5[k]) if math.isfinite(run.t_5[k]) else None,
+            "swing": run.swing[k].tolist(),
+            "effort": run.effort[k].tolist(),
+        }
+        return out | {**out.pop("damping").to_dict(), "simulated": simulated}
 
     def __str__(self) -> str:
         system, y, run = self.system, self.y, self.simulated
@@ -123,19 +120,12 @@ class GainComparison:
                 f"{d.E_int / reference[name]:.3f}" if name in reference else "-"
                 for name in (_PPED, _HIGH)
             )
-            rows.append(
-                (
-                    row.name,
-                    f"{d.E_int:.4g}",
-                    *ratios,
-                    "-" if run is None else f"{run.E_int[k]:.4g}",
-                    f"{d.t_5:.2f}",
-                    f"{d.worst:.3f}",
-                    f"{d.estimator:.3f}",
-                    "-" if run is None else f"{run.effort[k].max():.0%}",
-                    "-" if row.seconds is None else f"{row.seconds:.2f} s",
-                )
-            )
+            simulated, effort = "-", "-"
+            if run is not None:
+                simulated, effort = f"{run.E_int[k]:.4g}", f"{run.effort[k].max():.0%}"
+            found = "-" if row.seconds is None else f"{row.seconds:.2f} s"
+            rows.append((row.name, f"{d.E_int:.4g}", *ratios, simulated, f"{d.t_5:.2f}",
+                         f"{d.worst:.3f}", f"{d.estimator:.3f}", effort, found))  # fmt: skip
         head = ("gains", "E_int [J s]", "of 4.5", "of 4.6", "simulated", "t_5 [s]",
                 "worst [s]", "eq. 4.4", "effort", "found in")  # fmt: skip
         lines = [

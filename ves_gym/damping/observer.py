@@ -71,8 +71,7 @@ class BaseObserver:
         moved = self._Phi @ s[..., None]
         for drive, u in zip(self._drive, (before, after), strict=True):
             moved += drive @ u[..., None]
-        out: Array = moved[..., 0]
-        return out
+        return np.asarray(moved[..., 0])
 
     def step(self, before: Array, after: Array, y: Array) -> None:
         """Go one step on (`ahead`) and take measured poses y (n, 6) into account."""

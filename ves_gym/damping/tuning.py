@@ -148,8 +148,7 @@ class _Inside:
             ratio = (f[:, None] - f) / np.where(near, 1.0, gap)
             ratio = np.where(near, (slope[:, None] + slope) / 2, ratio)
             inner = V.T @ ((G + G.T) / 2) @ V
-            back: Array = (V @ (ratio * inner) @ V.T)[self.at] * self.twice
-            return back
+            return np.asarray((V @ (ratio * inner) @ V.T)[self.at] * self.twice)
 
         return (V * f) @ V.T, by_u
 
@@ -267,8 +266,7 @@ def virtual_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
 
     By the momentum H_bm of the joints: what the arm pushes one way, its base goes the other.
     """
-    jacobian: Array = -inertia(arm, q)[..., :3, 6:] / arm.mass
-    return jacobian
+    return np.asarray(-inertia(arm, q)[..., :3, 6:] / arm.mass)
 
 
 def joint_gains(arm: Arm, q: npt.ArrayLike, cartesian: GainMatrices) -> GainMatrices:

@@ -188,8 +188,7 @@ def coupling_map(
 def _larger(block: Array) -> Array:
     """The larger eigenvalue of symmetric (..., 2, 2)."""
     a, b, c = block[..., 0, 0], block[..., 0, 1], block[..., 1, 1]
-    out: Array = (a + c) / 2 + np.hypot((a - c) / 2, b)
-    return out
+    return np.asarray((a + c) / 2 + np.hypot((a - c) / 2, b))
 
 
 def _fast_block(
@@ -286,8 +285,7 @@ def _shifted(q: Array, rows: int, columns: int) -> Array:
     """Every point's neighbour; at the edge the point itself."""
     i = np.clip(np.arange(q.shape[0]) + rows, 0, q.shape[0] - 1)
     j = np.clip(np.arange(q.shape[1]) + columns, 0, q.shape[1] - 1)
-    out: Array = q[np.ix_(i, j)]
-    return out
+    return np.asarray(q[np.ix_(i, j)])
 
 
 _STEP = 0.2  # of a line, in grid cells

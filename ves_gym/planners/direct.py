@@ -16,7 +16,7 @@ limits on the moving base, not on one that stands still.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -129,6 +129,7 @@ class MotionProblem:
         self.query, self.arm = query, query.system.arm
         self.start, self.goal = query.ends
         self.n, self.m = self.arm.n, free + 2 * _FIXED
+        self._inner = slice(_FIXED, self.m - _FIXED)  # the free control points
         self.first = np.array([self.start] * _FIXED)  # control points
         if query.is_moving:
             self.first = leading_points(self.m, query.duration, self.start, *query.start_motion)
@@ -200,20 +201,16 @@ class MotionProblem:
         """The decision nearest to positions (N, n) at evenly spaced times [rad]."""
         first = self.first if self.query.is_moving else None
         fitted = Motion.fit(q, self.query.duration, controls=self.m, first=first)
-        low, high = self.bounds
-        return np.clip(np.array(fitted.control)[_FIXED:-_FIXED].ravel(), low, high)
+        return np.clip(np.array(fitted.control)[self._inner].ravel(), *self.bounds)
 
     def control(self, x: Array) -> Array:
         """(m, n) control points from the free ones."""
-        inner = x.reshape(-1, self.n)
-        return np.vstack([self.first, inner, [self.goal] * _FIXED])
+        return np.vstack([self.first, x.reshape(-1, self.n), [self.goal] * _FIXED])
 
     def motion(self, x: Array) -> Motion:
         """The motion of a decision."""
-        moving = True if self.query.is_moving else None
-        return Motion(
-            duration=self.query.duration, control=matrix(self.control(x)), moving=moving
-        )
+        moving, points = self.query.is_moving or None, matrix(self.control(x))
+        return Motion(duration=self.query.duration, control=points, moving=moving)
 
     @property
     def bounds(self) -> tuple[Array, Array]:
@@ -232,11 +229,14 @@ class MotionProblem:
 
     def chained(self, sample: BaseMomentum) -> tuple[Array, Array]:
         """Samples (N k,) and their derivative by the control points (N k, free n)."""
-        position, velocity = self._bases
-        inner = slice(_FIXED, self.m - _FIXED)
-        slope = np.einsum("kcj,km->kcmj", sample.by_q, position[:, inner])
-        slope += np.einsum("kcj,km->kcmj", sample.by_v, velocity[:, inner])
+        slope = self._by_points((sample.by_q, sample.by_v), self._bases)
         return sample.u.ravel(), slope.reshape(sample.u.size, -1)
+
+    def _by_points(self, slopes: Iterable[Array], bases: Sequence[Array]) -> Array:
+        """Derivative (N, k, free, n) from those by positions, rates, ... (N, k, n)."""
+        parts = zip(slopes, bases, strict=True)
+        terms = [np.einsum("kcj,km->kcmj", by, b[:, self._inner]) for by, b in parts]
+        return np.asarray(sum(terms[1:], start=terms[0]))
 
     # ------------------------------------------------------------------------ limits
 
@@ -258,7 +258,7 @@ class MotionProblem:
     def _linear(self) -> tuple[Array, Array]:
         """offset + slope @ x <= 0: the control polygons of velocity and acceleration."""
         offsets, slopes = [np.zeros(0)], [np.zeros((0, self.straight.size))]
-        t, free = knots(self.m) * self.query.duration, slice(_FIXED, self.m - _FIXED)
+        t = knots(self.m) * self.query.duration
         ends = self.control(np.zeros_like(self.straight))
         polygon = np.eye(self.m)
         for order, limit in ((1, self.query.v_max), (2, self.query.a_max)):
@@ -269,7 +269,7 @@ class MotionProblem:
                 continue
             most = (_SHARE if self._response is None else _MOVED_SHARE) * np.array(limit)
             up, down = self._yielding(t, order) / most
-            rows = np.kron(polygon[:, free], np.diag(1 / most))
+            rows = np.kron(polygon[:, self._inner], np.diag(1 / most))
             at_rest = (polygon @ ends) / most
             active = np.abs(rows).max(axis=1) > 0
             both = (at_rest + up).ravel(), -(at_rest + down).ravel()
@@ -300,11 +300,8 @@ class MotionProblem:
         """
         control = self.control(x)
         dynamics = torque(arm or self.arm, *(b @ control for b in bases))
-        inner = slice(_FIXED, self.m - _FIXED)
-        slope = np.zeros((*dynamics.tau.shape, self.m - 2 * _FIXED, self.n))
-        for order, b in enumerate(bases):
-            slope += np.einsum("kij,km->kimj", dynamics.by[:, order], b[:, inner])
-        return InverseDynamics(dynamics.tau, slope)
+        slopes = np.moveaxis(dynamics.by, 1, 0)
+        return InverseDynamics(dynamics.tau, self._by_points(slopes, bases))
 
     def _torque(self, x: Array) -> tuple[Array, Array]:
         """Joint torque over its limit at sampled times, on a base that stands still."""
@@ -336,11 +333,12 @@ class MotionProblem:
         polygon = float(np.linalg.norm(np.diff(control, axis=0), axis=1).sum())
         count = int(np.clip(polygon / _STEP, 20, 400))
         position = basis(self.m, graded(count))
-        inner = slice(_FIXED, self.m - _FIXED)
         least = checker.clearance + _ROOM
         near = [checker.proximity(row @ control, least + _NEAR) for row in position[1:-1]]
         counts = [len(k.distance) for k in near]
-        at = np.repeat(position[1:-1, inner], counts, axis=0)  # the basis of each distance
+        at = np.repeat(
+            position[1:-1, self._inner], counts, axis=0
+        )  # the basis of each distance
         slope = np.vstack([k.slope for k in near])
         rows = -10 * at[:, :, None] * slope[:, None, :]
         lack = 10 * (least - np.concatenate([k.distance for k in near]))

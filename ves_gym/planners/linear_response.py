@@ -217,8 +217,7 @@ class LinearResponse:
     def _tail_dynamics(self) -> Array:
         """A while the joints are held, after the motion (S, S)."""
         last = self.M[-1:]
-        out: Array = self._plant(last, np.zeros_like(last))[0]
-        return out
+        return np.asarray(self._plant(last, np.zeros_like(last))[0])
 
     def samples(self, name: str, step: float, span: float) -> Array:
         """A quantity at the nodes and at even times after them (K, r, C), over a span [s]."""

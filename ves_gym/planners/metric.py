@@ -72,8 +72,7 @@ class Metric:
         start, step = np.asarray(a, float), np.asarray(b, float) - np.asarray(a, float)
         at = start[..., None, :] + _NODES[:, None] * step[..., None, :]
         squares = self.squares(at, step[..., None, :])
-        out: Array = np.sqrt(np.maximum(squares, 0.0)) @ _WEIGHTS
-        return out
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0)) @ _WEIGHTS)
 
     @cached_property
     def edge(self) -> Edge:

@@ -61,13 +61,11 @@ class QuadraticForm:
 
     def force(self, u: Array) -> Array:
         """Derivative of `value`."""
-        out: Array = self.hessian @ u + self.gradient
-        return out
+        return np.asarray(self.hessian @ u + self.gradient)
 
     def curvature(self, u: Array, slope: Array) -> Array:
         """slope^T W slope (k, k): second derivative of `value` along `slope` of u."""
-        out: Array = slope.T @ (self.hessian @ slope)
-        return out
+        return np.asarray(slope.T @ (self.hessian @ slope))
 
 
 class MeanEnergy(QuadraticForm):
@@ -249,7 +247,18 @@ class Objective(QuadraticForm):
             self.shares[name] = weights[name] * scale / there if there > 0 else 0.0
         if path is not None and self.follows_path:
             self._response = self._linearised(path)
-        self._collect()
+        w = weights[ENERGY]
+        self.hessian, self.gradient = w * energy.hessian, w * energy.gradient
+        self.constant = w * energy.constant
+        self._peaks: list[tuple[float, _Peak]] = []
+        for name, share in self.shares.items():
+            form = self._form(name)
+            if isinstance(form, _Peak):  # peaks stay what they are
+                self._peaks.append((share, form))
+                continue
+            self.hessian = self.hessian + share * form.hessian
+            self.gradient = self.gradient + share * form.gradient
+            self.constant += share * form.constant
 
     @property
     def _measures(self) -> list[str]:
@@ -284,21 +293,6 @@ class Objective(QuadraticForm):
             return QuadraticForm(rows.T @ rows)
         step = _AFTER / _SAMPLES
         return _Peak(self._response.samples(PEAKS[name], step, _AFTER))
-
-    def _collect(self) -> None:
-        """Add up the quadratic forms; peaks stay what they are."""
-        w = self.weights[ENERGY]
-        self.hessian = w * self.mean.hessian
-        self.gradient, self.constant = w * self.mean.gradient, w * self.mean.constant
-        self._peaks: list[tuple[float, _Peak]] = []
-        for name, share in self.shares.items():
-            form = self._form(name)
-            if isinstance(form, _Peak):
-                self._peaks.append((share, form))
-                continue
-            self.hessian = self.hessian + share * form.hessian
-            self.gradient = self.gradient + share * form.gradient
-            self.constant += share * form.constant
 
     def measure(self, name: str, u: Array) -> float:
         """One of `MEASURES` of momenta u (6 (N + 1),), a peak by its power mean."""

@@ -69,15 +69,13 @@ def cruise(u: Array) -> Array:
     x = np.clip(np.minimum(u, 1 - u) / _RAMP, 0.0, 1.0)
     ramp = _RAMP * x**4 * (2.5 - 3 * x + x**2)  # integral of the quintic
     way = (ramp + np.maximum(np.minimum(u, 1 - u) - _RAMP, 0.0)) / (1 - _RAMP)
-    out: Array = np.where(u < 0.5, way, 1 - way)
-    return out
+    return np.asarray(np.where(u < 0.5, way, 1 - way))
 
 
 def septic(u: Array) -> Array:
     """Rest-to-rest law 35 u^4 - 84 u^5 + 70 u^6 - 20 u^7 on [0, 1], held outside."""
     x = np.clip(u, 0.0, 1.0)
-    out: Array = x**4 * (35 + x * (-84 + x * (70 - 20 * x)))
-    return out
+    return np.asarray(x**4 * (35 + x * (-84 + x * (70 - 20 * x))))
 
 
 def resample(path: Array, points: int) -> Array:

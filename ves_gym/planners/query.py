@@ -240,8 +240,7 @@ def sample_path(motion: Motion, step: float) -> Array:
     length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))]
     count = max(2, 2 + int(length[-1] / (0.9 * step)))
     at = np.searchsorted(length, np.linspace(0, length[-1], count))
-    out: Array = q[np.unique(np.minimum(at, len(q) - 1))]
-    return out
+    return np.asarray(q[np.unique(np.minimum(at, len(q) - 1))])
 
 
 def require_time(query: Query) -> None:

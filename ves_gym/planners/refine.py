@@ -163,9 +163,9 @@ def _best(
         "starts": len(starts),
         "from": best[2],
         "energies": [m.energy for m in looks],
+        **best[1].info(),
+        "iterations": sum(m.iterations for m in (*looks, best[1])),
     }
-    iterations = sum(screened.iterations for screened in looks) + best[1].iterations
-    info |= best[1].info() | {"iterations": iterations}
     if stands:
         return best[0], info
     as_they_are = [first.motion(x) for x in starts]
@@ -187,9 +187,8 @@ def _require_duration(problem: MotionProblem, looks: Sequence[Minimum], share: f
         return
     if any(map(_is_feasible, looks)):
         return
-    like = [min_duration(query, problem.motion(look.x)) for look in looks]
-    straight = min_duration(query, query.straight)
-    shortest = min(*like, straight)
+    found = [query.straight, *(problem.motion(look.x) for look in looks)]
+    shortest = min(min_duration(query, motion) for motion in found)
     if shortest > share * query.duration:
         raise NoPlan(
             f"no motion: {query.duration:g} s are too short for speeds and torques of"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import UserDict
 from collections.abc import Mapping
 from importlib import import_module
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from ves_gym._util.own import require_free
 from ves_gym._util.params import ParameterError, require_one_of
@@ -48,8 +48,7 @@ class _Planners(UserDict[str, Any]):
             module, kind = home.split(":")
             cls = getattr(import_module(f"ves_gym.planners.{module}"), kind)
             planner = self.data[name] = cls(**settings)
-        out: Planner = planner
-        return out
+        return cast(Planner, planner)
 
 
 PLANNERS = _Planners(_HOMES)
@@ -90,10 +89,8 @@ def get_planner(name: str) -> Planner:
 
 def weighted(planner: Planner, weights: Mapping[str, float]) -> Planner:
     """Return a planner that also minimises measures, see `planners.objective.WEIGHTS`."""
-    able = getattr(planner, "weighted", None)
-    if able is None:
+    if not hasattr(planner, "weighted"):
         raise ParameterError(
             f"weights are for planners {', '.join(_WEIGHTED)}, got {planner.name}"
         )
-    out: Planner = able(weights)
-    return out
+    return cast(Planner, planner.weighted(weights))

@@ -41,14 +41,10 @@ def trace(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
     """
     query = runs[0].plan.query
     series: list[dict[str, Any]] = []
-    for played in runs:
-        data: dict[str, Any] = {
-            "planner": played.label,
-            **_curves(played.run, played.k, played.ideal is not None),
-        }
-        if played.ideal is not None:
-            data["ideal"] = _curves(played.ideal, played.k, True)
-        series.append(data)
+    for _, run, k, label, ideal in runs:
+        series.append({"planner": label, **_curves(run, k, ideal is not None)})
+        if ideal is not None:
+            series[-1]["ideal"] = _curves(ideal, k, True)
     return {
         "vehicle": vehicle,
         "duration": query.duration,
@@ -75,11 +71,9 @@ def coupling_maps(vehicle: str, plans: list[Plan]) -> list[dict[str, Any]]:
     With the path of every plan drawn on them; of an arm of two joints, one.
     """
     query = plans[0].query
-    out = []
-    for i, j in itertools.combinations(range(min(3, query.system.arm.n)), 2):
-        section = coupling_map(query.system, (i, j), query.start, points=_POINTS)
-        out.append(map_data(vehicle, section, plans))
-    return out
+    pairs = itertools.combinations(range(min(3, query.system.arm.n)), 2)
+    maps = (coupling_map(query.system, two, query.start, points=_POINTS) for two in pairs)
+    return [map_data(vehicle, section, plans) for section in maps]
 
 
 def map_data(vehicle: str, section: CouplingMap, plans: list[Plan]) -> dict[str, Any]:

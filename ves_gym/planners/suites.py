@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError, Vector, require_one_of
+from ves_gym._util.params import Array, ParameterError, require_one_of
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.effects.base import BaseDamping, BaseStiffness
 from ves_gym.effects.joint_drive import CommandDelay
@@ -116,20 +116,17 @@ def part_of(
     Raises:
         ParameterError: a duration that the suite does not have, or nothing is left.
     """
-    queries = list(suite.queries)
-    if durations is not None:
-        available = sorted({q.duration for _, q in queries})
-        if not set(durations) <= set(available):
-            raise ParameterError(
-                f"--durations must be of {', '.join(f'{k:g}' for k in available)} s, got"
-                f" {', '.join(f'{k:g}' for k in durations)}"
-            )
-        queries = [(v, q) for v, q in queries if q.duration in durations]
+    available = sorted({q.duration for _, q in suite.queries})
+    asked = available if durations is None else durations
+    if not set(asked) <= set(available):
+        ours, theirs = (", ".join(f"{k:g}" for k in part) for part in (available, asked))
+        raise ParameterError(f"--durations must be of {ours} s, got {theirs}")
     counted: Counter[tuple[str, float]] = Counter()
     chosen = []
-    for vehicle, query in queries:
+    for vehicle, query in suite.queries:
         counted[vehicle, query.duration] += 1
-        if skip < counted[vehicle, query.duration] <= skip + (first or len(queries)):
+        k = counted[vehicle, query.duration]
+        if query.duration in asked and skip < k <= skip + (first or len(suite.queries)):
             chosen.append((vehicle, query))
     if not chosen:
         raise ParameterError(f"--skip {skip} leaves none of {max(counted.values())} queries")
@@ -175,8 +172,7 @@ def others_of(described: System) -> dict[str, tuple[System, System]]:
         return described.replace(effects=effects)
 
     heavy = PayloadMass(mass=5.0)
-    coulomb, viscous = (2.0,) * n, (1.0,) * n
-    friction = JointCoulomb(torque=coulomb), JointViscous(damping=viscous)
+    friction = JointCoulomb(torque=(2.0,) * n), JointViscous(damping=(1.0,) * n)
     soft, stiff = BaseStiffness(error=-0.2), BaseStiffness(error=0.2)
     weak, strong = BaseDamping(error=-0.9), BaseDamping(error=1.0)
     out = {"as described": (described, described)}
@@ -268,7 +264,7 @@ def reach100(
     """
     mounted = system.replace(vehicle=get_vehicle(vehicle))
     arm = mounted.arm
-    limits: Vector = tuple(arm.column("v_max").tolist())
+    limits = tuple(arm.column("v_max").tolist())
     queries = []
     for duration in reach_durations(arm) if durations is None else durations:
         rng = np.random.default_rng((seed, round(1000 * duration)))

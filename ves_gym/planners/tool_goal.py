@@ -108,8 +108,7 @@ def _cost(query: Query, near: Array) -> Callable[[Array], Array]:
         energies = np.array([energy.value(k.ravel()) for k in u])
         fastest = QUINTIC_PEAK_SPEED / query.duration * np.abs(gap)
         excess = (fastest / limit).max(axis=1, initial=0.0) - 1
-        out: Array = np.where(excess <= 0, energies, _TOO_FAST * (1 + excess) + energies)
-        return out
+        return np.asarray(np.where(excess <= 0, energies, _TOO_FAST * (1 + excess) + energies))
 
     return cost
 
