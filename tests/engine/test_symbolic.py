@@ -69,6 +69,15 @@ def test_the_logarithm_is_exact_to_rounding_everywhere():
     )
 
 
+def test_the_angle_of_a_point_is_exact_to_rounding():
+    """Reference: NumPy's, in all quadrants and on the axes, at any distance."""
+    rng = np.random.default_rng(3)
+    x = rng.normal(size=(4000, 2)) * 10.0 ** rng.uniform(-12, 3, (4000, 2))
+    x = np.concatenate([x, [[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, -1.0], [0.0, 1.0]]])
+    found = compiled(lambda k: (np.arctan2(k[:, 1], k[:, 0]),), x, (1,))[:, 0]
+    np.testing.assert_allclose(found, np.arctan2(x[:, 1], x[:, 0]), rtol=5e-16, atol=0)
+
+
 def test_rounding_to_single_precision_is_numpys():
     x = (
         np.random.default_rng(2).normal(size=(100, 1))

@@ -13,18 +13,13 @@ from ves_gym.baselines.resolved import damped_inverse
 from ves_gym.envs.control import Acceleration, Torque
 from ves_gym.envs.servicer_capture import ServicerCapture, meeting
 from ves_gym.envs.vector import VesVectorEnv
-from ves_gym.mechanics.attitude import (
-    IDENTITY,
-    from_angles,
-    rotate,
-    to_matrix,
-    torque_free_step,
-)
+from ves_gym.mechanics.attitude import IDENTITY, from_angles, to_matrix
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.kinematics import tool_frame, tool_twists
-from ves_gym.mechanics.latch import free_mass, to_point, tool_motion
+from ves_gym.mechanics.latch import BODY, free_mass, named, to_point, tool_motion
 from ves_gym.mechanics.pointing import AttitudeControl, wheel_axes, wheel_torques, within_limits
 from ves_gym.mechanics.spatial import matvec, rotation, twist
+from ves_gym.simulation.capture import fly
 
 _HORIZON = 0.6  # s: how far ahead a fixture is aimed at when its meeting is due
 _FLIGHT = 2.0  # s, step of the target's flight that is foreseen
@@ -197,11 +192,9 @@ def _masses(env: VesVectorEnv) -> Masses:
     assert cargo is not None
     carrying = np.flatnonzero(cargo.carried)
     if len(carrying):
-        target = cargo.state
-        turn = to_matrix(target.attitude[carrying])
-        com = target.position[carrying] + matvec(turn, cargo.com[carrying])
-        body = free_mass(cargo.mass[carrying], cargo.inertia[carrying], turn)
-        J = np.linalg.solve(to_point(com, motion.place[carrying]), motion.J[carrying])
+        t = cargo.target(carrying)
+        body = free_mass(cargo.mass[carrying], cargo.inertia[carrying], t.turn)
+        J = np.linalg.solve(to_point(t.centre, motion.place[carrying]), motion.J[carrying])
         mass[carrying] += np.swapaxes(J, -1, -2) @ body @ J
     return Masses(motion.mass, mass)
 
@@ -210,19 +203,13 @@ def _fixture_after(env: VesVectorEnv, ids: Index, time: Array) -> tuple[Array, A
     """Place (k, 3), axes (k, 3, 3) and twist (k, 6) of free fixtures, `time` (k,) from now."""
     cargo, payload = env.batch.sim.payload, env.task.system.payload
     assert cargo is not None and payload is not None
-    state = cargo.state
-    q, w, J = state.attitude[ids], state.spin[ids], cargo.inertia[ids]
-    com = state.position[ids] + rotate(q, cargo.com[ids]) + time[:, None] * state.velocity[ids]
-    steps = int(np.ceil(time.max() / _FLIGHT))
-    part = (time / steps)[:, None]
-    for _ in range(steps):  # unit steps at part times the rate
-        q, w = torque_free_step(q, w * part, J, 1.0)
-        w = w / part
-    turn = to_matrix(q)
-    arm = matvec(turn, np.array(payload.grip.position) - cargo.com[ids])
-    spin = matvec(turn, w)
-    motion = np.concatenate([state.velocity[ids] + np.cross(spin, arm), spin], axis=1)
-    return com + arm, turn @ payload.grip.rotation, motion
+    count, com = int(np.ceil(time.max() / _FLIGHT)), cargo.com[ids]
+    steps = np.repeat(time[:, None] / count, count, axis=1)
+    body = named(fly(cargo.rows(BODY)[ids], com, cargo.inertia[ids], steps), BODY)
+    turn, grip = to_matrix(body["attitude"]), np.array(payload.grip.position)
+    arm, spin = matvec(turn, grip - com), matvec(turn, body["spin"])
+    motion = np.concatenate([body["velocity"] + np.cross(spin, arm), spin], axis=1)
+    return body["position"] + matvec(turn, grip), turn @ payload.grip.rotation, motion
 
 
 def _lifted(place: Array) -> Array:

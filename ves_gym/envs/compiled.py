@@ -30,12 +30,10 @@ from ves_gym.envs.base_control import wheels_of
 from ves_gym.envs.control import Control
 from ves_gym.envs.episode import Episodes, bounded, count, endings, judge, scaled_observation
 from ves_gym.envs.task import Scene, Task
-from ves_gym.mechanics.latch import TARGET, target, tool_in_space
-from ves_gym.mechanics.pointing import opposites
+from ves_gym.mechanics.latch import BODY, NUMBERS, TARGET, named, target, tool_in_space
+from ves_gym.mechanics.pointing import act, opposites
 from ves_gym.mechanics.spatial import SINGULAR, twist
-from ves_gym.mechanics.vehicle import has_jets
-from ves_gym.simulation.base_actuators import act
-from ves_gym.simulation.capture import BODY, NUMBERS, named
+from ves_gym.mechanics.vehicle import Satellite, has_jets
 from ves_gym.system.system import System
 
 if TYPE_CHECKING:
@@ -380,16 +378,16 @@ def _close(shape: Shape) -> casadi.Function:
 def _actuate(shape: Shape) -> casadi.Function:
     """(action, x, `Shape.actuators`) -> the same after it, propellant, the engine's inputs."""
     task, at = shape.task, shape.actuators
-    control = task.base_control
-    assert control is not None
-    engine = at["torque"].stop + 6 * has_jets(shape.system.vehicle)
+    control, vehicle = task.base_control, shape.system.vehicle
+    assert control is not None and isinstance(vehicle, Satellite)
+    engine = at["torque"].stop + 6 * has_jets(vehicle)
     alone = (1,) * (1 + engine)
 
     def acted(action: Traced, x: Traced, memory: Traced) -> tuple[Any, ...]:
         beside = np.clip(action[:, task.control.width(shape.system.arm) :], -1.0, 1.0)
         state = (memory[:, at[k]] for k in ("owed", "left", "propellant"))
         asked = control.asked(shape.system, beside)
-        out = act(shape.system, *asked, x[:, shape.wheels], *state)
+        out = act(vehicle, shape.system.control_dt, *asked, x[:, shape.wheels], *state)
         return np.concatenate(out, axis=1), out[-1], *np.concatenate(out[:2], axis=1).T[:engine]
 
     sizes = task.action_width, 2 * shape.coordinates, width(at)

@@ -29,7 +29,8 @@ from ves_gym.envs.compiled import WIDEST, Shape, carry_rows, compiles, layout, w
 from ves_gym.envs.episode import FAILURE, Episodes, ended_energies, outcome
 from ves_gym.envs.tail import FreeDecay
 from ves_gym.envs.task import Scene, Task
-from ves_gym.simulation.capture import BODY, NUMBERS, free_flight
+from ves_gym.mechanics.latch import BODY, NUMBERS
+from ves_gym.simulation.capture import flight
 from ves_gym.simulation.simulator import Simulator
 
 # what is known here of the signals that come from outside the emulation loop
@@ -173,7 +174,11 @@ class CompiledStep:
             if self._made_of[0] is not self._flight:
                 self._made_of = self._flight, None
                 pieces = backend.pieces(self._commands, self.shape.nodes, self.system.substeps)
-                others = [*self._flights(), *self._last]
+                others = self._last
+                if self._cargo is not None:
+                    columns = layout(*NUMBERS.items())
+                    com, inertia = (self._numbers[:, columns[k]] for k in ("com", "inertia"))
+                    others = [*flight(self._bodies, com, inertia, self._flight), *others]
                 self._period = [Program([*self._first, k, *others]) for k in pieces]
             return self._period
         code = loop.code
@@ -206,16 +211,6 @@ class CompiledStep:
         physics = backend.pieces(self._nodes, substeps + 1, substeps, self._wrenches)
         self._period = [Program([*before, piece, *after]) for piece in physics]
         return self._period
-
-    def _flights(self) -> list[Piece]:
-        """Return the steps of the free payloads."""
-        if not self._flight.shape[1]:
-            return []
-        at = layout(*NUMBERS.items())
-        constant = (self._numbers[:, at[k]] for k in ("com", "inertia"))
-        body, flight = [self._bodies, *constant], self._flight
-        steps = [flight[:, k : k + 1] for k in range(flight.shape[1])]
-        return [free_flight().piece(*body, step, self._bodies) for step in steps]
 
     def _modes_piece(self) -> list[Piece]:
         """Return what sets the base's internal modes on the platform, if it has any."""

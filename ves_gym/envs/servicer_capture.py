@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from ves_gym._util.params import Array, Mask, ParameterError, Vector, finite, unit
-from ves_gym.engine.kernel.compiled_function import CompiledFunction
 from ves_gym.envs.arm_task import ArmTask, directions
 from ves_gym.envs.base_control import BaseControl, wheels_of
 from ves_gym.envs.control import Acceleration, Control
 from ves_gym.envs.task import Field, Scene, Start, register_task
 from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.arm_library import get_arm
-from ves_gym.mechanics.attitude import from_matrix, log, rotate, torque_free_step
+from ves_gym.mechanics.attitude import from_matrix, log, rotate
 from ves_gym.mechanics.kinematics import joint_positions, pose_dexterity, tool_frame
-from ves_gym.mechanics.latch import Target
+from ves_gym.mechanics.latch import BODY, Target, named
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.spatial import cross, matvec, rotation, twist
 from ves_gym.mechanics.vehicle import SERVICER_FLEXIBLE, Satellite
+from ves_gym.simulation.capture import fly
 from ves_gym.simulation.machines import LEAVE
 from ves_gym.system.system import System
 
@@ -32,7 +32,6 @@ _TRIES = 32  # candidate meetings per episode; the first that is clear and dexte
 _JOINTS = 6  # fewer cannot take a fixture as it turns
 _LEVER = 0.3  # m per radian, of turn beside place in `dexterous`
 _FLIGHT = 200  # steps of the target's motion back from the meeting: below 1e-9 rad in all
-_STRIDE = 4  # of them at once
 _MORE = 5  # numbers drawn beside joint angles: time, mass, spin and its direction
 
 _MEETING = 11  # first column of the goal that tells of it
@@ -395,21 +394,7 @@ def _angle(s: Scene) -> Array:
 
 def _flown(attitude: Array, spin: Array, inertia: Array, time: Array) -> tuple[Array, Array]:
     """Attitude and spin of free bodies after a time (k,) of their own [s]."""
-    # a step of t at w is one of t / T at T w: every body makes unit steps at its own rate
-    pace = time[:, None] / _FLIGHT
-    body = np.concatenate([attitude, spin * pace], axis=1)
-    for _ in range(_FLIGHT // _STRIDE):
-        body = _stride()(body, inertia.reshape(len(time), 9))
-    return body[:, :4], body[:, 4:] / pace
-
-
-@lru_cache(maxsize=1)
-def _stride() -> CompiledFunction:
-    def fly(body: Array, inertia: Array) -> Array:
-        J = inertia.reshape(*inertia.shape[:-1], 3, 3)
-        for _ in range(_STRIDE):
-            q, w = torque_free_step(body[..., :4], body[..., 4:], J, 1.0)
-            body = np.concatenate([q, w], axis=-1)
-        return body
-
-    return CompiledFunction.of("torque-free flight", fly, 7, 9)
+    still, step = np.zeros((len(time), 3)), time[:, None] / _FLIGHT
+    bodies = np.hstack([still, attitude, still, spin])
+    after = named(fly(bodies, still, inertia, np.repeat(step, _FLIGHT, axis=1)), BODY)
+    return after["attitude"], after["spin"]

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.attitude import from_matrix, log, to_matrix
+from ves_gym.mechanics.attitude import from_matrix, log, rotate, to_matrix, torque_free_step
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.carried import carried_inertia
 from ves_gym.mechanics.dynamics import inertia
@@ -158,16 +158,45 @@ class Target(NamedTuple):
 TARGET = 40  # numbers of a `Target`
 
 
+BODY = {"position": 3, "attitude": 4, "velocity": 3, "spin": 3}  # of a free payload, in rows
+# what else tells of a payload, in rows
+NUMBERS = {
+    "com": 3, "inertia": 9, "carried": 1, "place": 3, "turn": 9, "grip": 3, "grip_axes": 9,
+    "latch_distance": 1, "latch_angle": 1,
+}  # fmt: skip
+
+
+def named(rows: Array, widths: Mapping[str, int]) -> dict[str, Array]:
+    """Return the parts of rows (n, k) by name."""
+    parts = np.split(rows, np.cumsum(list(widths.values()))[:-1], axis=1)
+    return dict(zip(widths, parts, strict=True))
+
+
+def flown(rows: Array, com: Array, inertia: Array, time: Array) -> Array:
+    """Return free payloads a step later: straight, and turning as free bodies do.
+
+    Args:
+        rows: (n, k) of `BODY`.
+        com: (n, 3) centres of mass, own axes [m].
+        inertia: (n, 9) about them [kg m^2].
+        time: (n, 1) steps [s]; one of zero leaves a body where it is, to the bit.
+    """
+    body, J = named(rows, BODY), inertia.reshape(len(rows), 3, 3)
+    centre = body["position"] + rotate(body["attitude"], com) + time * body["velocity"]
+    q, w = torque_free_step(body["attitude"], body["spin"], J, time)
+    moved = [centre - rotate(q, com), q, body["velocity"], w]
+    out: Array = np.where(time != 0.0, np.concatenate(moved, axis=1), rows)
+    return out
+
+
 def target(tool: ToolState, axes: Array, body: Mapping[str, Array]) -> Target:
     """Return where a payload is, free or carried, as seen from the tool.
 
     Args:
         tool: in space, inertial axes.
         axes: (3, 3) from the tool's axes to the last link's.
-        body: (n, k) `position`, `attitude`, `velocity` and `spin` of a free payload; its pose
-            `place` and `turn` (9) in the last link's frame where it is `carried`; `com`,
-            `grip` and `grip_axes` (9) in its own axes; reach of its latch, `latch_distance`
-            and `latch_angle`.
+        body: (n, k) what `BODY` and `NUMBERS` name: the motion of a free payload; its pose
+            in the last link's frame where it is carried; com and grip in its own axes.
     """
     turned, grip = (body[k].reshape(len(tool.place), 3, 3) for k in ("turn", "grip_axes"))
     held, link = body["carried"] > 0, tool.turn @ axes.T

@@ -9,21 +9,17 @@ import numpy as np
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.pointing import (
-    allocated,
+    act,
     on_rotors,
-    propellant,
-    pulses,
     shares,
     wheel_axes,
     wheel_torques,
     within_limits,
-    wrench_matrix,
 )
 from ves_gym.mechanics.spatial import matvec  # row by row: a product of all rows rounds by n
 from ves_gym.mechanics.vehicle import Satellite
 from ves_gym.simulation.machines import ControlPeriod, Machines, Part
 from ves_gym.simulation.state import State
-from ves_gym.system.system import System
 
 
 class BaseActuators(Part):
@@ -49,6 +45,7 @@ class BaseActuators(Part):
         vehicle = system.vehicle
         assert isinstance(vehicle, Satellite)
         self.machines, self.system, self.n = machines, system, n
+        self.vehicle = vehicle
         self.wheels, self.jets = vehicle.wheels or (), vehicle.jets or ()
         self.pointing, self._any_wrench = vehicle.pointing, vehicle.thrusters
         w, k = len(self.wheels), len(self.jets)
@@ -164,8 +161,8 @@ class BaseActuators(Part):
 
     def _command(self, wrench: Array, torque: Array) -> None:
         state = self.owed, self.left, self.propellant[:, None]
-        done = act(self.system, wrench, torque, self.machines.wheel_speed, *state)
-        self.take(*done)
+        speed, dt = self.machines.wheel_speed, self.system.control_dt
+        self.take(*act(self.vehicle, dt, wrench, torque, speed, *state))
         self.commanded[:] = True
         self._send(np.arange(self.n))
         self.written = True
@@ -176,40 +173,3 @@ class BaseActuators(Part):
         """Take over what `act` gives."""
         self.torque[:], self.wrench[:], self.owed[:], self.left[:] = torque, wrench, owed, left
         self.propellant[:] = propellant[:, 0]
-
-
-def act(
-    system: System,
-    wrench: Array,
-    torque: Array,
-    speed: Array,
-    owed: Array,
-    left: Array,
-    used: Array,
-) -> tuple[Array, ...]:
-    """Return what wheels and jets of a satellite do in a control period, as asked.
-
-    Args:
-        system: on a satellite.
-        wrench: (n, 6) asked of the jets in platform axes [N, N m].
-        torque: (n, w) asked of the wheels' motors [N m].
-        speed: (n, w) of the wheels at the start [rad/s].
-        owed, left: (n, k) see `pointing.pulses` [N s].
-        used: (n, 1) propellant so far [kg].
-
-    Returns:
-        Torque (n, w) on the rotors, friction included, wrench (n, 6), then `owed`, `left` and
-        `used` after it.
-    """
-    vehicle, dt = system.vehicle, system.control_dt
-    assert isinstance(vehicle, Satellite)
-    wheels, jets = vehicle.wheels or (), vehicle.jets or ()
-    if jets:  # what their pulses make of it
-        given, owed, left = pulses(jets, owed, left, allocated(jets, wrench), dt)
-        wrench = matvec(wrench_matrix(jets), given) / dt
-        used = used + propellant(jets, given)[:, None]
-    elif not vehicle.thrusters:
-        wrench = np.zeros_like(wrench)
-    if wheels:
-        torque = on_rotors(wheels, torque, speed, dt)
-    return torque, wrench, owed, left, used

@@ -10,23 +10,26 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError
-from ves_gym.engine.kernel.compiled_function import CompiledFunction
+from ves_gym.engine.kernel.compiled_function import CompiledFunction, Piece, lanes, unlane
 from ves_gym.mechanics.attitude import (
     conjugate,
     from_angles,
     from_matrix,
     rotate,
-    torque_free_step,
 )
 from ves_gym.mechanics.kinematics import ToolState
 from ves_gym.mechanics.latch import (
+    BODY,
+    NUMBERS,
     Target,
     ToolMotion,
     body_momentum,
     directions_of,
+    flown,
     free_mass,
     inelastic,
     momentum_of,
+    named,
     target,
     to_point,
     tool_in_space,
@@ -40,35 +43,26 @@ from ves_gym.simulation.tool_contact import PayloadState, ToolContact
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
 _TURN = 3.2e-3  # rad, the most that a free body turns in a step: 1e-13 rad of error
-BODY = {"position": 3, "attitude": 4, "velocity": 3, "spin": 3}  # of a free payload, in rows
-# what else tells of a payload, in rows
-NUMBERS = {
-    "com": 3, "inertia": 9, "carried": 1, "place": 3, "turn": 9, "grip": 3, "grip_axes": 9,
-    "latch_distance": 1, "latch_angle": 1,
-}  # fmt: skip
-
-
-def named(rows: Array, widths: Mapping[str, int]) -> dict[str, Array]:
-    """Return the parts of rows (n, k) by name."""
-    parts = np.split(rows, np.cumsum(list(widths.values()))[:-1], axis=1)
-    return dict(zip(widths, parts, strict=True))
 
 
 @lru_cache(maxsize=1)
-def free_flight() -> CompiledFunction:
-    """(`BODY`, com, inertia, step [s]) -> `BODY`: straight, and turning as free bodies do.
-
-    In place. A step of zero leaves a body where it is, to the bit.
-    """
-
-    def flown(rows: Array, com: Array, inertia: Array, time: Array) -> Array:
-        body, J = named(rows, BODY), inertia.reshape(len(rows), 3, 3)
-        centre = body["position"] + rotate(body["attitude"], com) + time * body["velocity"]
-        q, w = torque_free_step(body["attitude"], body["spin"], J, time)
-        moved = [centre - rotate(q, com), q, body["velocity"], w]
-        return np.where(time != 0.0, np.concatenate(moved, axis=1), rows)
-
+def _flight() -> CompiledFunction:
     return CompiledFunction.of("free flight", flown, sum(BODY.values()), 3, 9, 1, in_place=True)
+
+
+def flight(bodies: Array, com: Array, inertia: Array, steps: Array) -> list[Piece]:
+    """Return steps of free flight as pieces, in place, on rows of lanes (see `fly`)."""
+    every = (steps[:, k : k + 1] for k in range(steps.shape[1]))
+    return [_flight().piece(bodies, com, inertia, step, bodies) for step in every]
+
+
+def fly(bodies: Array, com: Array, inertia: Array, steps: Array) -> Array:
+    """Return free payloads (n, `BODY`) after steps (n, k) [s], see `latch.flown`."""
+    n = len(bodies)
+    rows, *others = (lanes(part.reshape(n, -1)) for part in (bodies, com, inertia, steps))
+    for piece in flight(rows, *others):
+        piece(0, len(rows))
+    return unlane(rows, n)
 
 
 class Capture(NamedTuple):
@@ -280,9 +274,9 @@ class PayloadHandler(NotingPart):
                 for name, part in zip(BODY, moved, strict=True):
                     getattr(self, name)[rows] = part
             return
-        for step in self.steps(time, ids).T:
-            numbers = self.com, self.inertia.reshape(len(step), 9), step[:, None]
-            self.store(free_flight()(self.rows(BODY), *numbers))
+        steps = self.steps(time, ids)
+        if steps.size:
+            self.store(fly(self.rows(BODY), self.com, self.inertia, steps))
             self.written = True
 
     def store(self, bodies: Array) -> None:
