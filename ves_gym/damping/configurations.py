@@ -67,7 +67,7 @@ def best_configurations(
     samples: int = 4096,
     candidates: int = 24,
     seed: int = 0,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] = lambda done: None,
 ) -> list[Configuration]:
     """Return configurations in which the arm damps a release from y best, best first.
 
@@ -98,8 +98,7 @@ def best_configurations(
     for i, plant in zip(chosen, plants(system, angles[chosen]), strict=True):
         tuned = tune(plant, y=y, bounds=bounds, starts=_STARTS, seed=seed)
         configurations.append(Configuration(angles[i], float(estimated[i]), tuned))
-        if progress is not None:
-            progress(len(configurations) / len(chosen))
+        progress(len(configurations) / len(chosen))
     return sorted(configurations, key=lambda c: c.tuned.value)
 
 

@@ -177,7 +177,7 @@ def coupling_map(
             [k for k in range(arm.n) if k not in joints],
             arm.column("q_min"),
             arm.column("q_max"),
-            progress,
+            progress or (lambda done: None),
         )
     values, vectors = np.linalg.eigh(block(q))
     least, most, direction = values[..., 0], values[..., 1], vectors[..., :, 0]
@@ -224,7 +224,7 @@ def minimise_on_grid(
     free: list[int],
     low: Array,
     high: Array,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None],
 ) -> Array:
     """Choose the free coordinates at every point of a grid so that a function is least.
 
@@ -253,8 +253,7 @@ def minimise_on_grid(
         """Take over where a trial is better, and return where (ni, nj)."""
         nonlocal done
         done += 1
-        if progress is not None:
-            progress(done / steps)
+        progress(done / steps)
         tried = of(trial)
         better = np.asarray(tried < values)
         best[better], values[better] = trial[better], tried[better]
@@ -267,9 +266,10 @@ def minimise_on_grid(
     size = np.full(grid.shape[:2], _FIRST)
     for _ in range(_SWEEPS):
         before, better = best.copy(), np.zeros(grid.shape[:2], bool)
-        for rows, columns in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        for i, j in ((2, 1), (0, 1), (1, 2), (1, 0)):  # neighbours; at the edge itself
+            around = np.pad(best, ((1, 1), (1, 1), (0, 0)), mode="edge")
             trial = best.copy()
-            trial[..., free] = _shifted(best, rows, columns)[..., free]
+            trial[..., free] = around[i : i + len(best), j : j + best.shape[1], free]
             better |= compare(trial)
         for k in free:
             for sign in (1.0, -1.0):
@@ -279,13 +279,6 @@ def minimise_on_grid(
         compare(np.clip(2 * best - before, low, high))  # on in the direction that was good
         size = np.where(better, size, size / 2)
     return best
-
-
-def _shifted(q: Array, rows: int, columns: int) -> Array:
-    """Every point's neighbour; at the edge the point itself."""
-    i = np.clip(np.arange(q.shape[0]) + rows, 0, q.shape[0] - 1)
-    j = np.clip(np.arange(q.shape[1]) + columns, 0, q.shape[1] - 1)
-    return np.asarray(q[np.ix_(i, j)])
 
 
 _STEP = 0.2  # of a line, in grid cells

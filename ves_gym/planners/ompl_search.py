@@ -206,8 +206,7 @@ class Request(NamedTuple):
     seed: int
 
 
-@dataclass(frozen=True)
-class PathSearchResult:
+class PathSearchResult(NamedTuple):
     """The best path of a search, its cost and the effort."""
 
     path: Array | None  # (k, n) way-points
@@ -277,7 +276,7 @@ def search(request: Request) -> PathSearchResult:
     for k in range(CHECKPOINTS):
         run.share = (k + 1) / CHECKPOINTS
         try:
-            planner.solve(ob.PlannerTerminationCondition(run.is_enough))
+            planner.solve(ob.PlannerTerminationCondition(lambda: run.used >= run.share))
         except _BudgetSpent:
             run.share = 1.0
         if problem.hasExactSolution():
@@ -312,10 +311,6 @@ class _Search:
             return math.inf
         work = max(self.evaluations, self.checks / _CHECKS, self.guesses / _GUESSES)
         return work / self.request.planner.evaluations
-
-    def is_enough(self) -> bool:
-        """OMPL's termination condition."""
-        return self.used >= self.share
 
     def stop_if_overrun(self) -> None:
         """Leave a planner that looks at its termination condition too seldom."""
