@@ -91,21 +91,16 @@ def run_benchmark(
             require(f"planner {name}", "ompl")  # before the others have planned for minutes
     report = progress or _silent
     questions = [(n, v, q) for v, q in suite.queries for n in names]
-    # machines that are described alike are planned for once
-    known = {v: suite.described.get(v, q.system).ideal() for v, q in suite.queries}
-    keys = [(n, suite.described[v].hash if v in suite.described else v, q.name)
+    work = [(n, replace(q, system=suite.described.get(v, q.system).ideal()), seed)
             for n, v, q in questions]  # fmt: skip
-    asked = {
-        key: (name, replace(query, system=known[vehicle]), seed)
-        for key, (name, vehicle, query) in zip(keys, questions, strict=True)
-    }
-    plans: dict[tuple[str, str, str], Plan] = {}
-    for key, plan in zip(asked, _run_workers(list(asked.values()), workers), strict=True):
-        plans[key] = plan
-        report("planning", len(plans) / len(asked))
+    plans: dict[Work, Plan] = {}
+    alone = list(dict.fromkeys(work))  # machines that are described alike are planned for once
+    for job, plan in zip(alone, _run_workers(alone, workers), strict=True):
+        plans[job] = plan
+        report("planning", len(plans) / len(alone))
     runs = [
-        _Run(name, vehicle, plans[key], query.system)
-        for (name, vehicle, query), key in zip(questions, keys, strict=True)
+        _Run(name, vehicle, plans[job], query.system)
+        for (name, vehicle, query), job in zip(questions, work, strict=True)
     ]
     rows, groups = _simulate_all(runs, seed, report)
     add_scores(rows, {v: q.system.ideal().hash for v, q in suite.queries})
@@ -211,7 +206,7 @@ def _simulate_all(
             rows[i] = _unplayed(run)
         else:
             batches[run.vehicle, run.system, run.plan.query.duration].append(i)
-    pictures: dict[tuple[str, str], list[tuple[int, PlayedPlan]]] = defaultdict(list)
+    pictures: dict[tuple[str, str], list[PlayedPlan]] = defaultdict(list)
     for (vehicle, system, _), members in batches.items():
         named = list(dict.fromkeys(runs[i].plan.query.name for i in members))
         showcase = named if len(named) <= 3 else named[:1]  # queries whose traces are kept
@@ -228,12 +223,10 @@ def _simulate_all(
                 played = PlayedPlan(run.plan, recording, k, run.planner, ideal)
                 rows[i] = _played(run, played, energies[k], in_space[k])
                 if run.plan.query.name in showcase:
-                    pictures[vehicle, run.plan.query.name].append((i, played))
+                    pictures[vehicle, run.plan.query.name].append(played)
             report("simulating", len(rows) / len(runs))
-    return [rows[i] for i in range(len(runs))], [
-        (vehicle, [picture for _, picture in sorted(answers, key=lambda pair: pair[0])])
-        for (vehicle, _), answers in pictures.items()
-    ]
+    groups = [(vehicle, answers) for (vehicle, _), answers in pictures.items()]
+    return [rows[i] for i in range(len(runs))], groups
 
 
 def _play(system: System, plans: Sequence[Plan], clock: System, seed: int) -> Recording:

@@ -98,7 +98,7 @@ class Query:
     @property
     def is_moving(self) -> bool:
         """True where the joints are not at rest at the start."""
-        return any(map(np.any, self.start_motion))
+        return any(k is not None and any(k) for k in (self.start_rate, self.start_acceleration))
 
     @property
     def start_motion(self) -> tuple[Array, Array]:

@@ -135,10 +135,7 @@ def scene(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
         "duration": query.duration,
         "query": query.name,
         "rest_beam": None if rest_beam is None else _round(rest_beam[0], 3),
-        "obstacles": [
-            to_plain(obstacle)
-            for obstacle in (query.surroundings.obstacles if query.surroundings else ())
-        ],
+        "obstacles": to_plain(query.surroundings.obstacles if query.surroundings else ()),
         "runs": [],
     }
     for plan, run, k, *_ in runs:
