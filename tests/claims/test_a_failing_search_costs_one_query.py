@@ -30,7 +30,7 @@ w.serve()
 FAULTS = {
     "crash": ("os.kill(os.getpid(), 11)", "the search crashed: exit status -11"),
     "hang": ("time.sleep(600)", "did not answer within 4 s and was killed"),
-    "bad cost": ("metric.Edge.__call__ = lambda *a: float('nan')", "BadCost: a cost must be"),
+    "bad cost": ("metric.Metric.edge = lambda *a: float('nan')", "BadCost: a cost must be"),
 }
 
 

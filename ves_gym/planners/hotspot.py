@@ -32,7 +32,6 @@ _POINTS = 16  # segments of the relaxed path
 _CONTROLS = 64  # of the joint-by-joint motion: follows it to about 1e-4 rad
 _STEPS = 60  # of a joint's part of the path
 _MOST = 12  # joints: beyond, 2^n sets of joints are too many
-_AT_ONCE = 200_000  # configurations
 _DIFFERENCE = 1e-5  # rad
 
 
@@ -217,17 +216,12 @@ def _parts(system: System, start: Array, goal: Array, moving: list[int]) -> Arra
     u = quintic(np.linspace(0, 1, _STEPS + 1))
     out = np.zeros((len(moving), count))
     bits = np.arange(count)[:, None] >> np.arange(len(moving)) & 1
-    at_once = max(1, _AT_ONCE // _STEPS)
     for k, j in enumerate(moving):
         sets = np.flatnonzero(bits[:, k] == 0)
         way = goal[j] - start[j]
-        steps = np.diff(u) * abs(way)
-        for first in range(0, len(sets), at_once):
-            chunk = sets[first : first + at_once]
-            q = np.repeat(start[None], len(chunk), axis=0)
-            q[:, moving] += bits[chunk] * (goal - start)[moving]
-            q = np.repeat(q[:, None], _STEPS, axis=1)
-            q[..., j] = start[j] + (u[1:] + u[:-1]) / 2 * way
-            Q = coupling_matrix(system, q)[..., j, j]
-            out[k, chunk] = np.sqrt(np.maximum(Q, 0.0)) @ steps
+        q = np.tile(start, (len(sets), _STEPS, 1))
+        q[..., moving] += (bits[sets] * (goal - start)[moving])[:, None]
+        q[..., j] = start[j] + (u[1:] + u[:-1]) / 2 * way
+        Q = coupling_matrix(system, q)[..., j, j]
+        out[k, sets] = np.sqrt(np.maximum(Q, 0.0)) @ (np.diff(u) * abs(way))
     return out

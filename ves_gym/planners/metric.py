@@ -8,6 +8,7 @@ node per lane, so one compiled call an edge.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
@@ -74,27 +75,19 @@ class Metric:
         squares = self.squares(at, step[..., None, :])
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)) @ _WEIGHTS)
 
-    @cached_property
-    def edge(self) -> Edge:
-        """Lengths one at a time, without the overhead of batches."""
-        return Edge(self)
-
-
-class Edge:
-    """Length of one straight edge: a block of LANES quadrature nodes, one compiled call."""
-
-    def __init__(self, metric: Metric) -> None:
-        self.n = metric.n
-        self._x, self._y = aligned(1, 2 * metric.n, LANES), aligned(1, 1, LANES)
-        self._run = metric._form.piece(self._x, everywhere(metric._p), self._y)
-
-    def __call__(self, a: Array, b: Array) -> float:
-        """(n,), (n,) -> length."""
+    def edge(self, a: Array, b: Array) -> float:
+        """Length of one straight edge (n,) to (n,): a block of LANES nodes, one call."""
+        x, y, run = self._block
         step = b - a
-        self._x[0, : self.n] = a[:, None] + step[:, None] * _NODES
-        self._x[0, self.n :] = step[:, None]
-        self._run(0, 1)
-        return float(np.sqrt(self._y[0, 0]) @ _WEIGHTS)
+        x[0, : self.n] = a[:, None] + step[:, None] * _NODES
+        x[0, self.n :] = step[:, None]
+        run(0, 1)
+        return float(np.sqrt(y[0, 0]) @ _WEIGHTS)
+
+    @cached_property
+    def _block(self) -> tuple[Array, Array, Callable[[int, int], object]]:
+        x, y = aligned(1, 2 * self.n, LANES), aligned(1, 1, LANES)
+        return x, y, self._form.piece(x, everywhere(self._p), y)
 
 
 # ---------------------------------------------------------------------------- graphs

@@ -249,7 +249,6 @@ def predict(
     system: System,
     motion: Motion,
     servo: JointServo | None = None,
-    nodes: int = NODES,
     *,
     base: BaseState | None = None,
     parts: int = 1,
@@ -260,15 +259,12 @@ def predict(
         system: arm and vehicle.
         motion: of the joints.
         servo: that moves them; None: they follow exactly.
-        nodes, parts: steps and their parts (`respond`).
         base: its motion at the start; None: at rest.
-
-    Returns:
-        E_mean, E_res and E_peak [J].
+        parts: of each step (`respond`).
     """
     linear = LinearBase(system, servo)
     b = linear.b
-    t, x, rate, M = respond(linear, motion, nodes, base, parts)
+    t, x, rate, M = respond(linear, motion, NODES, base, parts)
     E = quadratic(M[:, :b, :b], rate[:, :b]) + quadratic(linear.base_stiffness, x[:, :b])
     final = np.concatenate([x[-1], M[-1] @ rate[-1]])
     total = np.trapezoid(E, t) + final @ linear.tail(M[-1]) @ final

@@ -417,18 +417,16 @@ def read_uncertainty(path: str | os.PathLike[str]) -> Uncertainty:
     if "system" not in plain:
         raise ParameterError(f"{path}: expected the diagnosis of a System, got one of MJCF")
     better = System.from_dict(plain["system"], f"{path}: system").ideal()
-    ranges = {}
+    found: dict[str, dict[str, Any]] = {}
     for entry in plain["effects"]:
         cls = EFFECTS.get(entry["kind"])
         if cls is None or not issubclass(cls, (ArmEffect, BaseEffect)):
             continue
         for name, ends in _ends(better, entry).items():
-            fields = ranges.setdefault(entry["kind"], {})
+            fields = found.setdefault(entry["kind"], {})
             # of an effect that is named in two places each is zero where the other is not
-            before = fields.get(name, (np.zeros_like(ends[0]), np.zeros_like(ends[1])))
-            fields[name] = tuple(
-                np.add(a, b).tolist() for a, b in zip(before, ends, strict=True)
-            )
+            fields[name] = fields.get(name, 0.0) + ends
+    ranges = {k: {n: tuple(ends.tolist()) for n, ends in v.items()} for k, v in found.items()}
     if not ranges:
         named = ", ".join(entry["name"] for entry in plain["effects"]) or "none"
         raise ParameterError(
@@ -439,7 +437,7 @@ def read_uncertainty(path: str | os.PathLike[str]) -> Uncertainty:
     return Uncertainty(ranges, better.replace(effects=others), better.actual)
 
 
-def _ends(system: System, entry: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
+def _ends(system: System, entry: dict[str, Any]) -> dict[str, Array]:
     """Fields of a diagnosed effect that are not as by default: (low, high) of each."""
     scope = Scope(system.arm.n, system)
     known = {c.slot: c for c in EFFECTS[entry["kind"]].candidates(scope)}
@@ -458,5 +456,5 @@ def _ends(system: System, entry: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
     for field in dataclasses.fields(estimate):
         if getattr(estimate, field.name) != field.default:
             at = np.array([getattr(effect, field.name) for effect in corners], float)
-            out[field.name] = at.min(axis=0).tolist(), at.max(axis=0).tolist()
+            out[field.name] = np.array([at.min(axis=0), at.max(axis=0)])
     return out

@@ -87,7 +87,7 @@ def minimise(
     return replace(minimum, iterations=done, evaluations=evaluations)
 
 
-def about_itself(problem: MotionProblem, minimum: Minimum, iterations: int = 60) -> Minimum:
+def about_itself(problem: MotionProblem, minimum: Minimum) -> Minimum:
     """Minimise again with the tool on the path that was found, where its error counts."""
     energy = problem.energy
     if not (isinstance(energy, Objective) and energy.follows_path):
@@ -95,7 +95,7 @@ def about_itself(problem: MotionProblem, minimum: Minimum, iterations: int = 60)
     done, evaluations = minimum.iterations, minimum.evaluations
     for _ in range(_PATHS):
         problem.energy = energy.about(problem.motion(minimum.x))
-        minimum = minimise(problem, minimum.x, iterations)
+        minimum = minimise(problem, minimum.x)
         done, evaluations = done + minimum.iterations, evaluations + minimum.evaluations
     return replace(minimum, iterations=done, evaluations=evaluations)
 
