@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -106,7 +105,8 @@ class CouplingMap(Viewable):
         tracer = _Tracer(self.direction / (second - origin), max(2, round(1 / spacing)))
         least = 1.5 / spacing / tracer.bins
         curves = [c for c in map(tracer.trace, tracer.seeds()) if len(c) * _STEP > least]
-        return [origin + np.array(curve) * (second - origin) for curve in curves]
+        points = (np.array(curve).view(float).reshape(-1, 2) for curve in curves)
+        return [origin + k * (second - origin) for k in points]
 
 
 def cross_section(
@@ -284,15 +284,14 @@ def minimise_on_grid(
 _STEP = 0.2  # of a line, in grid cells
 _STRIDE = 7919  # prime: seeds of lines come from all over the map, not row by row
 
-Point = tuple[float, float]
 Cell = tuple[int, int]
 
 
 class _Tracer:
-    """Marches in units of grid cells and remembers where lines have been."""
+    """Marches in units of grid cells, x + j y, and remembers where lines have been."""
 
     def __init__(self, field: Array, bins: int) -> None:
-        self.field: list[list[list[float]]] = field.tolist()  # per cell, not normalised
+        self.field: list[list[complex]] = (field @ [1, 1j]).tolist()  # not normalised
         self.size = field.shape[0] - 1, field.shape[1] - 1
         self.bins = bins
         self.taken: set[Cell] = set()
@@ -300,69 +299,57 @@ class _Tracer:
         # longer away from a bin than this, a line has come round
         self.lap = int(3 * max(self.size) / bins / _STEP)
 
-    def seeds(self) -> list[Point]:
+    def seeds(self) -> list[complex]:
         """The middles of all bins, in an order that jumps about."""
-        count = self.bins**2
+        count, (width, height) = self.bins**2, self.size
         at = [divmod(k * _STRIDE % count, self.bins) for k in range(count)]
-        width, height = self.size
-        return [((a + 0.5) / self.bins * width, (b + 0.5) / self.bins * height) for a, b in at]
+        return [complex((a + 0.5) * width, (b + 0.5) * height) / self.bins for a, b in at]
 
-    def trace(self, seed: Point) -> list[Point]:
+    def trace(self, seed: complex) -> list[complex]:
         """The curve through a seed both ways; none where a line runs already."""
         if self.bin_of(seed) in self.taken:
             return []
-        visited = {self.bin_of(seed)}
-        i, j = (min(round(x), most) for x, most in zip(seed, self.size, strict=True))
-        dx, dy = self.field[i][j]
-        length = math.hypot(dx, dy)
-        heading = dx / length, dy / length
-        back = self.march(seed, (-heading[0], -heading[1]), visited)
-        ahead = self.march(seed, heading, visited)
+        visited, (width, height) = {self.bin_of(seed)}, self.size
+        heading = self.field[min(round(seed.real), width)][min(round(seed.imag), height)]
+        heading /= abs(heading)
+        back, ahead = (self.march(seed, way, visited) for way in (-heading, heading))
         self.taken |= visited
         return [*back[::-1], seed, *ahead]
 
-    def march(self, at: Point, heading: Point, visited: set[Cell]) -> list[Point]:
+    def march(self, at: complex, heading: complex, visited: set[Cell]) -> list[complex]:
         """Steps of the midpoint rule until the line has to end."""
-        curve, (x, y) = [], at
-        width, height = self.size
+        curve, (width, height) = [], self.size
         last_visit = {self.bin_of(at): 0}  # when the line was last in a bin
         for i in range(1, self.longest):
-            heading = self.towards(x, y, heading)
-            middle_x = min(max(x + heading[0] * _STEP / 2, 0.0), width)
-            middle_y = min(max(y + heading[1] * _STEP / 2, 0.0), height)
-            heading = self.towards(middle_x, middle_y, heading)
-            x, y = x + heading[0] * _STEP, y + heading[1] * _STEP
-            if x < 0 or y < 0 or x > width or y > height:
+            heading = self.towards(at, heading)
+            half = at + heading * _STEP / 2
+            inside = min(max(half.real, 0.0), width), min(max(half.imag, 0.0), height)
+            heading = self.towards(complex(*inside), heading)
+            at += heading * _STEP
+            if not (0 <= at.real <= width and 0 <= at.imag <= height):
                 break
-            cell = self.bin_of((x, y))
+            cell = self.bin_of(at)
             if cell in self.taken and cell not in visited:
                 break
             if i - last_visit.get(cell, i) > self.lap:
                 break
             last_visit[cell] = i
             visited.add(cell)
-            curve.append((x, y))
+            curve.append(at)
         return curve
 
-    def towards(self, x: float, y: float, heading: Point) -> Point:
+    def towards(self, at: complex, heading: complex) -> complex:
         """The field between its grid points, turned to go on along a heading."""
-        i, j = min(int(x), self.size[0] - 1), min(int(y), self.size[1] - 1)
-        fx, fy = x - i, y - j
-        hx, hy = heading
-        total_x = total_y = 0.0
+        i, j = min(int(at.real), self.size[0] - 1), min(int(at.imag), self.size[1] - 1)
+        fx, fy = at.real - i, at.imag - j
+        total = 0j
         for row, share in ((self.field[i], 1 - fx), (self.field[i + 1], fx)):
-            for (dx, dy), weight in ((row[j], share * (1 - fy)), (row[j + 1], share * fy)):
-                if dx * hx + dy * hy < 0:
-                    weight = -weight
-                total_x += weight * dx
-                total_y += weight * dy
-        length = math.hypot(total_x, total_y)
-        return (total_x / length, total_y / length) if length > 0 else heading
+            for way, weight in ((row[j], share * (1 - fy)), (row[j + 1], share * fy)):
+                ahead = (way * heading.conjugate()).real >= 0
+                total += weight * way if ahead else -weight * way
+        return total / abs(total) if total else heading
 
-    def bin_of(self, p: Point) -> Cell:
+    def bin_of(self, p: complex) -> Cell:
         """The bin that a point lies in."""
-        a, b = (
-            min(int(x / most * self.bins), self.bins - 1)
-            for x, most in zip(p, self.size, strict=True)
-        )
-        return a, b
+        a, b = int(p.real / self.size[0] * self.bins), int(p.imag / self.size[1] * self.bins)
+        return min(a, self.bins - 1), min(b, self.bins - 1)
