@@ -128,6 +128,7 @@ def printed_plant() -> LinearPlant:
         port=eye[6:],
         displacement_map=eye[:, :6],
         K=base.K,
+        stiffness=base.K,
         mass=M[:6, :6],
     )
 

@@ -50,16 +50,8 @@ class LinearPlant:
     port: Array  # (n, w)
     displacement_map: Array  # (w, 6) z of a displaced base with s = 0
     K: Array  # (6 + m, 6 + m) of the base over (Y, u)
+    stiffness: Array  # (6, 6) of the base at rest under loads on its interface [N/m, N, N m]
     mass: Array  # (6 + m, 6 + m) of the base with the joints locked, M_t [kg, kg m, kg m^2]
-
-    @property
-    def stiffness(self) -> Array:
-        """(6, 6) of the base at rest under loads on its interface [N/m, N, N m]."""
-        if len(self.K) == 6:
-            return self.K
-        inner = np.linalg.solve(self.K[6:, 6:], self.K[6:, :6])
-        static: Array = self.K[:6, :6] - self.K[:6, 6:] @ inner
-        return (static + static.T) / 2
 
     @property
     def _base(self) -> tuple[Array, Array]:
@@ -128,6 +120,7 @@ def plants(system: System, q: npt.ArrayLike) -> list[LinearPlant]:
             port=port,
             displacement_map=displacement_map,
             K=base.full()[2],
+            stiffness=K,
             mass=mass,
         )
         for A, B, mass in zip(linear.A, linear.B.reshape(-1, 2 * w, n), masses, strict=True)

@@ -310,6 +310,7 @@ def two_masses(system: System, q: npt.ArrayLike) -> LinearPlant:
         port=port,
         displacement_map=np.vstack([np.eye(6), carried, base.attached(np.eye(6)).T]),
         K=model.K,
+        stiffness=model.stiffness,
         mass=model.mass,
     )
 

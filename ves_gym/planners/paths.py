@@ -95,15 +95,13 @@ def feasible_part(query: Query, path: Array) -> tuple[Motion, float]:
     def timed(share: float) -> Motion:
         return Motion.through(straight + share * (path - straight), query.duration)
 
-    if (
-        first_violation(query, timed(1.0)) is None
-        or first_violation(query, timed(0.0)) is not None
-    ):
+    def keeps(share: float) -> bool:
+        return first_violation(query, timed(share)) is None
+
+    if keeps(1.0) or not keeps(0.0):
         return timed(1.0), 1.0
     low, high = 0.0, 1.0
     for _ in range(8):
         middle = (low + high) / 2
-        low, high = (
-            (middle, high) if first_violation(query, timed(middle)) is None else (low, middle)
-        )
+        low, high = (middle, high) if keeps(middle) else (low, middle)
     return timed(low), low

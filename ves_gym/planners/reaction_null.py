@@ -17,9 +17,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy.linalg
 
 from ves_gym._util.params import Array, ParameterError, finite
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.modes import root
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.spatial import skew
 from ves_gym.planners.coupling import blocks
@@ -57,17 +59,9 @@ def reaction_null_space(
     at = system.arm.require_within_limits(q)
     b, K = blocks(system, at), system.base.full()[2]
     moved = np.linalg.solve(b.Mt, b.Hbm)  # of the base, per joint motion
-    if attitude:
-        rows = moved[3:6]
-    elif K.any():  # so that rows^T rows = Q
-        values, vectors = np.linalg.eigh(K)
-        rows = np.sqrt(np.maximum(values, 0.0))[:, None] * (vectors.T @ moved)
-    else:
-        rows = np.linalg.cholesky(b.Mt).T @ moved
-    _, values, vectors = np.linalg.svd(rows)
-    size = np.zeros(system.arm.n)
-    size[: len(values)] = values
-    return vectors[size <= share * values[0]].T
+    # rows^T rows = Q, of a free base its kinetic energy
+    rows = moved[3:6] if attitude else root(K if K.any() else b.Mt) @ moved
+    return np.asarray(scipy.linalg.null_space(rows, rcond=share))
 
 
 def reaction_null_path(

@@ -10,6 +10,7 @@ what is minimised is the cost of not knowing; what it may cost as described is l
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -199,8 +200,7 @@ def scenarios(system: System, uncertain: Ranges) -> list[System]:
 def _corners(size: int) -> Array:
     """(k, size) of zeros and ones."""
     if size <= _FULL:
-        bits = np.arange(2**size)[:, None] >> np.arange(size) & 1
-        return bits.astype(np.float64)
+        return np.array([*itertools.product((0.0, 1.0), repeat=size)])[:, ::-1]
     order = 2 ** math.ceil(math.log2(size + 1))
     signs = scipy.linalg.hadamard(order)[:, 1 : size + 1]
     return np.asarray((signs + 1) / 2, dtype=np.float64)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import scipy.linalg
 
 from ves_gym._util.params import Array, ParameterError, to_plain
 from ves_gym.mechanics.arm import Arm
@@ -119,9 +120,7 @@ def _along_redundancy(
     """Step along the tool's self-motion while that is cheaper; the pose stays."""
     step, least = _FIRST, float(cost(q[None])[0])
     for _ in range(_TURNS):
-        J = tool_twists(arm, q)[: pose.size]
-        _, values, vectors = np.linalg.svd(J)
-        free = vectors[int((values > 1e-6 * values[0]).sum()) :]
+        free = scipy.linalg.null_space(tool_twists(arm, q)[: pose.size], rcond=1e-6).T
         if step < _LAST or not len(free):
             break
         trials = q + step * np.vstack([free, -free])
