@@ -57,7 +57,8 @@ def test_risk_is_the_mean_or_the_soft_maximum_and_its_derivatives_are_exact(prob
     risk = problem.risk
     x = problem.straight + 0.1 * np.random.default_rng(0).normal(size=problem.straight.size)
     u, slope = problem.momentum(x)
-    risk.scale, risk.sharpness, risk.price = problem.energies(problem.straight), sharpness, 0.3
+    risk.scale, risk.sharpness = problem.energies(problem.straight), sharpness
+    risk.weights[0] = 0.3
     r = problem.energies(x) / risk.scale
     mean = r[1:].mean() if not sharpness else np.log(np.exp(5 * r[1:]).mean()) / 5
     assert risk.value(u) == pytest.approx(0.3 * r[0] + mean, rel=1e-12)
@@ -70,7 +71,7 @@ def test_risk_is_the_mean_or_the_soft_maximum_and_its_derivatives_are_exact(prob
     forces = risk.force(u + step * along), risk.force(u - step * along)
     second = along @ (forces[0] - forces[1]) / (2 * step)
     assert way @ risk.curvature(u, slope) @ way == pytest.approx(second, rel=1e-6)
-    risk.sharpness = risk.price = 0.0
+    risk.sharpness = risk.weights[0] = 0.0
 
 
 def test_a_payload_that_the_servo_does_not_know_costs_what_the_simulation_says():

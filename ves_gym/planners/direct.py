@@ -243,21 +243,18 @@ class MotionProblem:
     def limits(self, x: Array) -> tuple[Array, Array]:
         """Return what must be <= 0, in shares of limits (of 0.1 m for distances), and by x."""
         offset, slope = self._linear
-        values, slopes = [offset + slope @ x], [slope]
+        parts = [(offset + slope @ x, slope)]
         if self.query.system.drive == "motor":
             value, derivative = self._torque(x)
-            values += [value - 1, -value - 1]
-            slopes += [derivative, -derivative]
+            parts += [(value - 1, derivative), (-value - 1, -derivative)]
         if self._checker is not None:
-            value, derivative = self._distance(x, self._checker)
-            values.append(value)
-            slopes.append(derivative)
-        return np.concatenate(values), np.vstack(slopes)
+            parts.append(self._distance(x, self._checker))
+        return stacked(parts)
 
     @cached_property
     def _linear(self) -> tuple[Array, Array]:
         """offset + slope @ x <= 0: the control polygons of velocity and acceleration."""
-        offsets, slopes = [np.zeros(0)], [np.zeros((0, self.straight.size))]
+        parts = [(np.zeros(0), np.zeros((0, self.straight.size)))]
         t = knots(self.m) * self.query.duration
         ends = self.control(np.zeros_like(self.straight))
         polygon = np.eye(self.m)
@@ -272,10 +269,9 @@ class MotionProblem:
             rows = np.kron(polygon[:, self._inner], np.diag(1 / most))
             at_rest = (polygon @ ends) / most
             active = np.abs(rows).max(axis=1) > 0
-            both = (at_rest + up).ravel(), -(at_rest + down).ravel()
-            offsets += [part[active] - 1 for part in both]
-            slopes += [rows[active], -rows[active]]
-        return np.concatenate(offsets), np.vstack(slopes)
+            parts.append(((at_rest + up).ravel()[active] - 1, rows[active]))
+            parts.append((-(at_rest + down).ravel()[active] - 1, -rows[active]))
+        return stacked(parts)
 
     def _yielding(self, t: Array, order: int) -> Array:
         """Largest and least rate of pushed joints while a point of the polygon acts (2, k, n).
@@ -343,3 +339,8 @@ class MotionProblem:
         rows = -10 * at[:, :, None] * slope[:, None, :]
         lack = 10 * (least - np.concatenate([k.distance for k in near]))
         return lack, rows.reshape(len(lack), x.size)
+
+
+def stacked(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Values one after another, and their derivatives."""
+    return np.concatenate([v for v, _ in parts]), np.vstack([slope for _, slope in parts])

@@ -109,14 +109,10 @@ class MeanEnergy(QuadraticForm):
         self.inputs = 6 if self.described is None else 6 + system.arm.n
         self.t = np.linspace(0, duration, nodes + 1)
         self.system, self.at = system, at
-        u0 = np.zeros(6) if momentum is None else momentum
         M, middle = inertia_along(self.linear, at, self.t)
         A, B = self.linear.plant(middle)
-        driven = self.linear.coupled[: self.inputs]
-        steps = hold(A, B[..., driven], self.t[1])
-        start = np.zeros(2 * self.linear.size)
-        if base is not None or u0.any():
-            start = self.linear.begin(M[0], base, u0)
+        steps = hold(A, B[..., self.linear.coupled[: self.inputs]], self.t[1])
+        start = self.linear.begin(M[0], base, np.zeros(6) if momentum is None else momentum)
         super().__init__(self._form(M, steps, start))
 
     def of(self, motion: Motion) -> float:

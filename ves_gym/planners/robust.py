@@ -26,7 +26,7 @@ from ves_gym._util.params import Array, ParameterError, read_result, read_table,
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import has
-from ves_gym.planners.direct import MotionProblem
+from ves_gym.planners.direct import MotionProblem, stacked
 from ves_gym.planners.objective import MeanEnergy, running_integral
 from ves_gym.planners.query import Query, first_violation
 from ves_gym.planners.refine import _FREE, Refined
@@ -158,9 +158,9 @@ class Robust:
         level = math.log(gained / spent * (1 - s) / s)
         low, high = (level - _SPAN, spent), (math.inf, 0.0)  # too little, enough
         for _ in range(_ROUNDS):
-            risk.price = math.exp(level)
+            risk.weights[0] = math.exp(level)
             x = minimise(problem, x0 + s * (free - x0), tolerance=_TOLERANCE).x
-            risk.price = 0.0
+            risk.weights[0] = 0.0
             yield x
             paid = problem.price(x) - 1
             if most - _NEAR_PRICE <= paid <= most:
@@ -213,8 +213,8 @@ class Risk:
     """Mean or soft maximum of several energies, each over its scale, and a price on the first.
 
     With r = E / scale over all but the first machine: price E_0 / scale_0 + log(mean(exp(s r)))
-    / s, which is the mean of r for s = 0 and tends to its largest. With `only` it is the energy
-    of one machine over its scale.
+    / s, which is the mean of r for s = 0 and tends to its largest. `weights` are the price and
+    those of the mean.
 
     Args:
         forms: energies of the machines, the described one's first.
@@ -225,8 +225,8 @@ class Risk:
         self.forms, self.groups = forms, groups
         self.t, self.linear = forms[0].t, forms[0].linear
         self.scale = np.ones(len(forms))  # J
-        self.sharpness = self.price = 0.0
-        self.only: int | None = None
+        self.sharpness = 0.0
+        self.weights = np.r_[0.0, np.full(len(forms) - 1, 1 / (len(forms) - 1))]
         sizes = [len(forms[groups.index(k)].hessian) for k in range(max(groups) + 1)]
         ends = np.cumsum([0, *sizes]).tolist()
         self.parts = [slice(ends[g], ends[g + 1]) for g in groups]  # of u, per machine
@@ -239,12 +239,10 @@ class Risk:
     def value(self, u: Array) -> float:
         """The function itself [1]."""
         r = self.energies(u) / self.scale
-        if self.only is not None:
-            return float(r[self.only])
         if self.sharpness == 0:
-            return float(self.price * r[0] + r[1:].mean())
+            return float(self.weights @ r)
         soft = scipy.special.logsumexp(self.sharpness * r[1:]) - np.log(len(r) - 1)
-        return float(self.price * r[0] + soft / self.sharpness)
+        return float(self.weights[0] * r[0] + soft / self.sharpness)
 
     def force(self, u: Array) -> Array:
         """Derivative of `value`."""
@@ -264,7 +262,7 @@ class Risk:
                 directions = slope[self.parts[members[0]]]
                 hessian = sum(weights[i] * self.forms[i].hessian for i in members)
                 out += directions.T @ (hessian @ directions)
-        if self.sharpness == 0 or self.only is not None:
+        if self.sharpness == 0:
             return out
         scaled = list(zip(self.forms, self.parts, self.scale, strict=True))[1:]
         rows = np.array([slope[at].T @ form.force(u[at]) / size for form, at, size in scaled])
@@ -275,11 +273,11 @@ class Risk:
 
     def _weights(self, u: Array) -> Array:
         """Derivative of `value` by every machine's energy (k,) [1/J]."""
-        if self.only is not None:
-            return np.eye(len(self.scale))[self.only] / self.scale
+        if self.sharpness == 0:
+            return self.weights / self.scale
         r = self.energies(u)[1:] / self.scale[1:]
         share = scipy.special.softmax(self.sharpness * r)
-        return np.r_[self.price, share] / self.scale
+        return np.r_[self.weights[0], share] / self.scale
 
 
 class ScenarioProblem(MotionProblem):
@@ -308,12 +306,12 @@ class ScenarioProblem(MotionProblem):
 
     def informed(self, x: Array) -> Array:
         """Least energy on every machine [J] of a motion made for it alone, starting from x."""
-        risk, out = self.risk, []
-        for k, group in enumerate(risk.groups):
-            risk.only, self.limited = k, range(group, group + 1)
-            out.append(minimise(self, x, tolerance=_COARSE).energy * risk.scale[k])
-        risk.only, self.limited = None, range(len(self.arms))
-        return np.array(out)
+        usual, out = self.risk.weights, []
+        for alone, group in zip(np.eye(len(usual)), self.risk.groups, strict=True):
+            self.risk.weights, self.limited = alone, range(group, group + 1)
+            out.append(minimise(self, x, tolerance=_COARSE).energy)
+        self.risk.weights, self.limited = usual, range(len(self.arms))
+        return np.array(out) * self.risk.scale
 
     def form_at(self, at: Array, system: System | None = None) -> MeanEnergy:  # type: ignore[override]
         """E_mean on a machine whose servo is fed forward by the query's arm."""
@@ -333,14 +331,13 @@ class ScenarioProblem(MotionProblem):
 
     def momentum(self, x: Array) -> tuple[Array, Array]:
         """Samples of every arm's momentum, one after another, and their derivative."""
-        parts = [super().momentum(x), *(other.momentum(x) for other in self._others)]
-        return np.concatenate([u for u, _ in parts]), np.vstack([slope for _, slope in parts])
+        return stacked([super().momentum(x), *(other.momentum(x) for other in self._others)])
 
     def _torque(self, x: Array) -> tuple[Array, Array]:
         parts = [self._others[k - 1]._torque(x) for k in self.limited if k]
         if 0 in self.limited:
             parts.append(super()._torque(x))
-        return np.concatenate([v for v, _ in parts]), np.vstack([s for _, s in parts])
+        return stacked(parts)
 
     def add_torque_samples(self, x: Array) -> bool:
         """Sample each arm's torque also at its peaks; True if any passes its share."""
