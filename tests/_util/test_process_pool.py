@@ -11,7 +11,8 @@ import pytest
 from pebble import ProcessExpired
 
 from ves_gym._util.params import ParameterError
-from ves_gym._util.process_pool import ONE_THREAD, Workers
+from ves_gym._util.process_pool import Workers
+from ves_gym._util.threads import ONE_THREAD
 
 ROOT = Path(__file__).parents[2]
 

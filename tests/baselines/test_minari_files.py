@@ -1,6 +1,7 @@
 """Data sets in Minari's own hands: read by Minari, replayed in the environment it recovers."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -80,3 +81,32 @@ def test_a_data_set_is_replaced_whole_and_other_folders_are_refused(made, tmp_pa
     (tmp_path / "metadata.json").write_text(json.dumps({"data_format": "hdf5"}))
     with pytest.raises(ParameterError, match="no data set"):
         replay(tmp_path)
+
+
+def test_code_that_a_data_set_names_is_not_run(made, tmp_path):
+    """Claim: of a data set's specification only a registered id and plain settings are used:
+    entry points, wrappers and folders in it do nothing."""
+    _, data, _ = made
+    folder = write_dataset(data, tmp_path)
+    file, sign = folder / "data" / "metadata.json", tmp_path / "sign"
+    metadata = json.loads(file.read_text())
+    call = {"entry_point": "subprocess:call", "kwargs": {"args": ["touch", str(sign)]}}
+    wrapper = {"name": "x", "entry_point": "subprocess:call", "kwargs": {"args": ["true"]}}
+    plain = json.loads(metadata["env_spec"])
+    kwargs = plain["kwargs"] | {"dump": str(tmp_path / "dump")}
+    for changes, said in (
+        ({"id": "mine/Own-v0", **call}, "known: ves/"),
+        (call, "args"),
+        ({"additional_wrappers": [wrapper], "kwargs": kwargs}, None),
+        ({"kwargs": plain["kwargs"] | {"task": "this:s"}}, "task must be one of"),
+        ({"id": "CartPole-v1", "kwargs": {}}, "an environment of ves_gym"),
+    ):
+        metadata["env_spec"] = json.dumps(plain | changes)
+        file.write_text(json.dumps(metadata))
+        if said is None:
+            assert replay(folder).exact
+        else:
+            with pytest.raises((ParameterError, TypeError), match=said):
+                replay(folder)
+    assert not sign.exists() and not (tmp_path / "dump").exists()
+    assert "this" not in sys.modules

@@ -9,9 +9,10 @@ import json
 
 import pytest
 
+from ves_gym._util.child_process import Child
 from ves_gym.planners import ompl_search
 from ves_gym.planners.benchmark import run_benchmark
-from ves_gym.planners.ompl_search import Ompl, SearchProcess
+from ves_gym.planners.ompl_search import Ompl
 from ves_gym.planners.registry import PLANNERS
 from ves_gym.planners.suites import get_suite
 from ves_gym.system.system import System
@@ -28,7 +29,7 @@ w.search = faulty
 w.serve()
 """
 FAULTS = {
-    "crash": ("os.kill(os.getpid(), 11)", "the search crashed: exit status -11"),
+    "crash": ("os.kill(os.getpid(), 11)", "the search crashed: SIGSEGV"),
     "hang": ("time.sleep(600)", "did not answer within 4 s and was killed"),
     "bad cost": ("metric.Metric.edge = lambda *a: float('nan')", "BadCost: a cost must be"),
 }
@@ -40,9 +41,7 @@ FAULTS = {
 )
 def test_a_failing_search_costs_one_query(monkeypatch, fault):
     code, message = FAULTS[fault]
-    monkeypatch.setattr(
-        ompl_search, "SEARCH_PROCESS", SearchProcess(PROGRAM.format(fault=code))
-    )
+    monkeypatch.setattr(ompl_search, "SEARCH_PROCESS", Child(PROGRAM.format(fault=code)))
     monkeypatch.setitem(PLANNERS, "ompl-qt", Ompl(evaluations=300, seconds=2.0))
     suite = get_suite("reach100", system=System(), vehicle="bent-thesis")
     queries = tuple((v, q) for v, q in suite.queries if q.duration == 2.0)[:3]

@@ -286,6 +286,8 @@ BROKEN = {
     "truncated": lambda data: data[:-1],
     "a bit flipped": lambda data: data[:-100] + bytes([data[-100] ^ 1]) + data[-99:],
     "another format": lambda data: b"ves-code/0\n" + data[11:],
+    # whole, and what another processor's file is called
+    "another name": lambda data: build._mark("0" * 32, data[43:]) + data[43:],
 }
 
 
@@ -300,6 +302,43 @@ def test_a_broken_file_is_made_anew(how, empty_store, compilations):
     assert file.read_bytes() == good
     stepped()
     assert len(compilations) == 2
+
+
+@pytest.mark.skipif(os.name != "posix", reason="owners and modes are POSIX's")
+@pytest.mark.parametrize("what", ["folder", "file"])
+@pytest.mark.parametrize("fault", ["others write", "another's"])
+def test_code_that_others_could_have_put_there_is_not_run(
+    what, fault, empty_store, compilations, monkeypatch
+):
+    """Claim: a folder or file of the cache that others can write to, or that belongs to another
+    user, is compiled anew, and a folder is named; one of one's own is 0700, its files 0600.
+    """
+    first = stepped()
+    (file,) = empty_store.iterdir()
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    at, private = (empty_store if what == "folder" else file), build._is_private
+    if fault == "others write":
+        at.chmod(0o777)
+    else:
+        which = at.stat().st_ino
+        monkeypatch.setattr(
+            build, "_is_private", lambda about: about.st_ino != which and private(about)
+        )
+    build._warn_of.cache_clear()
+    if what == "folder":
+        with pytest.warns(RuntimeWarning, match="chmod 700"):
+            assert stepped() == first
+    else:
+        assert stepped() == first
+    assert len(compilations) == 2
+
+
+@pytest.mark.skipif(os.name != "posix", reason="modes are POSIX's")
+def test_the_cache_is_the_users_alone(tmp_path, monkeypatch):
+    monkeypatch.setenv("VES_GYM_CACHE", str(tmp_path / "new"))
+    monkeypatch.setattr(build, "_functions", {})
+    stepped()
+    assert stat.S_IMODE((tmp_path / "new").stat().st_mode) == 0o700
 
 
 def test_a_cache_that_cannot_be_written_does_not_matter(tmp_path, monkeypatch, compilations):

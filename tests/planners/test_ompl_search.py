@@ -2,13 +2,13 @@
 
 import dataclasses
 import re
-import signal
 import time
 
 import numpy as np
 import pytest
 
 from tests.reach import ACROSS
+from ves_gym._util.child_process import Child
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.kinematics import frames
 from ves_gym.mechanics.motion import quintic
@@ -16,9 +16,9 @@ from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners import ompl_search
 from ves_gym.planners.metric import Metric
 from ves_gym.planners.obstacles import Box, Sphere, Surroundings
-from ves_gym.planners.ompl_search import Ompl, SearchProcess
+from ves_gym.planners.ompl_search import Ompl
 from ves_gym.planners.paths import cruise, follow, resample
-from ves_gym.planners.query import NoPlan, Query, solve
+from ves_gym.planners.query import Query, solve
 from ves_gym.system.system import System
 
 BENT = System(vehicle=BENT_THESIS)
@@ -60,8 +60,8 @@ def test_the_same_seed_gives_the_same_path(algorithm):
     first = planner.search(ACROSS, seed=3)
     repeated = planner.search(ACROSS, seed=3)
     other = planner.search(ACROSS, seed=4)
-    fresh = SearchProcess()
-    new = fresh.request(ompl_search.Request(planner, ACROSS, 3), 60.0)
+    ompl_search.SEARCH_PROCESS.end()
+    new = planner.search(ACROSS, seed=3)
     for result in (repeated, new):
         np.testing.assert_array_equal(result.path, first.path)
         assert [p[1:] for p in result.curve] == [p[1:] for p in first.curve]
@@ -128,58 +128,23 @@ def test_seconds_end_a_search():
 
 # ------------------------------------------------------------------- a child that fails
 
-# crashes and bad costs: tests/claims/test_a_failing_search_costs_one_query.py
-FAULTS = {
-    "hang": ("import time; w.search = lambda request: time.sleep(60)", "not answer within 1 s"),
-    "no start": ("raise SystemExit('no such thing')", "crashed: exit status 1"),
-}
+# crashes and bad costs: tests/claims/test_a_failing_search_costs_one_query.py; its process:
+# tests/_util/test_child_process.py
 
 
-@pytest.mark.parametrize("fault", ["hang", pytest.param("no start", marks=pytest.mark.slow)])
-def test_a_failure_in_the_child_is_reported(monkeypatch, fault):
+def test_a_failure_in_the_child_is_reported(monkeypatch):
     """As that of one query: the next one gets a new child."""
-    code, message = FAULTS[fault]
-    child = SearchProcess(f"from ves_gym.planners import ompl_search as w\n{code}\nw.serve()")
+    code = "import time; w.search = lambda request: time.sleep(60)"
+    child = Child(f"from ves_gym.planners import ompl_search as w\n{code}\nw.serve()")
     monkeypatch.setattr(ompl_search, "SEARCH_PROCESS", child)
     monkeypatch.setattr(ompl_search, "_GRACE", 0.5)
-    monkeypatch.setattr(ompl_search, "_START", 1.0 if fault == "hang" else 60.0)
     patient = Ompl(algorithm="rrtstar", evaluations=500, seconds=20.0)
-    planner = dataclasses.replace(patient, seconds=0.5) if fault == "hang" else patient
-    for _ in range(2):  # with the same child, or one started anew
-        plan = solve(planner, LONG)
-        assert message in plan.failure
+    for _ in range(2):
+        plan = solve(dataclasses.replace(patient, seconds=0.5), LONG)
+        assert "the search did not answer within 1 s" in plan.failure
         assert plan.motion is None
-    child._end()
-    child.program = SearchProcess().program
-    monkeypatch.setattr(ompl_search, "_START", 60.0)
+    monkeypatch.undo()
     assert solve(patient, LONG).motion is not None
-
-
-def test_an_interrupted_search_leaves_no_answer_behind(monkeypatch):
-    """The next request gets its own answer, not the one nobody waited for."""
-    child = SearchProcess()
-    monkeypatch.setattr(ompl_search, "SEARCH_PROCESS", child)
-    planner = Ompl(evaluations=300)
-    planner.search(LONG, 0)
-
-    def interrupt(*_):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(ompl_search.select, "select", interrupt)
-        planner.search(dataclasses.replace(LONG, start=(0.5, 0.0, 0.0)), 0)
-    np.testing.assert_allclose(planner.search(LONG, 0).path[0], LONG.start)
-
-
-def test_a_search_that_nobody_kills_ends_by_itself():
-    """Its parent gone, a planner that never returns is stopped by an alarm."""
-    code = (
-        "import time; from ves_gym.planners import ompl_search as w; w._ORPHAN = 1.0;"
-        "w.search = lambda request: time.sleep(60); w.serve()"
-    )
-    request = ompl_search.Request(Ompl(objective="q", evaluations=1, seconds=0.1), LONG, 0)
-    with pytest.raises(NoPlan, match=f"crashed: exit status -{signal.SIGALRM.value}"):
-        SearchProcess(code).request(request, 30.0)
 
 
 # ------------------------------------------------------------------------------ options

@@ -455,12 +455,13 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
-def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
+def write_bytes(path: str | os.PathLike[str], data: bytes, *, private: bool = False) -> None:
     """Write a file completely or not at all: temporary name, fsync, rename.
 
     Args:
-        path: its folder must exist.
+        path: its folder is made if it is not there.
         data: content.
+        private: nobody else may read or write it.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -470,7 +471,8 @@ def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(temporary, 0o666 & ~_umask())
+        if not private:  # as it is made
+            os.chmod(temporary, 0o666 & ~_umask())
         os.replace(temporary, path)
     except BaseException:
         os.unlink(temporary)

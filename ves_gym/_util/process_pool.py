@@ -22,18 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from ves_gym._util.own import IMPORTED, import_own
 from ves_gym._util.params import ParameterError
-
-# Numerical libraries read these when they are loaded; torch takes the first.
-ONE_THREAD = dict.fromkeys(
-    (
-        "OMP_NUM_THREADS",
-        "OPENBLAS_NUM_THREADS",
-        "MKL_NUM_THREADS",
-        "NUMBA_NUM_THREADS",
-        "VECLIB_MAXIMUM_THREADS",
-    ),
-    "1",
-)
+from ves_gym._util.threads import ONE_THREAD
 
 
 class Workers(Executor):

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-import scipy
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.reading import named, read_apart, read_bytes
 
 
 def read_columns(path: str | os.PathLike[str]) -> dict[str, Array]:
@@ -26,25 +27,31 @@ def read_columns(path: str | os.PathLike[str]) -> dict[str, Array]:
     if path.is_dir():
         return _folder(path)
     if path.suffix == ".mat":
-        try:
-            table = scipy.io.loadmat(path)
-        except (OSError, ValueError, NotImplementedError) as error:
-            raise ParameterError(f"{path}: cannot be read: {error}") from None
-        return {
-            name: np.ravel(np.asarray(value, float))
-            for name, value in table.items()
-            if not name.startswith("__") and np.asarray(value).dtype.kind in "fiu"
-        }
+        with named(path):
+            return read_apart("ves_gym._util.recordings:matlab_columns", path)
     if path.suffix == ".csv":
         return _csv(path)
     raise ParameterError(f"{path}: expected .mat, .csv or a folder of .csv files")
 
 
+def matlab_columns(path: Path) -> dict[str, Array]:
+    """Numbers of a .mat file by name, for `read_apart`."""
+    from scipy.io import loadmat
+
+    return {
+        name: np.ravel(np.asarray(value, float))
+        for name, value in loadmat(path).items()
+        if not name.startswith("__") and np.asarray(value).dtype.kind in "fiu"
+    }
+
+
 def _csv(path: Path) -> dict[str, Array]:
+    with named(path):
+        data = read_bytes(path)
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        text = data.decode()
+        rows = list(csv.reader(io.StringIO(text, newline="")))
+    except (UnicodeDecodeError, csv.Error) as error:
         raise ParameterError(f"{path}: cannot be read: {error}") from None
     if len(rows) < 2:
         raise ParameterError(f"{path}: expected a line of names and rows of numbers")

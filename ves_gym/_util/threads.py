@@ -9,6 +9,18 @@ from importlib import import_module
 
 from threadpoolctl import ThreadpoolController
 
+# Numerical libraries read these when they are loaded; torch takes the first.
+ONE_THREAD = dict.fromkeys(
+    (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "NUMBA_NUM_THREADS",
+        "VECLIB_MAXIMUM_THREADS",
+    ),
+    "1",
+)
+
 
 @contextmanager
 def on_one_thread(scipy: bool = True) -> Iterator[None]:

@@ -64,8 +64,14 @@ def load_state(
         raise ParameterError(f"{path}: cannot be read: {error.strerror}") from None
     except (SafetensorError, ValueError, KeyError) as error:
         raise ParameterError(f"{path}: no checkpoint: {error}") from None
-    systems = [System.from_dict(plain, str(path)) for plain in tree["systems"]]
-    return _unpack(tree["value"], arrays, systems, references or {})
+    try:
+        systems = [System.from_dict(plain, str(path)) for plain in tree["systems"]]
+        return _unpack(tree["value"], arrays, systems, references or {})
+    except ParameterError:
+        raise
+    except Exception as error:  # a damaged tree
+        what = f"{type(error).__name__}: {error}"
+        raise ParameterError(f"{path}: no checkpoint that is whole: {what}") from None
 
 
 class _Packer:

@@ -7,10 +7,10 @@ however many run at once. Every episode counts, failures included.
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Any
 
 import gymnasium as gym
@@ -190,15 +190,16 @@ def spec_of(id: str) -> EnvSpec:
     """Return what is registered under an id; an unknown one is refused with the known ones.
 
     Args:
-        id: also "module:id", as `gym.make` takes it: the module is imported first.
+        id: also "module:id", of a module that is imported: an id may come from a file, and
+            nothing that is read is run.
     """
     module, _, plain = id.rpartition(":")
+    if module and module not in sys.modules:
+        raise ParameterError(
+            f"{id}: module {module!r} is not imported; import it first (--import {module})"
+        )
     try:
-        if module:
-            import_module(module)
         return gym.spec(plain)
-    except ImportError as error:
-        raise ParameterError(f"{id}: {error}") from None
     except gym.error.Error as error:
         ids = sorted(k for k in gym.registry if k.startswith("ves/"))
         raise ParameterError(

@@ -6,6 +6,7 @@ which holds the environment's specification, and `main_data.hdf5`, which holds t
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import tempfile
@@ -19,6 +20,7 @@ import numpy as np
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.reading import named, read_apart
 from ves_gym._util.version import __version__
 from ves_gym.baselines.dataset import (
     Dataset,
@@ -26,8 +28,11 @@ from ves_gym.baselines.dataset import (
     Float32,
     flat_observations,
 )
+from ves_gym.baselines.evaluate import spec_of
 
 PACKAGES = ("minari", "h5py")
+_COLUMNS = ("actions", "rewards", "terminations", "truncations")  # of an episode
+_OURS = ("dump", "render_mode")  # what whoever replays decides
 # What replaying may differ by on another processor: rewards are computed in double precision,
 # observations are rounded to single (two neighbours of numbers up to 5 are 5e-7 apart).
 REWARDS, OBSERVATIONS = 1e-9, 1e-6
@@ -62,7 +67,7 @@ def write_dataset(dataset: Dataset, root: str | os.PathLike[str]) -> Path:
         root: such as Minari's `MINARI_DATASETS_PATH`.
 
     Returns:
-        The folder, which `open_dataset` and `minari.load_dataset` read.
+        The folder, which `read_episodes` and `minari.load_dataset` read.
     """
     require("a data set", *PACKAGES)
     from minari.data_collector import EpisodeBuffer
@@ -118,27 +123,6 @@ def write_dataset(dataset: Dataset, root: str | os.PathLike[str]) -> Path:
     return target
 
 
-def open_dataset(path: str | os.PathLike[str]) -> Any:
-    """Return Minari's `MinariDataset` of a folder.
-
-    Raises:
-        ParameterError: no data set there.
-    """
-    require("a data set", *PACKAGES)
-    import minari
-
-    folder = Path(path) / "data"  # as in Minari's own folders
-    folder = folder if folder.is_dir() else Path(path)
-    if not (folder / "metadata.json").is_file():
-        raise ParameterError(
-            f"{folder}: expected the folder of a data set, got no metadata.json"
-        )
-    try:
-        return minari.MinariDataset(folder)
-    except (OSError, ValueError, KeyError, AssertionError) as error:
-        raise ParameterError(f"{folder}: is no data set of Minari: {error}") from error
-
-
 def read_episodes(path: str | os.PathLike[str]) -> list[Episode]:
     """Read the episodes of a data set's folder.
 
@@ -148,37 +132,83 @@ def read_episodes(path: str | os.PathLike[str]) -> list[Episode]:
     Raises:
         ParameterError: no data set, or episodes without seeds.
     """
-    stored = open_dataset(path)
-    abouts = stored.storage.get_episode_metadata(stored.episode_indices)
-    out = []
-    for episode, about in zip(stored.iterate_episodes(), abouts, strict=True):
-        if about.get("seed") is None:
-            raise ParameterError(f"{path}: expected the seed of every episode, got none")
-        out.append(
-            Episode(
-                int(about["seed"]),
-                str(about.get("behaviour", "")),
-                episode.observations,
-                episode.actions,
-                episode.rewards,
-                episode.terminations,
-                episode.truncations,
-                bool(about.get("success", False)),
-            )
+    return _read(path)[1]
+
+
+def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], list[Episode]]:
+    """Specification of the environment, and the episodes."""
+    require("a data set", *PACKAGES)
+    folder = Path(path) / "data"  # as in Minari's own folders
+    folder = folder if folder.is_dir() else Path(path)
+    for name in ("metadata.json", "main_data.hdf5"):
+        if not (folder / name).is_file():
+            raise ParameterError(f"{folder}: is no data set of Minari: it has no {name}")
+    with named(folder):
+        arrays = read_apart(
+            "ves_gym.baselines.minari_files:arrays_of", folder / "main_data.hdf5"
         )
-    return out
+        about = json.loads(str(arrays["about"]))
+        if any(k["seed"] is None for k in about["episodes"]):
+            raise ParameterError("expected the seed of every episode, got none")
+    parts: list[dict[str, Any]] = [{} for _ in about["episodes"]]
+    for name, values in arrays.items():
+        number, _, part = name.partition(":")
+        if part:
+            parts[int(number)][part] = values
+    episodes = []
+    for k, arrays in zip(about["episodes"], parts, strict=True):
+        seen = {name[13:]: v for name, v in arrays.items() if name.startswith("observations:")}
+        observations = seen.get("", seen)  # goals have names
+        columns = {name: arrays[name] for name in _COLUMNS}
+        episodes.append(Episode(observations=observations, **columns, **k))
+    return about["env"], episodes
+
+
+def arrays_of(file: Path) -> dict[str, Any]:
+    """A data set as plain arrays, for `read_apart`."""
+    import minari
+
+    try:
+        stored = minari.MinariDataset(file.parent)
+        spec = json.loads(json.loads((file.parent / "metadata.json").read_text())["env_spec"])
+        abouts = list(stored.storage.get_episode_metadata(stored.episode_indices))
+    except (OSError, ValueError, KeyError, TypeError, AssertionError) as error:
+        raise ParameterError(f"is no data set of Minari: {error}") from None
+    episodes: list[dict[str, Any]] = []
+    out: dict[str, Any] = {}
+    for number, (episode, about) in enumerate(
+        zip(stored.iterate_episodes(), abouts, strict=True)
+    ):
+        seed = about.get("seed")
+        episodes.append(
+            {
+                "seed": None if seed is None else int(seed),
+                "behaviour": str(about.get("behaviour", "")),
+                "success": bool(about.get("success", False)),
+            }
+        )
+        seen = episode.observations
+        seen = seen if isinstance(seen, dict) else {"": seen}
+        out |= {f"{number}:observations:{name}": values for name, values in seen.items()}
+        out |= {f"{number}:{name}": getattr(episode, name) for name in _COLUMNS}
+    about = json.dumps({"env": spec, "episodes": episodes})
+    return {"about": np.array(about), **{k: np.asarray(v) for k, v in out.items()}}
 
 
 def replay(path: str | os.PathLike[str]) -> Replay:
     """Carry out the stored actions in the environment that the data set names.
 
     Args:
-        path: folder of the data set. The environment is made from the specification in it,
-            every episode is begun from its stored seed.
+        path: folder of the data set. The environment is the registered one of the id in it,
+            with the settings in it; every episode is begun from its stored seed.
+
+    Raises:
+        ParameterError: no data set, or an environment that is none of this package.
     """
-    env = open_dataset(path).recover_environment()
+    about, episodes = _read(path)
+    with named(path):
+        env = _environment(about)
     steps, rewards, observations, ends = 0, 0.0, 0.0, True
-    episodes = read_episodes(path)
     for episode in episodes:
         rows, paid, over = _again(env, episode.seed, episode.actions)
         before = flat_observations(episode.observations)
@@ -191,6 +221,15 @@ def replay(path: str | os.PathLike[str]) -> Replay:
         observations = max(observations, float(np.abs(rows - before).max()))
     env.close()
     return Replay(len(episodes), steps, rewards, observations, ends)
+
+
+def _environment(about: dict[str, Any]) -> Any:
+    """The environment of a specification: of its names only the id, registered, is used."""
+    spec = spec_of(str(about.get("id")))
+    if not (isinstance(spec.entry_point, str) and spec.entry_point.startswith("ves_gym.")):
+        raise ParameterError(f"expected an environment of ves_gym, got {spec.id}")
+    settings = {k: v for k, v in (about.get("kwargs") or {}).items() if k not in _OURS}
+    return gym.make(spec, **settings)
 
 
 def _again(env: Any, seed: int, actions: Float32) -> tuple[Float32, Array, Array]:

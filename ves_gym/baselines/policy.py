@@ -242,7 +242,12 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
         raise ParameterError(f"{file}: weights cannot be read: {error.strerror}") from None
     if hashlib.sha256(data).hexdigest() != plain["weights"]:
         raise ParameterError(f"{file}: these are not the weights that {path.name} names")
-    arrays = _safetensors().load(data)
+    from safetensors import SafetensorError
+
+    try:
+        arrays = _safetensors().load(data)
+    except (SafetensorError, ValueError, KeyError) as error:
+        raise ParameterError(f"{file}: weights cannot be read: {error}") from None
     layers = range(len(network.sizes) - 1)
     names = [f"layer{i}.{k}" for i in layers for k in ("weight", "bias")]
     if set(arrays) != set(names):

@@ -79,7 +79,7 @@ def build_task(
     """A task with some of its settings changed.
 
     Args:
-        task: name, "package.module:Class", a class, or a task whose settings are the defaults.
+        task: name, a class, or a task whose settings are the defaults.
         system: what to simulate: a `System`, its plain data, a name or a .toml or .json file.
         mode: ideal or emulated; changes the system's.
         vehicle: name, file, plain data or `Vehicle`; changes the system's.
@@ -124,24 +124,17 @@ def build_task(
 
 
 def get_task(task: str | type[Task]) -> type[Task]:
-    """A task's class by name or "package.module:Class"."""
+    """A task's class, or the one registered by a name."""
     if isinstance(task, type) and issubclass(task, Task):
         return task
     if not isinstance(task, str):
         raise ParameterError(f"task must be a name or a Task, got {task!r}")
-    if ":" in task:
-        module, _, name = task.partition(":")
-        try:
-            cls = getattr(importlib.import_module(module), name)
-        except (ImportError, AttributeError) as error:
-            raise ParameterError(f"task {task!r} cannot be imported: {error}") from error
-        return get_task(cls)
     if task in _KNOWN:
         importlib.import_module(f"ves_gym.envs.{_FILES.get(task, task)}")
     if task not in TASKS:
         names = tuple(dict.fromkeys((*_KNOWN, *TASKS)))
         raise ParameterError(
-            f"task must be one of {', '.join(names)}, or module:Class, got {task!r}"
+            f"task must be one of {', '.join(names)}, or a class, got {task!r}"
             f"{did_you_mean(task, names)}"
         )
     return TASKS[task]

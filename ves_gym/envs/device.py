@@ -49,7 +49,7 @@ class DeviceVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
     Args:
         num_envs: how many.
-        task: name, "package.module:Class" or `Task`.
+        task: registered name, class or `Task`.
         precision: float64 or float32, of everything but observations (float32).
         device: of torch, "cuda:0" or "cpu"; None: the first GPU, or the CPU without one.
         starts: episodes per simulation with beginnings of their own; None: enough for

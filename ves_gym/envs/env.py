@@ -120,7 +120,7 @@ class VesEnv(Episodic, gym.Env[Any, Any]):  # type: ignore[misc]
     """An episode of a task.
 
     Args:
-        task: name, "package.module:Class" or `Task`.
+        task: registered name, class or `Task`.
         backend: engine, see `Simulator`.
         render_mode: None, "human" or "rgb_array".
         goal: observations of a goal-conditioned task as a dictionary (for HER).

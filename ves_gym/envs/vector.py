@@ -26,7 +26,7 @@ class VesVectorEnv(Episodic, gym.vector.VectorEnv[Any, Any, Any]):  # type: igno
 
     Args:
         num_envs: how many.
-        task: name, "package.module:Class" or `Task`.
+        task: registered name, class or `Task`.
         autoreset_mode: NextStep (Gymnasium's default), SameStep or Disabled.
         render_mode: None, or "rgb_array": `render` returns a frame of every environment.
         backend, threads: engine and its threads, see `Simulator`.

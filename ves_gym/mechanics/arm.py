@@ -437,6 +437,7 @@ class Arm:
         collision: bool = True,
         check: bool = True,
         rotors: Mapping[str, float] | None = None,
+        allow_outside: bool = False,
     ) -> Arm:
         """Read the chain of joints from root to tip of a URDF or MJCF file.
 
@@ -453,12 +454,13 @@ class Arm:
             check: refuse numbers that look like g, mm or kg mm^2.
             rotors: inertia of rotors about their joints [kg m^2], by name, in place of the
                 file's: what a file of links that were identified or rounded lacks.
+            allow_outside: read meshes that a URDF names outside its folder and its package.
 
         Raises:
             ParameterError: names the link or the joint, and what is wrong with it.
         """
         files, held, added = _files(), dict(locked or {}), dict(rotors or {})
-        choice = files.ChainChoice(tip, root, held, collision, check, added)
+        choice = files.ChainChoice(tip, root, held, collision, check, added, allow_outside)
         arm: Arm = files.read_file(path, choice)
         return arm
 

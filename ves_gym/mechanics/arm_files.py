@@ -13,6 +13,7 @@ import numpy as np
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.reading import named, read_xml
 from ves_gym.mechanics.arm import Arm, Capsule, Inertial
 from ves_gym.mechanics.arm_reader import ChainChoice, arm_of_tree
 from ves_gym.mechanics.attitude import from_matrix
@@ -32,21 +33,13 @@ _LEAST = 1e-13  # kg, kg m^2: what MuJoCo takes of a body that moves
 def read_file(path: str | os.PathLike[str], choice: ChainChoice) -> Arm:
     """Read an arm from a URDF or MJCF file, see `Arm.from_file`."""
     path = Path(path)
-    try:
-        top = _top(path)
+    with named(path.name), np.errstate(all="ignore"):  # what overflows is refused
+        top = read_xml(path).tag
         if top not in ("robot", "mujoco"):
             raise ParameterError(f"expected <robot> or <mujoco> at the top, got <{top}>")
-        return arm_of_tree(UrdfTree(path) if top == "robot" else MjcfTree(path), choice)
-    except ParameterError as error:
-        raise ParameterError(f"{path.name}: {error}") from None
-
-
-def _top(path: Path) -> str:
-    """Tag at the top of an XML file."""
-    try:
-        return str(next(ElementTree.iterparse(path, events=("start",)))[1].tag)
-    except (OSError, StopIteration, ElementTree.ParseError) as error:
-        raise ParameterError(f"cannot be read: {error}") from None
+        urdf = top == "robot"
+        tree = UrdfTree(path, choice.allow_outside) if urdf else MjcfTree(path)
+        return arm_of_tree(tree, choice)
 
 
 def _joint_names(arm: Arm) -> list[str]:

@@ -34,6 +34,7 @@ class ChainChoice(NamedTuple):
     collision: bool
     check: bool
     rotors: dict[str, float]  # name -> inertia about the joint [kg m^2], where not the file's
+    allow_outside: bool = False  # meshes of a URDF may lie anywhere
 
 
 @dataclass
@@ -113,6 +114,8 @@ class Tree(ABC):
         stack: list[tuple[str, str | None]] = [(root, None)]
         while stack:
             body, mover = stack.pop()
+            if body in out:
+                raise ParameterError(f"{self.noun} {body!r} hangs on itself, round a loop")
             if body != root:
                 mover = [mover, *(j.name for j in self.joints[body] if j.name in joints)][-1]
             out[body] = mover

@@ -18,7 +18,9 @@ import numpy as np
 import scipy
 
 from ves_gym._util.params import ParameterError
+from ves_gym._util.reading import named, read_apart
 
+_PARTS = ("data", "indices", "indptr")  # of a sparse matrix by columns
 Label = tuple[int, int]  # node and component 1 to 6 (0: a scalar point)
 
 
@@ -42,27 +44,46 @@ def read_matrices(path: str | os.PathLike[str]) -> dict[str, NamedMatrix]:
     if suffix not in _READERS:
         names = ", ".join([*_READERS, ".mtx.gz"])
         raise ParameterError(f"{path}: expected one of {names}, got {suffix!r}")
+    with named(path):
+        arrays = read_apart("ves_gym.mechanics.matrix_files:arrays_of", path)
+    out = {}
+    for k, name in enumerate(arrays["names"].tolist()):
+        data, rows, ends = (arrays[f"{part}{k}"] for part in _PARTS)
+        size = (len(ends) - 1,) * 2
+        labels = tuple(map(tuple, arrays[f"labels{k}"].tolist())) or None
+        out[name] = NamedMatrix(name, scipy.sparse.csc_array((data, rows, ends), size), labels)
+    return out
+
+
+def arrays_of(path: Path) -> dict[str, Any]:
+    """Every matrix of a file as plain arrays, for `read_apart`."""
+    suffix = ".mtx" if path.name.endswith(".mtx.gz") else path.suffix.lower()
     try:
         matrices = _READERS[suffix](path)
-    except ParameterError:
+    except (ParameterError, MemoryError):
         raise
-    except (OSError, ValueError, EOFError, IndexError, KeyError) as error:
-        raise ParameterError(f"{path}: cannot be read as {suffix}: {error}") from None
+    except Exception as error:  # a damaged file makes a decoder raise nearly anything
+        raise ParameterError(f"cannot be read as {suffix}: {error}") from None
     if not matrices:
-        raise ParameterError(f"{path}: expected at least one matrix, got none")
-    for matrix in matrices:
-        _check(matrix, path)
-    return {matrix.name: matrix for matrix in matrices}
+        raise ParameterError("expected at least one matrix, got none")
+    out: dict[str, Any] = {"names": np.array([matrix.name for matrix in matrices])}
+    for k, matrix in enumerate(matrices):
+        _check(matrix)
+        whole = scipy.sparse.csc_array(matrix.values)
+        parts = (getattr(whole, part) for part in _PARTS)
+        out |= {f"{part}{k}": array for part, array in zip(_PARTS, parts, strict=True)}
+        out[f"labels{k}"] = np.array(matrix.labels or np.zeros((0, 2)), int)
+    return out
 
 
-def _check(matrix: NamedMatrix, path: Path) -> None:
+def _check(matrix: NamedMatrix) -> None:
     values = matrix.values
     if values.ndim != 2 or values.shape[0] != values.shape[1]:
-        raise ParameterError(f"{path}: {matrix.name} must be square, got {values.shape}")
+        raise ParameterError(f"{matrix.name} must be square, got {values.shape}")
     if values.dtype.kind not in "fiu":
-        raise ParameterError(f"{path}: {matrix.name} must be real, got {values.dtype}")
+        raise ParameterError(f"{matrix.name} must be real, got {values.dtype}")
     if not np.isfinite(values.data).all():
-        raise ParameterError(f"{path}: {matrix.name} must be finite")
+        raise ParameterError(f"{matrix.name} must be finite")
 
 
 def _stem(path: Path) -> str:
@@ -196,7 +217,7 @@ def _op4(path: Path) -> list[NamedMatrix]:
     data = path.read_bytes()
     if b"\0" in data[:64]:
         raise ParameterError(
-            f"{path}: expected OP4 as text, got binary: write it with FORMATTED, or convert it"
+            "expected OP4 as text, got binary: write it with FORMATTED, or convert it"
             " (pyNastran's read_op4 and write_op4)"
         )
     lines = data.decode("ascii", errors="replace").splitlines()

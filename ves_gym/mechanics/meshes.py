@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.reading import named, read_bytes, read_xml
 
 _FORMATS = (".stl", ".obj", ".dae")
 _SWELL = (1.0, 1.05, 1.1, 1.2, 1.4)  # radii tried: a thicker capsule may be shorter
@@ -32,14 +33,17 @@ def mesh_points(path: Path) -> Array:
     kind = path.suffix.lower()
     if kind not in _FORMATS:
         raise ParameterError(f"mesh {path.name}: must be one of {', '.join(_FORMATS)}")
-    try:
-        data = path.read_bytes()
-        read = {".stl": _stl, ".obj": _obj, ".dae": _collada}[kind]
-        points = read(data).reshape(-1, 3)
-    except (OSError, ValueError, ElementTree.ParseError) as error:
-        raise ParameterError(f"mesh {path.name} cannot be read: {error}") from None
-    if len(points) == 0 or not np.isfinite(points).all():
-        raise ParameterError(f"mesh {path.name} has no points")
+    with named(f"mesh {path.name}"), np.errstate(all="ignore"):
+        try:
+            if kind == ".dae":
+                points = _collada(read_xml(path))
+            else:
+                points = (_stl if kind == ".stl" else _obj)(read_bytes(path))
+        except (ValueError, IndexError, OverflowError) as error:
+            raise ParameterError(f"cannot be read: {error}") from None
+        points = points.reshape(-1, 3)
+        if len(points) == 0 or not np.isfinite(points).all():
+            raise ParameterError("has no points")
     return np.unique(points, axis=0)
 
 
@@ -122,9 +126,8 @@ def _numbers(rows: list[tuple[bytes, ...]]) -> Array:
     return np.array([[float(k) for k in row] for row in rows], float)
 
 
-def _collada(data: bytes) -> Array:
+def _collada(tree: Element) -> Array:
     """Points of all geometries of the scene, in m, the file's z up."""
-    tree = ElementTree.fromstring(data)
     for element in tree.iter():
         element.tag = element.tag.rpartition("}")[2]
     unit = tree.find("./asset/unit")
@@ -132,7 +135,7 @@ def _collada(data: bytes) -> Array:
     shapes = {k.get("id"): _collada_points(k) for k in tree.iter("geometry")}
     out: list[Array] = []
 
-    def walk(node: ElementTree.Element, at: Array) -> None:
+    def walk(node: Element, at: Array) -> None:
         for child in node:
             values = (
                 [float(k) for k in (child.text or "").split()] if child.tag in _MOVES else []
@@ -163,7 +166,7 @@ def _collada(data: bytes) -> Array:
 _MOVES = ("matrix", "translate", "scale", "rotate")
 
 
-def _collada_points(geometry: ElementTree.Element) -> Array:
+def _collada_points(geometry: Element) -> Array:
     """(k, 3) positions of one geometry."""
     mesh = geometry.find("mesh")
     if mesh is None:

@@ -23,13 +23,10 @@ class MjcfTree(Tree):
     noun, tip_nouns, moving = "body", "body or the site", "hinge or slide"
 
     def __init__(self, path: Path) -> None:
-        from ves_gym._util.mujoco_loader import mujoco
+        from ves_gym._util.mujoco_loader import mujoco, read_model
 
         self.path, self.mj = path, mujoco
-        try:
-            self.model = m = mujoco.MjModel.from_xml_path(str(path))
-        except (ValueError, OSError) as error:
-            raise ParameterError(f"MuJoCo cannot compile it: {error}") from None
+        self.model = m = read_model(path)
         self.data = mujoco.MjData(m)
         self.name = bytes(m.names).split(b"\0", 1)[0].decode()
         if self.name in ("", "MuJoCo Model"):

@@ -7,13 +7,13 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.reading import read_xml
 from ves_gym.mechanics.arm_reader import Tree, TreeJoint, body_mass
 from ves_gym.mechanics.chain import ENDLESS, Joint, LinkMass, Lump, Segment
 from ves_gym.mechanics.meshes import box_corners, capsule_around, mesh_points
@@ -38,11 +38,9 @@ class UrdfTree(Tree):
 
     noun, tip_nouns, moving = "link", "link", "revolute or prismatic"
 
-    def __init__(self, path: Path) -> None:
-        try:
-            robot = ElementTree.fromstring(path.read_bytes())
-        except (OSError, ElementTree.ParseError) as error:
-            raise ParameterError(f"cannot be read: {error}") from None
+    def __init__(self, path: Path, outside: bool = False) -> None:
+        """`outside`: read meshes that lie outside the file's folder and package."""
+        self.outside, robot = outside, read_xml(path)
         if any("xacro" in element.tag for element in robot.iter()):
             raise ParameterError("is a xacro, not yet a URDF: run `xacro` on it first")
         self.path, self.name = path, robot.get("name") or path.stem
@@ -116,19 +114,20 @@ class UrdfTree(Tree):
                 pose = pose @ Pose(Rotation.from_rotvec(turn).as_matrix(), way)
             self.poses[link] = pose
 
-    def position(self, joint: TreeJoint, locked: Mapping[str, float], depth: int = 0) -> float:
+    def position(self, joint: TreeJoint, locked: Mapping[str, float]) -> float:
         """Return where a joint stands still: as asked for, as its leader does, or at zero."""
-        mimic = self.elements[joint.name].find("mimic")
-        # two joints may mimic each other
-        if joint.name in locked or mimic is None or depth > len(self.elements):
-            return float(locked.get(joint.name, 0.0))
-        where, leader = f"joint {joint.name!r}", mimic.get("joint", "")
-        if leader not in self.elements:
-            raise ParameterError(f"{where} mimics {leader!r}, which is not there")
-        follows = self.position(TreeJoint(leader, ""), locked, depth + 1)
-        return number(mimic, "multiplier", where, 1.0) * follows + number(
-            mimic, "offset", where, 0.0
-        )
+        name, gain, shift = joint.name, 1.0, 0.0
+        for _ in self.elements:  # two joints may mimic each other
+            mimic = self.elements[name].find("mimic")
+            if name in locked or mimic is None:
+                break
+            where, leader = f"joint {name!r}", mimic.get("joint", "")
+            if leader not in self.elements:
+                raise ParameterError(f"{where} mimics {leader!r}, which is not there")
+            shift += gain * number(mimic, "offset", where, 0.0)
+            gain *= number(mimic, "multiplier", where, 1.0)
+            name = leader
+        return gain * float(locked.get(name, 0.0)) + shift
 
     def chain_joints(self, free: list[TreeJoint]) -> list[Joint]:
         """Return the free joints with their limits."""
@@ -198,12 +197,12 @@ class UrdfTree(Tree):
             name = shape.get("name") or ""
             stem = name.removesuffix("_start").removesuffix("_end")
             if stem == name or stem not in names:
-                a, b, radius = _capsule(self.path, shape, f"link {body!r}")
+                a, b, radius = _capsule(self.path, shape, f"link {body!r}", self.outside)
                 out.append((pose.R @ a + pose.p, pose.R @ b + pose.p, radius))
         return out
 
 
-def _capsule(path: Path, shape: Element, where: str) -> Segment:
+def _capsule(path: Path, shape: Element, where: str, outside: bool) -> Segment:
     """A capsule that holds a <collision>, in its link's frame."""
     at = _origin(shape, where)
     kind = next(iter(_child(shape, "geometry")), None)
@@ -218,7 +217,7 @@ def _capsule(path: Path, shape: Element, where: str) -> Segment:
     if tag == "box":
         points = box_corners(vector(kind, "size", f"{where}: a box") / 2)
     elif tag == "mesh":
-        file = _mesh_file(path, kind.get("filename") or "", where)
+        file = _mesh_file(path, kind.get("filename") or "", where, outside)
         try:
             points = mesh_points(file)
         except ParameterError as error:
@@ -231,28 +230,36 @@ def _capsule(path: Path, shape: Element, where: str) -> Segment:
     return capsule_around(points @ at.R.T + at.p)
 
 
-def _mesh_file(path: Path, name: str, where: str) -> Path:
-    """Return the file of a mesh; package:// is looked for around the URDF and on the paths
-    that ROS goes by."""
-    tried: list[Path] = []
+def _mesh_file(path: Path, name: str, where: str, outside: bool) -> Path:
+    """Return the file of a mesh: near the URDF, or in its package, which package:// names and
+    ROS's paths lead to; elsewhere only if `outside`."""
     folder = path.resolve().parent
+    around = (folder, *folder.parents)
+    tried: list[tuple[Path, str]] = []  # folder that it must be in, and where in it
     if name.startswith("package://"):
         package, _, inner = name.removeprefix("package://").partition("/")
-        for place in (folder, *folder.parents):
-            tried += [place / inner] if place.name == package else []
-            tried.append(place / package / inner)
+        for place in around:
+            tried += [(place, inner)] if place.name == package else []
+            tried.append((place / package, inner))
         for variable, inside in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
             for entry in filter(None, os.environ.get(variable, "").split(os.pathsep)):
-                tried.append(Path(entry) / inside / package / inner)
-        tried += [place / inner for place in (folder, *folder.parents)]
+                tried.append((Path(entry) / inside / package, inner))
+        tried += [(place, inner) for place in around]
     else:
-        tried.append(folder / name.removeprefix("file://"))
-    for file in tried:
-        if file.is_file():
+        root = next((k for k in around if (k / "package.xml").is_file()), folder)
+        tried.append((root, os.path.relpath(folder / name.removeprefix("file://"), root)))
+    left_out = "collision=False leaves shapes out"
+    for root, inner in tried:
+        file = (root / inner).resolve()
+        if not file.is_file():
+            continue
+        if outside or file.is_relative_to(root.resolve()):
             return file
-    raise ParameterError(
-        f"{where}: its mesh {name!r} is not there (collision=False leaves shapes out)"
-    )
+        raise ParameterError(
+            f"{where}: its mesh {name!r} lies outside {root} (allow_outside=True reads it,"
+            f" {left_out})"
+        )
+    raise ParameterError(f"{where}: its mesh {name!r} is not there ({left_out})")
 
 
 # -------------------------------------------------------------------- elements and numbers

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import qmc
 
 from ves_gym._util.params import Array, ParameterError, require_one_of, write_bytes
+from ves_gym._util.reading import named, read_arrays
 from ves_gym._util.views import Viewable
 from ves_gym.planners.coupling import metric
 from ves_gym.planners.metric import Metric
@@ -83,15 +83,14 @@ class CouplingMap(Viewable):
         Raises:
             ParameterError: it cannot be read, or is no coupling map.
         """
+        with named(path):
+            part = read_arrays(path)
         try:
-            with np.load(io.BytesIO(Path(path).read_bytes())) as file:  # unpickles nothing
-                part: dict[str, Any] = dict(file)
             duration = part["duration"].item() if "duration" in part else None
             whole = {"duration": duration, "others": part["others"].item()}
             pairs = {"joints": tuple(part["joints"].tolist()), "axes": tuple(part["axes"])}
             return CouplingMap(**part | whole | pairs)
-        except (OSError, EOFError, ValueError, KeyError, AttributeError, TypeError,
-                BadZipFile) as error:  # fmt: skip
+        except (ValueError, KeyError, AttributeError, TypeError) as error:
             raise ParameterError(f"{path}: no coupling map can be read: {error}") from None
 
     def lines(self, spacing: float = 0.05) -> list[Array]:

@@ -9,23 +9,18 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 import pickle
-import select
-import signal
-import subprocess
-import sys
 import time
-import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ves_gym._util import child_process
+from ves_gym._util.child_process import Child, ChildDied
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, require_choice
-from ves_gym._util.process_pool import ONE_THREAD
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.metric import Metric
 from ves_gym.planners.obstacles import RESOLUTION, collisions
@@ -37,7 +32,6 @@ OBJECTIVES = {
     "qt": "coupling length on Q_T",
     "time": "least time at the speed limits",
 }
-_START = 120.0  # s for a child to come up, on a busy machine
 _GRACE = 10.0  # s a search may take longer than asked before it is killed
 
 
@@ -96,7 +90,7 @@ class Ompl:
         """
         require(f"planner {self.name}", "ompl")
         request = Request(self, replace(query, system=query.system.ideal()), seed)
-        result = SEARCH_PROCESS.request(request, self.seconds + _GRACE)
+        result = searched(request, self.seconds + _GRACE)
         if result.path is None:
             raise NoPlan(
                 f"no path found within {result.evaluations} cost evaluations and"
@@ -108,83 +102,29 @@ class Ompl:
 # ----------------------------------------------------------------------------- child
 
 
-class SearchProcess:
-    """The searching process: started when first asked, started anew after it was killed.
+# A planner that crashes or hangs takes this process with it, and nothing else.
+SEARCH_PROCESS = Child("from ves_gym.planners.ompl_search import serve; serve()")
 
-    A planner that crashes or hangs takes this process with it, and nothing else. It ends when
-    its standard input does, so none is left behind; a forked process starts its own.
+
+def searched(request: Request, limit: float) -> PathSearchResult:
+    """Return the answer of the searching process, which has `limit` seconds for it.
+
+    Raises:
+        NoPlan: it crashed, failed or did not answer in time.
     """
-
-    def __init__(self, program: str = "") -> None:
-        self.program = program or "from ves_gym.planners.ompl_search import serve; serve()"
-        self._process: subprocess.Popen[bytes] | None = None
-        self._owner = 0  # process that started it
-
-    def request(self, request: Request, limit: float) -> PathSearchResult:
-        """Return the child's answer; it has `limit` seconds for it, its start not counted.
-
-        Raises:
-            NoPlan: the child crashed, failed or did not answer in time.
-        """
-        process, fresh = self._process, False
-        if process is None or self._owner != os.getpid():
-            process, fresh = self._start(), True
-        assert process.stdin is not None and process.stdout is not None
-        answer: object = None
-        try:
-            pickle.dump(request, process.stdin)
-            process.stdin.flush()
-            if not select.select([process.stdout], [], [], limit + fresh * _START)[0]:
-                raise NoPlan(f"the search did not answer within {limit:g} s and was killed")
-            answer = pickle.load(process.stdout)
-        except (EOFError, OSError, pickle.UnpicklingError):
-            raise NoPlan(f"the search crashed: {self._end()}") from None
-        finally:
-            if answer is None:  # or the next request would get this one's answer
-                self._end()
-        if not isinstance(answer, PathSearchResult):
-            raise NoPlan(f"the search failed: {answer}")
-        return answer
-
-    def _start(self) -> subprocess.Popen[bytes]:
-        """A new child; what it complains of is read where this process complains."""
-        paths = os.pathsep.join(p or os.getcwd() for p in sys.path)
-        process = subprocess.Popen(
-            [sys.executable, "-c", self.program],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": paths, **ONE_THREAD},
-        )
-        self._stop = weakref.finalize(self, _stop, process)
-        self._process, self._owner = process, os.getpid()
-        return process
-
-    def _end(self) -> str:
-        """End the child, if there is one, and say how it had ended."""
-        process, self._process = self._process, None
-        if process is None:
-            return "not started"
-        try:  # one that crashed is still about to end
-            how = f"exit status {process.wait(timeout=1.0)}"
-        except subprocess.TimeoutExpired:
-            how = "killed"
-        self._stop()
-        return how
-
-
-def _stop(process: subprocess.Popen[bytes]) -> None:
-    process.kill()
-    process.communicate()
-
-
-SEARCH_PROCESS = SearchProcess()
+    try:
+        answer = pickle.loads(SEARCH_PROCESS.ask(pickle.dumps(request), limit))
+    except ChildDied as died:
+        raise NoPlan(f"the search {died}") from None
+    if not isinstance(answer, PathSearchResult):
+        raise NoPlan(f"the search failed: {answer}")
+    return answer
 
 
 CHECKPOINTS = 20  # of the anytime curve
 _CHECKS = 5  # validity checks allowed per cost evaluation of the budget
 _GUESSES = 20  # lower bounds likewise
 _PROVEN = 1 + 1e-9  # times the lower bound: a cost that cannot be improved
-_ORPHAN = 60.0  # s beyond its time after which a search that nobody kills ends by itself
 _OVERRUN = 1.5  # of the budget, after which a planner that does not stop is stopped
 
 # OMPL's classes that take a cost written in Python, by name here. Measured on 2.0.1: PRM,
@@ -227,21 +167,14 @@ class _BudgetSpent(Exception):
 
 def serve() -> None:
     """Answer requests until standard input ends."""
-    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what OMPL prints is not an answer
-    while True:
-        try:
-            request = pickle.load(requests)
-        except EOFError:
-            return
-        signal.alarm(math.ceil(min(request.planner.seconds + _ORPHAN, 1e9)))
-        try:
-            answer: PathSearchResult | str = search(request)
-        except Exception as error:  # all of it is the parent's to report
-            answer = f"{type(error).__name__}: {error}"
-        signal.alarm(0)
-        pickle.dump(answer, answers)
-        answers.flush()
+    child_process.serve(_answer)
+
+
+def _answer(request: bytes) -> bytes:
+    try:
+        return pickle.dumps(search(pickle.loads(request)))
+    except Exception as error:  # all of it is the parent's to report
+        return pickle.dumps(f"{type(error).__name__}: {error}")
 
 
 def search(request: Request) -> PathSearchResult:

@@ -78,7 +78,7 @@ class System:
         require_choice(self, "integrator", INTEGRATORS)
         require_positive(self, "physics_dt", "control_dt")
         ratio = self.control_dt / self.physics_dt
-        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+        if not 1 <= ratio < 1e9 or abs(ratio - round(ratio)) > 1e-9 * ratio:
             raise ParameterError(
                 f"System.control_dt must be a whole number of physics steps of"
                 f" {self.physics_dt:g} s, got {self.control_dt:g} s = {ratio:g} steps"

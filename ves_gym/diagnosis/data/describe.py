@@ -10,14 +10,15 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 
+from ves_gym._util.mujoco_loader import read_model
 from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.reading import named, read_xml
 from ves_gym.diagnosis.data.measured_run import BAND
-from ves_gym.diagnosis.machines.mjcf_mapping import SCHEMA, read_model
+from ves_gym.diagnosis.machines.mjcf_mapping import SCHEMA
 
 _WORDS = {  # what a part of a column's name says
     "clock": ("t", "time", "timestamp", "stamp", "sec", "secs", "seconds"),
@@ -244,16 +245,15 @@ def _names(keys: Sequence[str], model: Path | None) -> list[tuple[str, str]]:
 
 def _of_model(model: Path) -> list[tuple[str, str]]:
     if model.suffix == ".urdf":
-        try:
-            root = ElementTree.fromstring(model.read_bytes())
-        except (OSError, ElementTree.ParseError) as error:
-            raise ParameterError(f"model {model}: cannot be read: {error}") from None
+        with named(f"model {model}"):
+            root = read_xml(model)
         kinds = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
         matches = [
             (j.get("name", ""), kinds.get(j.get("type", ""))) for j in root.iter("joint")
         ]
         return [(name, kind) for name, kind in matches if kind]
-    compiled = read_model(model)
+    with named(f"model {model}"):
+        compiled = read_model(model)
     slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
     return [
         (compiled.joint(i).name, "slide" if int(compiled.jnt_type[i]) == slide else "hinge")

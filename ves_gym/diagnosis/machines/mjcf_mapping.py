@@ -13,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from ves_gym._util.mujoco_loader import read_model
 from ves_gym._util.params import (
     Array,
     ParameterError,
@@ -21,6 +22,7 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
+from ves_gym._util.reading import named
 from ves_gym._util.recordings import column_of, read_columns
 from ves_gym._util.signals import downsampled, on_uniform_clock
 from ves_gym.diagnosis.data.measured_run import BAND, Run, require_steady, run_of_signals
@@ -324,16 +326,5 @@ def _model_of(file: MachineFile, folder: Path) -> mujoco.MjModel | RigidBodies |
         return UrdfBodies(path, [(j.name, j.type) for j in file.joint], file.locked)
     if file.locked:
         raise ParameterError("locked joints are of a URDF; leave them out of an MJCF file")
-    return read_model(path)
-
-
-def read_model(path: Path) -> mujoco.MjModel:
-    """Return a compiled MJCF file.
-
-    Raises:
-        ParameterError: naming the file.
-    """
-    try:
-        return mujoco.MjModel.from_xml_path(str(path))
-    except ValueError as error:
-        raise ParameterError(f"model {path}: {error}") from None
+    with named(f"model {path}"):
+        return read_model(path)

@@ -12,12 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import mujoco
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.reading import named, read_xml
 from ves_gym.mechanics.body_numbers import PLACES
 
 JOINT_PROPERTIES = ("damping", "frictionloss", "armature")  # that laws of the library say, too
@@ -168,11 +169,12 @@ class UrdfBodies:
         import pinocchio as pin
 
         self._pin, self.path = pin, path
-        try:
-            root = ElementTree.fromstring(path.read_bytes())
-            model = pin.buildModelFromUrdf(str(path))
-        except (OSError, ElementTree.ParseError, ValueError, RuntimeError) as error:
-            raise ParameterError(f"model {path}: cannot be read: {error}") from None
+        with named(f"model {path}"):
+            root = read_xml(path)
+            try:
+                model = pin.buildModelFromUrdf(str(path))
+            except (ValueError, RuntimeError) as error:
+                raise ParameterError(f"cannot be read: {error}") from None
         names = list(model.names)[1:]
         for name in (*locked, *(j for j, _ in joints)):
             if name not in names:
@@ -344,12 +346,12 @@ def _moved_apart(model: mujoco.MjModel, body: int) -> None:
     model.body_simple[body] = 0
 
 
-def _child(joint: ElementTree.Element) -> str:
+def _child(joint: Element) -> str:
     link = joint.find("child")
     return "" if link is None else link.get("link", "")
 
 
-def _urdf_properties(root: ElementTree.Element, joints: Sequence[str]) -> dict[str, Array]:
+def _urdf_properties(root: Element, joints: Sequence[str]) -> dict[str, Array]:
     """Return what <dynamics> of each joint says (n,); a URDF has no armature."""
     dynamics = {j.get("name"): j.find("dynamics") for j in root.iter("joint")}
 

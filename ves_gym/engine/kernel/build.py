@@ -13,6 +13,7 @@ import hashlib
 import json
 import os
 import sys
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -36,7 +37,7 @@ _SOURCES = (
     "system",
 )
 LANES = 8  # simulations side by side in a vector of compiled code
-_MARK = b"ves-code/1\n"
+_MARK = b"ves-code/2\n"
 # what compiling raises where it is not possible
 NOT_HERE = (ImportError, RuntimeError, OSError)
 _RUN = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
@@ -70,8 +71,8 @@ def digest(description: str) -> str:
 def code(key: str, text: Callable[[], str], sizes: Callable[[], Any]) -> MachineCode:
     """Return a function from this process or from disk, or compile it.
 
-    A file that is damaged is made anew. Writing is atomic, so that processes that start
-    together at worst compile the same thing twice.
+    A file that is damaged, or not the user's own, is made anew. Writing is atomic, so that
+    processes that start together at worst compile the same thing twice.
 
     Args:
         key: a `digest`.
@@ -92,8 +93,8 @@ def _built(
 ) -> MachineCode | Exception:
     try:
         name = hashlib.sha256(f"{key} {machine()}".encode()).hexdigest()[:32]
-        path = cache_folder() / f"{name}.code"
-        stored = _read(path)
+        folder = _own_folder()
+        stored = None if folder is None else _read(folder / f"{name}.code")
         if stored is not None:
             return _loaded(stored)
     except NOT_HERE as error:
@@ -101,8 +102,9 @@ def _built(
     head, traced = json.dumps(sizes()).encode(), text()  # a fault of the text itself is raised
     try:
         stored = head + b"\n" + compile_text(traced)
-        with contextlib.suppress(OSError):  # nowhere to keep it: compiled again next time
-            write_bytes(path, _MARK + hashlib.sha256(stored).digest() + stored)
+        if folder is not None:
+            with contextlib.suppress(OSError):  # no room to keep it: compiled again next time
+                write_bytes(folder / f"{name}.code", _mark(name, stored) + stored, private=True)
         return _loaded(stored)
     except NOT_HERE as error:
         return error
@@ -117,6 +119,40 @@ def cache_folder() -> Path:
         return Path.home() / "Library" / "Caches" / "ves_gym"
     root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(root) / "ves_gym"
+
+
+def _own_folder() -> Path | None:
+    """The cache folder, made if need be; None where others could put code into it.
+
+    What lies there is run. So folder and files must be the user's own, and no one else may be
+    able to write to them.
+    """
+    folder = cache_folder()
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if _is_private(folder.stat()):
+            return folder
+    except OSError:
+        return None
+    _warn_of(folder)
+    return None
+
+
+def _is_private(about: os.stat_result) -> bool:
+    """Whether a file or folder is this user's, and can't be written by others."""
+    if not hasattr(os, "getuid"):  # Windows: a profile's folders are
+        return True
+    return about.st_uid == os.getuid() and not about.st_mode & 0o022
+
+
+@lru_cache(maxsize=1)
+def _warn_of(folder: Path) -> None:
+    warnings.warn(
+        f"compiled code is not kept: {folder} belongs to another user, or others can write to"
+        f" it; `chmod 700 {folder}`, or set VES_GYM_CACHE to a folder of your own",
+        RuntimeWarning,
+        stacklevel=2,
+    )
 
 
 @lru_cache(maxsize=1)
@@ -181,12 +217,19 @@ def _target() -> Any:
     )
 
 
+def _mark(name: str, stored: bytes) -> bytes:
+    """What a file begins with: it tells damage, and a file that was made for another name."""
+    return _MARK + hashlib.sha256(name.encode() + stored).digest()
+
+
 def _read(path: Path) -> bytes | None:
+    """Content of a file of one's own that is whole, None of any other."""
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            if not _is_private(os.fstat(file.fileno())):
+                return None
+            data = file.read()
     except OSError:
         return None
-    start = len(_MARK) + 32
-    mark, stored = data[: len(_MARK)], data[start:]
-    sound = mark == _MARK and hashlib.sha256(stored).digest() == data[len(_MARK) : start]
-    return stored if sound else None
+    stored = data[len(_MARK) + 32 :]
+    return stored if data.startswith(_mark(path.stem, stored)) else None

@@ -1,0 +1,172 @@
+"""The door for files that others wrote: how large they may be, and who reads them.
+
+XML is parsed here, with bounds on its size and depth; entities are expat's own, which bounds
+what they grow to. What is read by a library in C (SciPy, MuJoCo, HDF5), or may ask for more
+memory than the file has bytes, is read in a process of its own with bounds on memory and time:
+its death is one sentence. Answers come back as plain arrays; nothing is unpickled.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+import json
+import os
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from ves_gym._util.child_process import Child, ChildDied, serve
+from ves_gym._util.params import ParameterError
+
+MOST = 1 << 28  # bytes of a file that is read whole, 256 MiB
+DEEPEST = 200  # levels of an XML file
+MEMORY = 1 << 30  # bytes that reading a file may take beside what the file has, 1 GiB
+SECONDS, RATE = 8.0, 1e7  # s that it may take, and bytes a second beyond
+_OF_FILE = 8  # times the file that its numbers may take
+
+
+@contextmanager
+def named(file: object) -> Iterator[None]:
+    """Put a file's name before whatever is wrong with it."""
+    try:
+        yield
+    except ParameterError as error:
+        raise ParameterError(f"{file}: {error}") from None
+
+
+def read_bytes(path: str | os.PathLike[str], most: int = MOST) -> bytes:
+    """Return a file's bytes.
+
+    Raises:
+        ParameterError: not there, or more than `most`.
+    """
+    try:
+        size = os.stat(path).st_size
+        if size > most:
+            raise ParameterError(f"must have at most {most >> 20} MiB, got {size >> 20} MiB")
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise ParameterError(f"cannot be read: {error.strerror or error}") from None
+
+
+def read_xml(path: str | os.PathLike[str]) -> Element:
+    """Return the top element of an XML file.
+
+    Raises:
+        ParameterError: no XML, in an unknown encoding, or deeper than `DEEPEST`.
+    """
+    data = read_bytes(path)
+    try:
+        top = ElementTree.fromstring(data)
+    except (ElementTree.ParseError, LookupError, ValueError, MemoryError) as error:
+        raise ParameterError(f"cannot be read as XML: {error}") from None
+    level, depth = [top], 0
+    while level:
+        depth += 1
+        if depth > DEEPEST:
+            raise ParameterError(f"must have at most {DEEPEST} levels, got more")
+        level = [child for element in level for child in element]
+    return top
+
+
+def read_apart(reader: str, path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return what a reader makes of a file, in a process of its own.
+
+    Args:
+        reader: "module:function" of this package; (path) -> arrays by name.
+        path: of the file.
+
+    Raises:
+        ParameterError: it cannot be read; the reader crashed, or took too much memory or time.
+    """
+    try:
+        size = os.stat(path).st_size
+    except OSError as error:
+        raise ParameterError(f"cannot be read: {error.strerror or error}") from None
+    memory = MEMORY + _OF_FILE * size
+    request = json.dumps({"reader": reader, "path": os.path.abspath(path), "memory": memory})
+    try:
+        answer = _CHILD.ask(request.encode(), SECONDS + size / RATE)
+    except ChildDied as died:
+        raise ParameterError(f"cannot be read: its reader {died}") from None
+    if answer[:1] == _ARRAYS:
+        with np.load(io.BytesIO(answer[1:]), allow_pickle=False) as arrays:
+            return dict(arrays)
+    if answer[:1] == _MEMORY:  # a library that got none may be left locked
+        _CHILD.end()
+        raise ParameterError(f"cannot be read within {memory >> 20} MiB of memory")
+    raise ParameterError(answer[1:].decode())
+
+
+def read_arrays(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the arrays of an .npz file by name.
+
+    Raises:
+        ParameterError: see `read_apart`.
+    """
+    return read_apart("ves_gym._util.reading:arrays_of", path)
+
+
+# ------------------------------------------------------------------------- in the child
+
+
+def arrays_of(path: Path) -> dict[str, Any]:
+    """Arrays of an .npz file, for `read_apart`."""
+    with np.load(path, allow_pickle=False) as archive:
+        return dict(archive)
+
+
+_LONGEST = 500  # characters of a sentence
+_ARRAYS, _SENTENCE, _MEMORY = b"\0", b"\1", b"\2"
+
+
+def _answer(request: bytes) -> bytes:
+    """Arrays of a file, or a sentence that says why there are none."""
+    asked = json.loads(request)
+    module, _, name = asked["reader"].partition(":")
+    reader = getattr(importlib.import_module(module), name)
+    _allow(asked["memory"])
+    try:
+        buffer = io.BytesIO()
+        with warnings.catch_warnings(action="ignore"):
+            np.savez(buffer, **reader(Path(asked["path"])))
+        return _ARRAYS + buffer.getvalue()
+    except MemoryError:
+        return _MEMORY
+    except ParameterError as error:
+        text = str(error)
+    except Exception as error:  # a damaged file makes a decoder raise nearly anything
+        text = f"cannot be read: {error}" if str(error) else f"{type(error).__name__}"
+    finally:
+        _allow(None)
+    return _SENTENCE + " ".join(text.split())[:_LONGEST].encode()
+
+
+def _allow(memory: int | None) -> None:
+    """Bound the memory that this process may take beyond what it has; None: no bound."""
+    if not sys.platform.startswith("linux"):
+        return
+    import resource
+
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    soft = hard
+    if memory is not None:
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        soft = pages * resource.getpagesize() + memory
+    resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def main() -> None:
+    """Read files until standard input ends."""
+    serve(_answer)
+
+
+_CHILD = Child("from ves_gym._util.reading import main; main()")
