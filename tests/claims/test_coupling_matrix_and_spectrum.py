@@ -19,7 +19,6 @@ from ves_gym.planners.coupling import (
     blocks,
     coupling_length,
     coupling_matrix,
-    invariant_directions,
     modes,
 )
 from ves_gym.planners.prediction import spectral_energy
@@ -148,15 +147,3 @@ def test_null_direction_is_the_reaction_null_space():
     assert (
         np.linalg.eigvalsh(coupling_matrix(system, q))[:, 0] >= 0.999 * floor[:, 0] * least
     ).all()
-
-
-def test_invariant_directions_do_not_depend_on_joint_scaling():
-    """Q v = lambda (H_m - H_bm^T M_t^-1 H_bm) v, checked by residual: 1e-9 of its size."""
-    system = System(vehicle=BENT_THESIS)
-    q = np.random.default_rng(4).uniform(-2, 2, (20, 3))
-    b = blocks(system, q)
-    effective = b.Hm - np.swapaxes(b.Hbm, -1, -2) @ np.linalg.solve(b.Mt, b.Hbm)
-    found = invariant_directions(system, q)
-    left = coupling_matrix(system, q) @ found.vectors
-    right = effective @ found.vectors * found.values[:, None, :]
-    assert np.abs(left - right).max() <= 1e-9 * np.abs(left).max()

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests.planners.test_reaction_null import null_curve
 from tests.space_robots import (
     CHASER,
     ETS_VII,
@@ -26,7 +27,6 @@ from ves_gym.mechanics.kinematics import frames
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import Satellite
-from ves_gym.planners.reaction_null import reaction_null_path
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.system import System
 
@@ -183,7 +183,7 @@ def test_zero_reaction_manoeuvre_of_ets_vii(arm):
     ets = arm(possible(ETS_VII))
     close(response(ets, ETS_VII_Q, np.eye(3))[:3].ravel(), ATTITUDE, 11)
     system = free(ets)
-    path = reaction_null_path(system, ETS_VII_Q, np.eye(6)[2], length=2.0, attitude=True)
+    path = null_curve(system, ETS_VII_Q, np.eye(6)[2], 2.0, attitude=True)
     assert np.abs(path[-1] - path[0]).max() > 1.0
     motions = [Motion.through(path, 20.0), Motion.straight(path[0], path[-1], 20.0)]
     run = play_motions(system, motions, settle=0.0, record_dt=0.1)

@@ -9,7 +9,6 @@ import pytest
 
 from tests.arms import seven_joint_arm
 from tests.reach import ACROSS
-from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.limits import limit_ratios
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS
@@ -19,7 +18,7 @@ from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.obstacles import collisions
 from ves_gym.planners.prediction import predict
 from ves_gym.planners.query import first_violation, solve
-from ves_gym.planners.refine import Refined, refine
+from ves_gym.planners.refine import Refined
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import reach100
 from ves_gym.system.system import System
@@ -53,18 +52,6 @@ def test_limits_hold_between_samples():
     assert (np.abs(s.a).max(axis=0) <= np.array(query.a_max) * (1 + 1e-6)).all()
     ratios = limit_ratios(query.system.arm, plan.motion, samples=20_001)
     assert ratios["torque"].max() <= 1 + 1e-2
-
-
-@pytest.mark.parametrize("planner", ["bad-path", "straight"])
-def test_any_motion_may_be_refined(planner):
-    query = QUERIES["reach-2s-000"]
-    start = solve(get_planner(planner), query).motion
-    motion, info = refine(query, start)
-    assert first_violation(query, motion) is None
-    assert energy(query, motion) < energy(query, start)
-    assert info["starts"] == 1
-    slow = start.retimed(5.0)  # at whatever speed it was
-    assert energy(query, refine(query, [slow, start])[0]) < energy(query, start)
 
 
 def test_it_goes_around_obstacles():
@@ -132,21 +119,6 @@ def test_of_many_joints_starts_are_compared_with_fewer_points(monkeypatch):
     assert sizes == [168] * 6
     assert plan.predicted.E_mean <= 1.01 * long.predicted.E_mean
     assert plan.feasible and plan.predicted.E_mean < 0.5 * energy(query, query.straight)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda q: refine(q, []), "refine needs at least one motion, got none"),
-        (
-            lambda q: refine(q, Motion.straight([0.0], [1.0], 2.0)),
-            "motion must have 3 joints, got 1",
-        ),
-    ],
-)
-def test_options_that_are_none(call, message):
-    with pytest.raises(ParameterError, match=message):
-        call(QUERIES["reach-2s-000"])
 
 
 def test_a_decision_is_read_off_a_motion():

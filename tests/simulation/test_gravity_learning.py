@@ -13,7 +13,7 @@ from ves_gym.mechanics.gravity import GravityModel
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation import gravity_learning
-from ves_gym.simulation.gravity_learning import Iteration, Learning, learn_gravity
+from ves_gym.simulation.gravity_learning import learn_gravity
 from ves_gym.simulation.playback import play_motions, weigh_poses
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
@@ -84,20 +84,6 @@ def test_the_gravity_model_is_not_used(learnt):
         np.testing.assert_array_equal(a.y, b.y)
 
 
-def test_converged_means_that_it_stays_so():
-    def made(*sizes):
-        rounds = (Iteration(np.zeros((1, 6)), np.zeros((1, 6)), np.full(6, s)) for s in sizes)
-        return Learning(np.zeros(1), tuple(rounds), None)
-
-    assert made(1.0, 1e-4, 1e-5).converged() == 2
-    assert made(1e-4, 1.0, 1e-5).converged() == 3
-    assert made(1.0, 1e-4, 1.0).converged() is None
-    assert made().converged() is None
-    mixed = Iteration(np.zeros((1, 6)), np.zeros((1, 6)), np.array([1e-4] * 3 + [1e-2] * 3))
-    assert Learning(np.zeros(1), (mixed,), None).converged(1e-3, 1e-3) is None
-    assert Learning(np.zeros(1), (mixed,), None).converged(1e-3, 0.1) == 1
-
-
 # ---------------------------------------------------------------------------- aborts
 
 
@@ -107,7 +93,6 @@ def test_a_workspace_that_is_left_at_once_keeps_nothing():
     assert got.recording is None
     assert "outside the workspace" in got.aborted.reason
     assert 0 < got.aborted.time < 1.5
-    assert got.converged() is None
 
 
 @pytest.mark.parametrize("call", [2, 3], ids=["slow phase", "full speed"])

@@ -327,16 +327,12 @@ class Leg:
 
 
 # -------------------------------------------------------------------- frequency domain
-# `extension` of the leg: 0 shortest, 1 longest; home is 0.5. Quantisation is left out.
+# At home; quantisation is left out.
 
 
-def closed_loop(servo: LegServo, f: npt.ArrayLike, extension: float = 0.5) -> Complex:
-    """Return the frequency response from commanded length to length of the rod.
-
-    Args:
-        servo, f, extension: see `open_loop`.
-    """
-    return response(*Leg(servo, extension).closed, on_circle(servo, f))
+def closed_loop(servo: LegServo, f: npt.ArrayLike) -> Complex:
+    """Return the frequency response from commanded length to length of the rod, at f [Hz]."""
+    return response(*Leg(servo).closed, on_circle(servo, f))
 
 
 def on_circle(servo: LegServo, f: npt.ArrayLike) -> Complex:

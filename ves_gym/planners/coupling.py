@@ -8,8 +8,6 @@ a given duration.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 
@@ -80,21 +78,6 @@ def metric(system: System, q: npt.ArrayLike, duration: float | None) -> Array:
     if duration is None:
         return coupling_matrix(system, q)
     return band_limited(system, q, duration)
-
-
-class Directions(NamedTuple):
-    """Joint directions of least to most coupling, independent of joint scaling."""
-
-    values: Array  # (..., n) J per kg m^2 rad^2: coupling per joint inertia, ascending
-    vectors: Array  # (..., n, n) columns, normalised in the effective joint inertia
-
-
-def invariant_directions(system: System, q: npt.ArrayLike) -> Directions:
-    """Solutions of Q v = lambda (H_m - H_bm^T M_t^-1 H_bm) v."""
-    b = blocks(system, q)
-    effective = b.Hm - np.swapaxes(b.Hbm, -1, -2) @ np.linalg.solve(b.Mt, b.Hbm)
-    solution = natural_modes(coupling_matrix(system, q), effective)
-    return Directions(solution.omega**2, solution.shapes)
 
 
 def coupling_length(

@@ -5,10 +5,9 @@ Joint rates with H_bm(q) q' = 0 leave the base at rest (reaction null space, Nen
 disturbance matrix has a null space, of dimension n - 3. Arms with fewer joints have at
 places a direction that nearly is one.
 
-Along the null space an arm moves without any reaction (`reaction_null_path`): with seven
-joints on a flexible base one such curve goes through every configuration. Two given ends seldom
-lie on the same curve; planner reaction-null then gives the motion of least reaction between
-them (`least_reaction.py`) and says how much is left.
+Along the null space an arm moves without any reaction: with seven joints on a flexible base one
+such curve goes through every configuration. Two given ends seldom lie on the same curve:
+planner reaction-null gives the motion of least reaction between them and says what is left.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from ves_gym._util.params import Array, ParameterError, finite
+from ves_gym._util.params import Array
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import root
 from ves_gym.mechanics.motion import Motion
@@ -62,61 +61,6 @@ def reaction_null_space(
     # rows^T rows = Q, of a free base its kinetic energy
     rows = moved[3:6] if attitude else root(K if K.any() else b.Mt) @ moved
     return np.asarray(scipy.linalg.null_space(rows, rcond=share))
-
-
-def reaction_null_path(
-    system: System,
-    q: npt.ArrayLike,
-    direction: npt.ArrayLike | None = None,
-    *,
-    length: float = 1.0,
-    attitude: bool = False,
-) -> Array:
-    """Configurations (k, n) [rad] along reactionless directions, inside the joint limits.
-
-    By the classical Runge-Kutta rule in steps of 0.02 rad; `Motion.through` times it.
-
-    Args:
-        system: arm and vehicle.
-        q: (n,) where it begins [rad].
-        direction: (n,) of which the reactionless part is followed; None: the first one.
-        length: of the path in joint space [rad]; it is shorter where a limit is met.
-        attitude: only the rotation of a free-floating base has to rest.
-
-    Raises:
-        ParameterError: no reactionless direction at q, or none along `direction`.
-    """
-    arm = system.arm
-    at = arm.require_within_limits(q)
-    if not 0 < length < np.inf:
-        raise ParameterError(f"length must be > 0 rad and finite, got {length}")
-    null = reaction_null_space(system, at, attitude=attitude)
-    if not null.shape[1]:
-        raise ParameterError(_none_for(arm.n, attitude))
-    heading = null[:, 0] if direction is None else finite(direction, (arm.n,), "direction")
-    if np.linalg.norm(null.T @ heading) <= 1e-9 * np.linalg.norm(heading):
-        raise ParameterError(
-            f"direction must have a part without reaction, got {heading.tolist()}"
-        )
-    low, high = arm.column("q_min"), arm.column("q_max")
-
-    def along(place: Array, heading: Array) -> Array:
-        N = reaction_null_space(system, np.clip(place, low, high), attitude=attitude)
-        way = N @ (N.T @ heading)
-        return way / max(float(np.linalg.norm(way)), 1e-300)
-
-    path, h = [at], min(_STEP, length)
-    for _ in range(max(1, round(length / h))):
-        a = along(path[-1], heading)
-        b = along(path[-1] + h / 2 * a, a)
-        c = along(path[-1] + h / 2 * b, b)
-        d = along(path[-1] + h * c, c)
-        heading = (a + 2 * b + 2 * c + d) / 6
-        onward = path[-1] + h * heading
-        if (onward < low).any() or (onward > high).any():
-            break
-        path.append(onward)
-    return np.array(path)
 
 
 def _over_straight(query: Query, motion: Motion) -> float:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.optional import require
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import Array
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.objective import checked_weights, weighted_name
@@ -89,23 +89,6 @@ class Refined:
         if len(starts) == 1 and why is not None and first_violation(query, motion) is not None:
             raise why  # no way was found, and the straight one could not be bent around
         return motion, info
-
-
-def refine(
-    query: Query, motions: Motion | Sequence[Motion], *, free: int = _FREE
-) -> tuple[Motion, dict[str, Any]]:
-    """Refine motions of any duration and return the one of least predicted E_mean.
-
-    Also the energies of all starts [J]; `free`: control points of the answer.
-
-    Raises:
-        ParameterError: no motions, or one of another arm.
-    """
-    starts = [motions] if isinstance(motions, Motion) else list(motions)
-    if not starts:
-        raise ParameterError("refine needs at least one motion, got none")
-    problem = MotionProblem(query, free)
-    return _best(problem, [problem.of(motion) for motion in starts])
 
 
 def detours(problem: MotionProblem, count: int, seed: int) -> list[Array]:

@@ -41,22 +41,6 @@ class Learning:
     recording: Recording | None  # the last full-speed run
     aborted: Event | None = None  # a platform that would have left its workspace
 
-    def converged(self, distance: float = 1e-3, angle: float = 1e-3) -> int | None:
-        """Return the first iteration (from 1) from which changes stay small; None if none.
-
-        Args:
-            distance: [m].
-            angle: [rad].
-        """
-        small = [
-            bool((k.change[:3] < distance).all() and (k.change[3:] < angle).all())
-            for k in self.iterations
-        ]
-        for i in range(len(small)):
-            if all(small[i:]):
-                return i + 1
-        return None
-
     def __str__(self) -> str:
         lines = []
         for i, k in enumerate(self.iterations):

@@ -157,18 +157,6 @@ def points(*parts: tuple[npt.ArrayLike, int, str]) -> Array:
 # combinations of these numbers that the weight shows.
 
 
-def inertial_parameters(arm: Arm) -> Array:
-    """(10 (n + 1) + n,) numbers that `inertia_regressor` multiplies.
-
-    Base first, of each body m [kg], m c (3) [kg m] and its inertia about the origin of its
-    frame xx, xy, yy, xz, yz, zz [kg m^2] (Pinocchio's order); then the rotor inertias.
-    """
-    from ves_gym.mechanics.body_numbers import numbers_of_body  # which a diagnosis needs
-
-    bodies = (arm.base, *(link.inertial for link in arm.links))
-    return np.concatenate([*map(numbers_of_body, bodies), arm.column("rotor_inertia")])
-
-
 def inertia_regressor(
     arm: Arm,
     q: npt.ArrayLike,
@@ -187,9 +175,10 @@ def inertia_regressor(
         accel: (..., 3) acceleration of its origin less that of free fall, platform axes.
 
     Returns:
-        (..., 6 + n, 10 (n + 1) + n): times `inertial_parameters` it is the wrench that the
-        arm exerts on its base at the platform-top origin [N, N m] and the joint torques
-        [N m], as in `dynamics.inverse_dynamics`. Leading axes broadcast.
+        (..., 6 + n, 10 (n + 1) + n): wrench that the arm exerts on its base at the
+        platform-top origin [N, N m] and joint torques [N m], as in
+        `dynamics.inverse_dynamics`, per number of each body, base first
+        (`body_numbers.numbers_of_body`), and per rotor inertia. Leading axes broadcast.
 
     Raises:
         ParameterError: wrong shapes, or numbers that are not finite.
