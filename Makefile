@@ -92,7 +92,7 @@ bench: $(DEV) ## side-by-side timings
 
 # uv resolves; it is no dependency, so it lives in a directory that goes again.
 UV = tools=$$(mktemp -d) && trap 'rm -rf "$$tools"' EXIT && $(PYTHON) -m venv "$$tools" && \
-	"$$tools/bin/python" -m pip install --quiet --disable-pip-version-check uv && "$$tools/bin/uv"
+	"$$tools/bin/python" -m pip install --quiet --disable-pip-version-check uv==0.13.9 && "$$tools/bin/uv"
 
 COMPILE = pip compile --quiet --universal --python-version 3.11 --fork-strategy fewest \
 	--generate-hashes --no-annotate --no-header pyproject.toml
