@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.best_known import best_known
 from benchmarks.lower_bound.bound import bound_energy
-from ves_gym.planners.benchmark import key, packaged
 from ves_gym.planners.suites import reach100
 from ves_gym.system.system import System
 
@@ -35,7 +35,7 @@ def bound_row(name: str, duration: float, index: int) -> dict[str, Any]:
     """
     suite = reach100(System().ideal(), name, index + 1, durations=(duration,))
     query = suite.queries[index][1]
-    best = packaged()[key(query.system.hash, query.name)]["E_mean"]
+    best = best_known(query)
     began = time.process_time()
     bound = bound_energy(query)
     return {

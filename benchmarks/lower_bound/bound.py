@@ -36,7 +36,7 @@ from benchmarks.lower_bound.potential import (
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import root
-from ves_gym.planners.direct import MotionProblem
+from ves_gym.planners.motion_problem import MotionProblem
 from ves_gym.planners.objective import MeanEnergy
 from ves_gym.planners.prediction import LinearBase
 from ves_gym.planners.query import Query, require_time

@@ -23,7 +23,8 @@ from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
-from ves_gym.planners.direct import Direct, MotionProblem
+from ves_gym.planners.direct import Direct
+from ves_gym.planners.motion_problem import MotionProblem
 from ves_gym.planners.objective import MeanEnergy
 from ves_gym.planners.prediction import LinearBase, joint_momentum
 from ves_gym.planners.query import Query

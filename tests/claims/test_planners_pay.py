@@ -22,9 +22,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.best_known import best_known
 from ves_gym._util.params import write_table
 from ves_gym.mechanics.vehicle import BENT_THESIS, STRAIGHT_HORIZONTAL_THESIS
-from ves_gym.planners.benchmark import near_best, run_benchmark
+from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.suites import get_suite
 from ves_gym.system.system import System
 
@@ -52,9 +53,16 @@ def rows(
     queries = [(v, q) for v, q in suite.queries if q.duration == duration][:count]
     result = run_benchmark(replace(suite, queries=tuple(queries)), planners=planners, workers=1)
     out: dict[str, list[dict]] = {}
+    asked = {query.name: query for _, query in queries}
     for row in result["rows"]:
-        out.setdefault(row["planner"], []).append(row)
+        out.setdefault(row["planner"], []).append({**row, "asked": asked[row["query"]]})
     return out
+
+
+def near_best(rows: list[dict]) -> float:
+    """Share of rows within 5 % of the best known energy."""
+    near = [r["success"] and r["E_mean"] <= 1.05 * best_known(r["asked"]) for r in rows]
+    return np.mean(near)
 
 
 def ratios(found: dict[str, list[dict]], planner: str, key: str = "E_mean") -> np.ndarray:
@@ -92,7 +100,6 @@ def test_every_answer_is_feasible_and_near_the_best_known(duration, peak):
 @pytest.mark.parametrize("duration", [1.0, 2.0, 4.0])
 def test_the_whole_suite_is_near_the_best_known_and_neither_peak_nor_end_rises(duration):
     found = rows(("refined",), duration, 100)
-    assert all(r["best_known"] is not None for r in found["refined"])
     assert near_best(found["refined"]) >= 0.9
     assert np.median(ratios(found, "refined", "E_peak")) <= 1
     assert ratios(found, "refined", "E_res").max() <= 1

@@ -15,19 +15,11 @@ from ves_gym.mechanics.vehicle import (
     BENT_THESIS,
     FREE_FLOATING,
     STRAIGHT_HORIZONTAL_THESIS,
-    VEHICLES,
 )
-from ves_gym.planners import benchmark
 from ves_gym.planners.benchmark import (
     SCHEMA,
     _run_workers,
-    add_scores,
-    anytime,
-    merge_best,
-    near_best,
-    packaged,
     rank_correlation,
-    read_best,
     run_benchmark,
     run_query,
     summarise,
@@ -208,8 +200,6 @@ def row(planner, query, mean, *, res=None, success=True, duration=1.0, **extra):
         "plan_seconds": 1.0,
         "success": success,
         "failure": None if success else "torque of joint 1 reaches 2 of its limit",
-        "best_known": None,
-        "score": None,
         "info": {},
         **extra,
     }
@@ -252,22 +242,6 @@ def test_no_ratio_to_nothing():
     _, dead = summarise([row("straight", "a", 0.0), row("direct", "a", 0.0)])
     assert dead["ratio_median"] is dead["ratio_low"] is None
     assert summarise([]) == []
-
-
-def test_anytime_curves_are_relative_to_their_end():
-    curves = [
-        [[0.1, 10, 2.0], [1.0, 100, 1.04], [2.0, 200, 1.0]],
-        [[0.1, 10, 4.0], [0.5, 50, 2.0], [2.0, 200, 2.0]],
-    ]
-    rows = [row("ompl-qt", str(k), 1.0, info={"curve": c}) for k, c in enumerate(curves)]
-    (curve,) = anytime([*rows, row("straight", "0", 1.0)])
-    assert (curve["planner"], curve["vehicle"], curve["n"]) == ("ompl-qt", "bent-thesis", 2)
-    assert curve["seconds"][0] == pytest.approx(0.1) and curve["seconds"][-1] == 2.0
-    assert curve["ratio"][0] == 2.0 and curve["ratio"][-1] == 1.0
-    assert curve["ratio"] == sorted(curve["ratio"], reverse=True)
-    assert curve["to_5_percent_median"] == pytest.approx(0.75)
-    assert curve["to_5_percent_max"] == 1.0
-    assert anytime([row("straight", "0", 1.0)]) == []
 
 
 def test_ranks_in_the_laboratory_and_in_space():
@@ -363,7 +337,6 @@ def test_among_obstacles():
     assert all(r["success"] for r in refined if "no motion" not in (r["failure"] or ""))
     among = [s for s in result["scenes"] if s["obstacles"]]
     assert among and {o["kind"] for o in among[0]["obstacles"]} == {"box", "sphere"}
-    assert {a["planner"] for a in result["anytime"]} == {"ompl-time"}
 
 
 # -------------------------------------------------------------------------- emulated
@@ -427,81 +400,3 @@ def test_stopped_runs_have_a_reason_and_no_energy(lab):
     assert result["traces"][0]["series"][0]["t"][-1] < 2
     for run in result["scenes"][0]["runs"]:
         assert run["base"][-1] == run["base"][-2]  # stays where it stopped
-
-
-# ------------------------------------------------------------------------ best known
-
-HASH = "0123456789abcdef"
-
-
-def result_of(*rows, mode="ideal", seed=3):
-    systems = {"bent-thesis": {"hash": HASH}}
-    return {"mode": mode, "seed": seed, "systems": systems, "rows": list(rows)}
-
-
-def test_the_least_energy_stays(tmp_path):
-    path = tmp_path / "best.json"
-    assert merge_best(path, result_of(row("straight", "a", 1.0), row("direct", "a", 0.5))) == 1
-    assert merge_best(path, result_of(row("refined", "a", 0.4), row("straight", "b", 2.0))) == 2
-    assert merge_best(path, result_of(row("direct", "a", 0.45))) == 0
-    entries = read_best(path)
-    assert {k: (e["E_mean"], e["planner"], e["seed"]) for k, e in entries.items()} == {
-        benchmark.key(HASH, "a"): (0.4, "refined", 3),
-        benchmark.key(HASH, "b"): (2.0, "straight", 3),
-    }
-    assert json.loads(path.read_text())["format"] == "ves-best/1"
-
-
-def test_what_breaks_a_limit_or_has_no_energy_does_not_count(tmp_path):
-    path = tmp_path / "best.json"
-    rows = row("refined", "a", 0.1, success=False), row("ompl-q", "b", None, success=False)
-    assert merge_best(path, result_of(*rows)) == 0
-    assert read_best(path) == {}
-    assert read_best(tmp_path / "none.json") == {}
-
-
-def test_another_file_is_refused_and_so_are_motions_in_the_laboratory(tmp_path):
-    path = tmp_path / "best.json"
-    with pytest.raises(ParameterError, match="are of mode ideal, got emulated"):
-        merge_best(path, result_of(mode="emulated"))
-    path.write_text('{"format": "ves-motion/1"}')
-    with pytest.raises(ParameterError, match=r"best\.json: format must be 'ves-best/1'"):
-        read_best(path)
-    path.write_text('{"format": "ves-best/1", "entries": {"a": {"E_mean": "low"}}}')
-    with pytest.raises(ParameterError, match=r"best\.json: 'a' must hold a number E_mean"):
-        read_best(path)
-
-
-def test_scores(monkeypatch):
-    """0 for the straight line, 1 for the best known, above it for better still."""
-    best = {benchmark.key(HASH, "a"): {"E_mean": 0.2}}
-    monkeypatch.setattr(benchmark, "packaged", lambda: best)
-    rows = [
-        row("straight", "a", 1.0),
-        row("direct", "a", 0.6),
-        row("refined", "a", 0.2),
-        row("new", "a", 0.1),
-        row("broken", "a", None, success=False),
-        row("fast", "a", 0.15, success=False),
-        row("straight", "b", 1.0),
-    ]
-    add_scores(rows, {"bent-thesis": HASH})
-    assert [r["score"] for r in rows] == [
-        0.0, pytest.approx(0.5), 1.0, pytest.approx(1.125), None, None, None,
-    ]  # fmt: skip
-    assert [r["best_known"] for r in rows] == [0.2] * 6 + [None]
-    assert near_best(rows[:4]) == 0.5
-    assert near_best(rows[5:6]) == 0.0  # it breaks a limit
-    assert near_best(rows[6:]) is None
-
-
-def test_the_packaged_file_is_of_the_suite():
-    """Every entry is a question of reach100 on a bent beam or the straight one along x."""
-    names = set()
-    for vehicle in ("bent-thesis", "bent", "straight-horizontal"):
-        suite = get_suite("reach100", system=System(), obstacles="both", vehicle=vehicle)
-        described = System(vehicle=VEHICLES[vehicle]).hash
-        names |= {benchmark.key(described, q.name) for _, q in suite.queries}
-    entries = packaged()
-    assert entries.keys() <= names
-    assert all(e["E_mean"] > 0 and e["planner"] for e in entries.values())

@@ -12,7 +12,8 @@ from ves_gym.damping.plant import GainMatrices
 from ves_gym.mechanics.limits import limit_ratios
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
-from ves_gym.planners.direct import DampRelease, Direct, MotionProblem
+from ves_gym.planners.direct import DampRelease, Direct
+from ves_gym.planners.motion_problem import MotionProblem
 from ves_gym.planners.obstacles import Sphere, Surroundings
 from ves_gym.planners.prediction import BaseState, predict
 from ves_gym.planners.query import NoPlan, Query, solve

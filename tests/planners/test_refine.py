@@ -14,7 +14,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners import refine as refine_module
 from ves_gym.planners import sequential
-from ves_gym.planners.direct import MotionProblem
+from ves_gym.planners.motion_problem import MotionProblem
 from ves_gym.planners.obstacles import collisions
 from ves_gym.planners.prediction import predict
 from ves_gym.planners.query import first_violation, solve

@@ -14,14 +14,12 @@ from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.report.damping import map_figure, pole_figure, response_figure
 from ves_gym.report.figures import (
-    anytime_figure,
     benchmark_figures,
     pareto_figure,
     time_figure,
     write_figures,
 )
 from ves_gym.report.machine_figures import leg_bode_figure, leg_figures
-from ves_gym.report.planner_styles import colour_of
 from ves_gym.simulation.stability import poles_in_space
 from ves_gym.system.system import System
 
@@ -69,17 +67,6 @@ def test_weights_are_joined_in_their_order(result):
         assert list(joined.get_xdata()) == [some["ratio_median"], 0.03, 0.3]
         assert {text.get_text() for text in axes.texts} == {"0.03", "0.3"}
         assert {line.get_label() for line in axes.lines} >= names
-
-
-def test_searches_have_a_panel_per_case_in_their_colours(result):
-    curve = {"vehicle": "bent", "n": 2, "seconds": [0.1, 0.5, 1.0], "ratio": [1.3, 1.02, 1.0]}
-    names = ["hotspot-q", "direct"]
-    result["anytime"] = [
-        {**curve, "duration": d, "planner": name} for d in (1.0, 2.0) for name in names
-    ]
-    panels = anytime_figure(result).axes
-    assert [len(axes.lines) for axes in panels] == [3, 3]  # one is at 5 %
-    assert [k.get_color() for k in panels[0].lines[:2]] == [colour_of(k) for k in names]
 
 
 def test_a_stopped_run_and_the_run_in_space_are_drawn(emulated):

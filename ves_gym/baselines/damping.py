@@ -25,7 +25,7 @@ from ves_gym.envs.control import Gains
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.spatial import matvec
-from ves_gym.planners.direct import MotionProblem
+from ves_gym.planners.motion_problem import MotionProblem
 from ves_gym.planners.sequential import minimise
 
 _NODES = 60  # of the momentum over a horizon

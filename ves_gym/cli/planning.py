@@ -30,14 +30,13 @@ from ves_gym.cli.flags import (
     joints,
     names,
     number,
-    path,
     per_joint,
     read,
     text,
 )
 from ves_gym.cli.machine import MACHINE
 from ves_gym.mechanics.kinematics import ToolPose
-from ves_gym.planners.benchmark import merge_best, run_benchmark
+from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.case import Case
 from ves_gym.planners.comparison import report_plan
 from ves_gym.planners.objective import WEIGHTS, parse_weights
@@ -190,7 +189,6 @@ def benchmark(
     durations: list[float] | None = None,
     first: int | None = None,
     skip: int = 0,
-    keep_best: Path | None = None,
     **how: Any,
 ) -> Answer:
     """Plan, simulate; the table, JSON, figures and the HTML report."""
@@ -216,9 +214,6 @@ def benchmark(
     files = [folder / "benchmark.json"]
     write_result(files[0], plain)
     lines = [benchmark_text(result)]
-    if keep_best is not None:
-        lines.append(f"best known: {merge_best(keep_best, result)} new or lower")
-        files.append(keep_best)
     if at.pictures:
         files.append(folder / "report.html")
         write_page(result, files[-1])
@@ -304,7 +299,6 @@ TABLE = {
              f" {', '.join(MEASURES)}"),
         WEIGHT,
         replace(WORKERS, help="planning processes"),
-        Flag("--keep-best", "FILE", path, "merge the least energies into FILE (best known)"),
         Flag("--no-figures", help="skip figures and report"),
         FORMAT,
         # suites name what they ask of: the vehicle stays a name

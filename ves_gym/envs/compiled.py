@@ -31,9 +31,9 @@ from ves_gym.envs.control import Control
 from ves_gym.envs.episode import Episodes, bounded, count, endings, judge, scaled_observation
 from ves_gym.envs.task import Scene, Task
 from ves_gym.mechanics.latch import BODY, NUMBERS, TARGET, named, target, tool_in_space
-from ves_gym.mechanics.pointing import act, opposites
+from ves_gym.mechanics.pointing import opposites
 from ves_gym.mechanics.spatial import SINGULAR, twist
-from ves_gym.mechanics.vehicle import Satellite, has_jets
+from ves_gym.mechanics.vehicle import Satellite, act, has_jets
 from ves_gym.system.system import System
 
 if TYPE_CHECKING:

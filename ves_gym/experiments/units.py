@@ -244,7 +244,6 @@ def _plan(unit: Unit, work: Path) -> _Answer:
         identity["who"], identity["vehicle"], unit.source["query"], identity["seed"]
     )
     clocked = {k: row.pop(k) for k in _CLOCKED if k in row}
-    clocked["curve"] = row["info"].pop("curve", None)  # of (seconds, evaluations, cost)
     summary = {k: row[k] for k in (*ENERGIES, "predicted")}
     return _Answer([row], summary | {"success": float(row["success"])}, clocked)
 

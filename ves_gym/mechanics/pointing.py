@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -32,9 +32,6 @@ from ves_gym.mechanics import attitude
 from ves_gym.mechanics.arm import require_length_1
 from ves_gym.mechanics.carried import ReactionWheel
 from ves_gym.mechanics.spatial import matvec
-
-if TYPE_CHECKING:
-    from ves_gym.mechanics.vehicle import Satellite
 
 STANDARD_GRAVITY = 9.80665  # m/s^2: specific impulse in seconds is by definition times this
 _LEVER = 1.0  # m: a newton and a newton metre of misfit count alike
@@ -332,40 +329,3 @@ def within_limits(
     down = np.minimum((-fastest - speed) * inertia / dt, 0.0)
     out: Array = np.clip(torque, np.maximum(-most, down), np.minimum(most, up))
     return out
-
-
-def act(
-    vehicle: Satellite,
-    dt: float,
-    wrench: Array,
-    torque: Array,
-    speed: Array,
-    owed: Array,
-    remaining: Array,
-    used: Array,
-) -> tuple[Array, ...]:
-    """Return what wheels and jets do in a control period, as asked.
-
-    Args:
-        vehicle: a satellite.
-        dt: control period [s].
-        wrench: (n, 6) asked of the jets in platform axes [N, N m].
-        torque: (n, w) asked of the wheels' motors [N m].
-        speed: (n, w) of the wheels at the start [rad/s].
-        owed, remaining: (n, k) see `pulses` [N s].
-        used: (n, 1) propellant so far [kg].
-
-    Returns:
-        Torque (n, w) on the rotors, friction included, wrench (n, 6), then `owed`, `remaining`
-        and `used` after it.
-    """
-    wheels, jets = vehicle.wheels or (), vehicle.jets or ()
-    if jets:  # what their pulses make of it
-        given, owed, remaining = pulses(jets, owed, remaining, allocated(jets, wrench), dt)
-        wrench = matvec(wrench_matrix(jets), given) / dt
-        used = used + propellant(jets, given)[:, None]
-    elif not vehicle.thrusters:
-        wrench = np.zeros_like(wrench)
-    if wheels:
-        torque = on_rotors(wheels, torque, speed, dt)
-    return torque, wrench, owed, remaining, used

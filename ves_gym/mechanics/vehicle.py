@@ -27,6 +27,7 @@ from ves_gym._util.params import (
     unit,
 )
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.mechanics import pointing
 from ves_gym.mechanics.arm import Inertial, diagonal, matrix
 from ves_gym.mechanics.base_model import BaseModel as BaseModel
 from ves_gym.mechanics.base_model import InternalModes as InternalModes
@@ -42,6 +43,7 @@ from ves_gym.mechanics.flexible_base import FlexibleBase as FlexibleBase
 from ves_gym.mechanics.flexible_base import beam_line as beam_line
 from ves_gym.mechanics.pointing import AttitudeControl as AttitudeControl
 from ves_gym.mechanics.pointing import Jet as Jet
+from ves_gym.mechanics.spatial import matvec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,6 +151,45 @@ class Satellite(Saved):
 def has_jets(vehicle: Vehicle) -> bool:
     """Return True of a vehicle on which jets of some kind may act."""
     return isinstance(vehicle, Satellite) and (vehicle.thrusters or bool(vehicle.jets))
+
+
+def act(
+    vehicle: Satellite,
+    dt: float,
+    wrench: Array,
+    torque: Array,
+    speed: Array,
+    owed: Array,
+    remaining: Array,
+    used: Array,
+) -> tuple[Array, ...]:
+    """Return what wheels and jets do in a control period, as asked.
+
+    Args:
+        vehicle: a satellite.
+        dt: control period [s].
+        wrench: (n, 6) asked of the jets in platform axes [N, N m].
+        torque: (n, w) asked of the wheels' motors [N m].
+        speed: (n, w) of the wheels at the start [rad/s].
+        owed, remaining: (n, k) see `pointing.pulses` [N s].
+        used: (n, 1) propellant so far [kg].
+
+    Returns:
+        Torque (n, w) on the rotors, friction included, wrench (n, 6), then `owed`, `remaining`
+        and `used` after it.
+    """
+    wheels, jets = vehicle.wheels or (), vehicle.jets or ()
+    if jets:  # what their pulses make of it
+        given, owed, remaining = pointing.pulses(
+            jets, owed, remaining, pointing.allocated(jets, wrench), dt
+        )
+        wrench = matvec(pointing.wrench_matrix(jets), given) / dt
+        used = used + pointing.propellant(jets, given)[:, None]
+    elif not vehicle.thrusters:
+        wrench = np.zeros_like(wrench)
+    if wheels:
+        torque = pointing.on_rotors(wheels, torque, speed, dt)
+    return torque, wrench, owed, remaining, used
 
 
 def rotor_inertia(wheel: ReactionWheel) -> Array:

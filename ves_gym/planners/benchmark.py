@@ -11,7 +11,6 @@ and as the arm plays it (`execution_check.py`).
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import time
@@ -19,10 +18,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import fields, replace
 from datetime import UTC, datetime
-from functools import cache
 from importlib.metadata import version
-from importlib.resources import files
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +26,7 @@ import scipy.stats
 from pebble import ProcessExpired
 
 from ves_gym._util.optional import require
-from ves_gym._util.params import ParameterError, read_table, write_text
+from ves_gym._util.params import ParameterError
 from ves_gym._util.process_pool import Workers
 from ves_gym._util.statistics import STATISTICS, bootstrap
 from ves_gym._util.version import __version__
@@ -49,9 +45,6 @@ from ves_gym.system.energy import TAIL, Energies
 from ves_gym.system.system import System
 
 SCHEMA = "ves-benchmark/1"
-FORMAT = "ves-best/1"
-PACKAGED = "best_known.json"
-_NO_LESS = 1e-6  # relative: what is no more than this below is the same
 BASELINE = "straight"
 _NO_RATIO = 1e-4  # of the run's own peak energy: below it there is no ratio to speak of
 _RECORD = 12.5e-3  # s between records, or near it
@@ -103,7 +96,6 @@ def run_benchmark(
         for (name, vehicle, query), job in zip(questions, work, strict=True)
     ]
     rows, groups = _simulate_all(runs, seed, report)
-    add_scores(rows, {v: q.system.ideal().hash for v, q in suite.queries})
     first, shown = suite.queries[0][1].system, _showcase(groups)
     engines = {name: version(name) for name in ("mujoco", "numpy", "scipy")}
     return {
@@ -124,7 +116,6 @@ def run_benchmark(
         "planners": [{"name": n, "summary": get_planner(n).summary} for n in names],
         "rows": rows,
         "summary": summarise(rows),
-        "anytime": anytime(rows),
         **({"rank_correlation": rank_correlation(rows)} if first.mode == "emulated" else {}),
         "traces": [trace(*group) for group in groups],
         "maps": [m for v, group in shown for m in coupling_maps(v, [p.plan for p in group])],
@@ -419,45 +410,7 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "plan_seconds_median": _median(seconds),
                 "plan_seconds_p95": float(np.percentile(seconds, 95)),
                 "plan_seconds_max": max(seconds),
-                "score_median": median("score"),
-                "near_best": near_best(members),
                 **emulated,
-            }
-        )
-    return out
-
-
-def anytime(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return how the best cost of each search came down, medians over a duration's queries.
-
-    For planners that list a `curve` of (seconds, evaluations, cost) in their `info`: cost over
-    the final cost at times spaced geometrically, from when half the queries have a solution,
-    and the time to come within 5 % of it. A table per vehicle, duration and planner.
-    """
-    searched = [row for row in rows if row["info"].get("curve")]
-    out = []
-    for (vehicle, duration, planner), members in _grouped(searched, *_CASE).items():
-        curves = [np.array(row["info"]["curve"], float) for row in members]
-        last = max(c[-1, 0] for c in curves)
-        first = float(np.median([c[0, 0] for c in curves]))
-        at = np.geomspace(min(first, last), last, 41)
-        ratios = np.full((len(curves), len(at)), np.inf)
-        for i, c in enumerate(curves):
-            k = np.searchsorted(c[:, 0], at, side="right") - 1
-            ratios[i, k >= 0] = c[k[k >= 0], 2] / max(c[-1, 2], 1e-300)
-        median = np.median(ratios, axis=0)
-        there = np.isfinite(median)
-        within = [float(c[np.argmax(c[:, 2] <= 1.05 * c[-1, 2]), 0]) for c in curves]
-        out.append(
-            {
-                "vehicle": vehicle,
-                "duration": duration,
-                "planner": planner,
-                "n": len(curves),
-                "seconds": [float(f"{k:.4g}") for k in at[there]],
-                "ratio": [float(f"{k:.5g}") for k in median[there]],
-                "to_5_percent_median": _median(within),
-                "to_5_percent_max": max(within),
             }
         )
     return out
@@ -501,91 +454,3 @@ def _numbers(rows: Iterable[dict[str, Any]], key: str) -> list[float]:
 
 def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if len(values) else None
-
-
-# ----------------------------------------------------------------------- best known energies
-
-
-@cache
-def packaged() -> dict[str, dict[str, Any]]:
-    """Entries of the file that comes with the package, by `key`."""
-    text = files("ves_gym.planners").joinpath(PACKAGED).read_text(encoding="utf-8")
-    return _entries(json.loads(text), PACKAGED)
-
-
-def read_best(path: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
-    """Entries of a file, none if there is no such file."""
-    return _entries(read_table(path), str(path)) if Path(path).exists() else {}
-
-
-def _entries(table: dict[str, Any], where: str) -> dict[str, dict[str, Any]]:
-    if table.get("format") != FORMAT:
-        raise ParameterError(f"{where}: format must be {FORMAT!r}, got {table.get('format')!r}")
-    entries: dict[str, dict[str, Any]] = table.get("entries", {})
-    for name, entry in entries.items():
-        if not (isinstance(entry, dict) and isinstance(entry.get("E_mean"), float | int)):
-            raise ParameterError(f"{where}: {name!r} must hold a number E_mean, got {entry!r}")
-    return entries
-
-
-def key(system_hash: str, query: str) -> str:
-    """Name of a question: another ideal system (`System.hash`) is another question."""
-    return f"{system_hash[:12]} {query}"
-
-
-def merge_best(path: str | os.PathLike[str], result: dict[str, Any]) -> int:
-    """Merge a result into a file of best known energies; return how many are new or lower.
-
-    Only motions in space that keep every limit count.
-
-    Raises:
-        ParameterError: a result of mode emulated, or a file of another format.
-    """
-    if result["mode"] != "ideal":
-        raise ParameterError(f"best known energies are of mode ideal, got {result['mode']}")
-    before = read_best(path)
-    entries = dict(before)
-    for row in result["rows"]:
-        if not row["success"] or not row["E_mean"]:
-            continue
-        name = key(result["systems"][row["vehicle"]]["hash"], row["query"])
-        previous = entries.get(name)
-        if previous is None or row["E_mean"] < (1 - _NO_LESS) * previous["E_mean"]:
-            entries[name] = {
-                "E_mean": float(f"{row['E_mean']:.9g}"),
-                "planner": row["planner"],
-                "seed": result["seed"],
-                "version": __version__,
-            }
-    head = f'{{"format": "{FORMAT}", "unit": "J", "entries": {{\n'
-    lines = [f"{json.dumps(name)}: {json.dumps(entries[name])}" for name in sorted(entries)]
-    write_text(path, head + ",\n".join(lines) + "\n}}\n")
-    return sum(before.get(name) != entry for name, entry in entries.items())
-
-
-def add_scores(rows: Sequence[dict[str, Any]], hashes: dict[str, str]) -> None:
-    """Add `best_known` [J] and `score` [1] to rows, None where nothing is known.
-
-    The score is 0 for the energy of the straight line and 1 for the best known one; only
-    motions that keep every limit have one. `hashes`: `System.hash` of each vehicle's ideal
-    system.
-    """
-    straights = {
-        (r["vehicle"], r["query"]): r["E_mean"] for r in rows if r["planner"] == BASELINE
-    }
-    for row in rows:
-        entry = packaged().get(key(hashes[row["vehicle"]], row["query"]))
-        best = row["best_known"] = None if entry is None else entry["E_mean"]
-        straight = straights.get((row["vehicle"], row["query"]))
-        row["score"] = None
-        if row["success"] and best is not None and straight is not None and straight > best:
-            row["score"] = (straight - row["E_mean"]) / (straight - best)
-
-
-def near_best(rows: Sequence[dict[str, Any]]) -> float | None:
-    """Share of the rows with a best known energy that succeed within 1.05 times it."""
-    rated = [r for r in rows if r["best_known"] is not None]
-    if not rated:
-        return None
-    good = [r["success"] and r["E_mean"] <= 1.05 * r["best_known"] for r in rated]
-    return sum(good) / len(good)

@@ -1,12 +1,7 @@
-"""Direct minimisation of the predicted E_mean over smooth motions.
+"""Direct minimisation of the predicted E_mean over smooth motions (`motion_problem`).
 
-With the base mass frozen at the middle of the straight line, E_mean = 1/2 u^T W u + g^T u + c
-in the samples u of the joint momentum H_bm(q) q' (`MeanEnergy`); from rest g and c are zero.
-The decision is the inner control points of a B-spline: way-points and their timing at once.
-Position, speed and acceleration limits are linear in them, on the control polygon, so they
-hold at every instant; motor torque and the distance from obstacles are kept at sampled times.
 Sequential quadratic programming with the exact derivative of u and Gauss and Newton's second
-derivative J^T W J. With weights, disturbance measures are added (`objective`).
+derivative J^T W J.
 
 Against a moving base (`DampRelease`) the problem is solved anew about its own solution a few
 times: with the inertia along the motion, and with what the servo must give against the base,
@@ -16,40 +11,19 @@ limits on the moving base, not on one that stands still.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.arm import Arm, matrix
-from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.motion import DEGREE, Motion, basis, graded, knots, leading_points
-from ves_gym.planners.momentum import BaseMomentum, InverseDynamics, momentum, torque
+from ves_gym.mechanics.motion import Motion
+from ves_gym.planners.motion_problem import MotionProblem
 from ves_gym.planners.objective import (
-    ENERGY,
-    MeanEnergy,
-    Objective,
-    QuadraticForm,
     checked_weights,
     weighted_name,
 )
-from ves_gym.planners.obstacles import Collisions, collisions
-from ves_gym.planners.prediction import NODES, Response, respond, steps_of_joints
 from ves_gym.planners.query import Query, first_violation, require_time
 from ves_gym.planners.sequential import about_itself, minimise
-from ves_gym.system.system import System
-
-_FIXED = 3  # control points held at each end
-_SHARE = 1 - 1e-4  # of speed and acceleration limits: more than the optimiser's tolerance
-_MOVED_SHARE = 0.97  # where joints yield to a moving base, which is known to first order
-_TORQUE_SHARE = 0.97  # of the limit, at samples: leaves room between them and for the servo
-_SAMPLES = 4  # of torque per control point
-_CLOSER = 1.01  # of that share: a peak between samples that is sampled from then on
-_NEAR = 0.1  # m: shapes further from each other are not looked at
-_ROOM = 0.005  # m kept beyond the clearance, for what happens between samples
-_STEP = 0.06  # rad in joint space between samples of the distance, about
 
 
 class Direct:
@@ -108,239 +82,3 @@ class DampRelease:
         done = {name: sum(getattr(m, name) for m in rounds)
                 for name in ("iterations", "evaluations")}  # fmt: skip
         return motion, rounds[-1].info() | done | {"rounds": [m.energy for m in rounds]}
-
-
-class MotionProblem:
-    """E_mean of a query's motions, and their limits, by the free control points x.
-
-    `energy` is that of another problem of the same query, which need not be made twice. With
-    `weights` of disturbance measures it is the `Objective`.
-    """
-
-    def __init__(
-        self,
-        query: Query,
-        free: int,
-        energy: QuadraticForm | None = None,
-        nodes: int = NODES,
-        weights: Mapping[str, float] | None = None,
-    ) -> None:
-        self.nodes = nodes if energy is None else len(energy.t) - 1  # samples of the momentum
-        self.query, self.arm = query, query.system.arm
-        self.start, self.goal = query.ends
-        self.n, self.m = self.arm.n, free + 2 * _FIXED
-        self._inner = slice(_FIXED, self.m - _FIXED)  # the free control points
-        self.first = np.array([self.start] * _FIXED)  # control points
-        if query.is_moving:
-            self.first = leading_points(self.m, query.duration, self.start, *query.start_motion)
-        if energy is None:
-            energy = self.form_at((self.start + self.goal) / 2)
-            if weights and set(weights) != {ENERGY}:
-                energy = Objective(energy, weights, query.straight, query.weight, query.base)
-        self.energy: QuadraticForm = energy
-        self._bases = self._sampled(self.energy.t / query.duration, 2)
-        self._torque_times = graded(_SAMPLES * self.m + 1)
-        self._torque_bases = self._sampled(self._torque_times, 3)
-        self._tau_max = _TORQUE_SHARE * self.arm.column("tau_max")
-        self._response: Response | None = None  # what the base makes the joints do
-        # the straight quintic lies in the spline space, so its fit is exact
-        self.straight = self.of(query.straight)
-        self._checker: Collisions | None = None
-        if query.surroundings is not None:
-            self._checker = collisions(query.system.ideal(), query.surroundings)
-
-    def form_at(
-        self, at: Array | Motion, system: System | None = None, described: Arm | None = None
-    ) -> MeanEnergy:
-        """E_mean as a function of the momentum, the inertia frozen or that along a motion.
-
-        Args:
-            at: (n,) [rad], or a motion of the query's duration.
-            system: another one than the query's.
-            described: arm by which its servo is fed forward; None: its own.
-        """
-        query, system = self.query, system or self.query.system
-        momentum = None
-        if query.is_moving:
-            momentum = inertia(system.arm, self.start)[:6, 6:] @ query.start_motion[0]
-        return MeanEnergy(system, at, query.duration, query.servo, self.nodes,
-                          base=query.base, momentum=momentum, described=described)  # fmt: skip
-
-    def follow(self, motion: Motion) -> None:
-        """Linearise about a motion: inertia along it, limits less what the servo adds there.
-
-        A base that moves at the start pushes the joints; what their servo gives against it, and
-        how fast they yield, is that of the linear base under the motion. A base at rest is
-        taken to stand still, as where the answer is checked (`query.check_motion`).
-        """
-        self.energy = form = self.form_at(motion)
-        linear = form.linear
-        if self.query.base is not None and linear.size > linear.b:
-            nodes = steps_of_joints(self.query.duration)
-            self._response = respond(linear, motion, nodes, self.query.base)
-            self.__dict__.pop("_linear", None)
-
-    def _pushed(self, t: Array) -> tuple[Array, Array]:
-        """Servo torque (N, n) [N m] and yielding rate [rad/s] of pushed joints at t [s]."""
-        if self._response is None:
-            zero = np.zeros((len(t), self.n))
-            return zero, zero
-        return self._response.at(t, self.query.servo)
-
-    def _sampled(self, u: Array, orders: int) -> list[Array]:
-        """Basis functions and their derivatives at times u T: each (N, m)."""
-        return [basis(self.m, u, k) / self.query.duration**k for k in range(orders)]
-
-    def of(self, motion: Motion) -> Array:
-        """The decision nearest to a motion, of any duration."""
-        if motion.n != self.n:
-            raise ParameterError(f"motion must have {self.n} joints, got {motion.n}")
-        return self.near(motion.at(np.linspace(0, motion.duration, 12 * self.m)).q)
-
-    def near(self, q: Array) -> Array:
-        """The decision nearest to positions (N, n) at evenly spaced times [rad]."""
-        first = self.first if self.query.is_moving else None
-        fitted = Motion.fit(q, self.query.duration, controls=self.m, first=first)
-        return np.clip(np.array(fitted.control)[self._inner].ravel(), *self.bounds)
-
-    def control(self, x: Array) -> Array:
-        """(m, n) control points from the free ones."""
-        return np.vstack([self.first, x.reshape(-1, self.n), [self.goal] * _FIXED])
-
-    def motion(self, x: Array) -> Motion:
-        """The motion of a decision."""
-        moving, points = self.query.is_moving or None, matrix(self.control(x))
-        return Motion(duration=self.query.duration, control=points, moving=moving)
-
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Joint limits: a B-spline stays inside the hull of its control points."""
-        free = self.m - 2 * _FIXED
-        low, high = self.arm.column("q_min"), self.arm.column("q_max")
-        return np.tile(low, free), np.tile(high, free)
-
-    # ------------------------------------------------------------------------ energy
-
-    def momentum(self, x: Array) -> tuple[Array, Array]:
-        """Samples u (N 6) of the base momentum, and their derivative (N 6, free n)."""
-        control = self.control(x)
-        position, velocity = self._bases
-        return self.chained(momentum(self.arm, position @ control, velocity @ control))
-
-    def chained(self, sample: BaseMomentum) -> tuple[Array, Array]:
-        """Samples (N k,) and their derivative by the control points (N k, free n)."""
-        slope = self._by_points((sample.by_q, sample.by_v), self._bases)
-        return sample.u.ravel(), slope.reshape(sample.u.size, -1)
-
-    def _by_points(self, slopes: Iterable[Array], bases: Sequence[Array]) -> Array:
-        """Derivative (N, k, free, n) from those by positions, rates, ... (N, k, n)."""
-        parts = zip(slopes, bases, strict=True)
-        terms = [np.einsum("kcj,km->kcmj", by, b[:, self._inner]) for by, b in parts]
-        return np.asarray(sum(terms[1:], start=terms[0]))
-
-    # ------------------------------------------------------------------------ limits
-
-    def limits(self, x: Array) -> tuple[Array, Array]:
-        """Return what must be <= 0, in shares of limits (of 0.1 m for distances), and by x."""
-        offset, slope = self._linear
-        parts = [(offset + slope @ x, slope)]
-        if self.query.system.drive == "motor":
-            value, derivative = self._torque(x)
-            parts += [(value - 1, derivative), (-value - 1, -derivative)]
-        if self._checker is not None:
-            parts.append(self._distance(x, self._checker))
-        return stacked(parts)
-
-    @cached_property
-    def _linear(self) -> tuple[Array, Array]:
-        """offset + slope @ x <= 0: the control polygons of velocity and acceleration."""
-        parts = [(np.zeros(0), np.zeros((0, self.straight.size)))]
-        t = knots(self.m) * self.query.duration
-        ends = self.control(np.zeros_like(self.straight))
-        polygon = np.eye(self.m)
-        for order, limit in ((1, self.query.v_max), (2, self.query.a_max)):
-            count, degree = self.m - order, DEGREE + 1 - order
-            span = t[DEGREE + 1 : count + DEGREE + 1] - t[order : count + order]
-            polygon = degree * np.diff(polygon, axis=0) / span[:, None]
-            if limit is None:
-                continue
-            most = (_SHARE if self._response is None else _MOVED_SHARE) * np.array(limit)
-            up, down = self._yielding(t, order) / most
-            rows = np.kron(polygon[:, self._inner], np.diag(1 / most))
-            at_rest = (polygon @ ends) / most
-            active = np.abs(rows).max(axis=1) > 0
-            parts.append(((at_rest + up).ravel()[active] - 1, rows[active]))
-            parts.append((-(at_rest + down).ravel()[active] - 1, -rows[active]))
-        return stacked(parts)
-
-    def _yielding(self, t: Array, order: int) -> Array:
-        """Largest and least rate of pushed joints while a point of the polygon acts (2, k, n).
-
-        Only rates (order 1 of the derivative) are limited as the joints move; t: knots.
-        """
-        count, degree = self.m - order, DEGREE + 1 - order
-        if self._response is None or order != 1:
-            return np.zeros((2, count, self.n))
-        rate = self._pushed(self._response.t)[1]
-        out = np.empty((2, count, self.n))
-        for i in range(count):
-            low, high = np.searchsorted(self._response.t, (t[i + order], t[i + degree + order]))
-            part = rate[max(low - 1, 0) : high + 1]
-            out[:, i] = part.max(axis=0), part.min(axis=0)
-        return out
-
-    def torque(self, x: Array, bases: list[Array], arm: Arm | None = None) -> InverseDynamics:
-        """Joint torque on a base that stands still (k, n) [N m], by (k, n, free, n).
-
-        `bases`: of positions, rates and accelerations at k times; `arm`: default the query's.
-        """
-        control = self.control(x)
-        dynamics = torque(arm or self.arm, *(b @ control for b in bases))
-        slopes = np.moveaxis(dynamics.by, 1, 0)
-        return InverseDynamics(dynamics.tau, self._by_points(slopes, bases))
-
-    def _torque(self, x: Array) -> tuple[Array, Array]:
-        """Joint torque over its limit at sampled times, on a base that stands still."""
-        dynamics = self.torque(x, self._torque_bases)
-        size = dynamics.tau.size
-        scaled = dynamics.by / self._tau_max[:, None, None]
-        tau = dynamics.tau + self._pushed(self._torque_times * self.query.duration)[0]
-        return (tau / self._tau_max).ravel(), scaled.reshape(size, -1)
-
-    def add_torque_samples(self, x: Array) -> bool:
-        """Sample the torque also at its peaks between samples; True if any passes its share."""
-        if self.query.system.drive != "motor":
-            return False
-        fine = graded(12 * len(self._torque_times))
-        control = self.control(x)
-        tau = torque(self.arm, *(b @ control for b in self._sampled(fine, 3))).tau
-        tau = np.abs((tau + self._pushed(fine * self.query.duration)[0]) / self._tau_max)
-        inner = (tau[1:-1] >= tau[:-2]) & (tau[1:-1] >= tau[2:]) & (tau[1:-1] > _CLOSER)
-        peaks = fine[1:-1][inner.any(axis=1)]
-        if not len(peaks):
-            return False
-        self._torque_times = np.union1d(self._torque_times, peaks)
-        self._torque_bases = self._sampled(self._torque_times, 3)
-        return True
-
-    def _distance(self, x: Array, checker: Collisions) -> tuple[Array, Array]:
-        """Lack of distance at sampled times, in units of 0.1 m."""
-        control = self.control(x)
-        polygon = float(np.linalg.norm(np.diff(control, axis=0), axis=1).sum())
-        count = int(np.clip(polygon / _STEP, 20, 400))
-        position = basis(self.m, graded(count))
-        least = checker.clearance + _ROOM
-        near = [checker.proximity(row @ control, least + _NEAR) for row in position[1:-1]]
-        counts = [len(k.distance) for k in near]
-        at = np.repeat(
-            position[1:-1, self._inner], counts, axis=0
-        )  # the basis of each distance
-        slope = np.vstack([k.slope for k in near])
-        rows = -10 * at[:, :, None] * slope[:, None, :]
-        lack = 10 * (least - np.concatenate([k.distance for k in near]))
-        return lack, rows.reshape(len(lack), x.size)
-
-
-def stacked(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Values one after another, and their derivatives."""
-    return np.concatenate([v for v, _ in parts]), np.vstack([slope for _, slope in parts])

@@ -75,14 +75,13 @@ class Ompl:
             "objective": self.objective,
             "algorithm": self.algorithm,
             **effort,
-            "curve": [list(point) for point in result.curve],
             "points": len(result.path),
             "share": share,  # of the way from the straight line that the limits allow
             "hurried": hurried,
         }
 
     def search(self, query: Query, seed: int) -> PathSearchResult:
-        """Return way-points and the anytime curve, from the child process.
+        """Return the best way-points found, from the child process.
 
         Raises:
             MissingPackageError: OMPL is not installed.
@@ -121,7 +120,7 @@ def searched(request: Request, limit: float) -> PathSearchResult:
     return answer
 
 
-CHECKPOINTS = 20  # of the anytime curve
+CHECKPOINTS = 20  # at which a search ends if its path cannot be improved
 _CHECKS = 5  # validity checks allowed per cost evaluation of the budget
 _GUESSES = 20  # lower bounds likewise
 _PROVEN = 1 + 1e-9  # times the lower bound: a cost that cannot be improved
@@ -151,7 +150,6 @@ class PathSearchResult(NamedTuple):
 
     path: Array | None  # (k, n) way-points
     cost: float  # coupling length [J^(1/2)] or time [s]
-    curve: tuple[tuple[float, int, float], ...]  # anytime: (seconds, evaluations, cost)
     evaluations: int
     checks: int  # of validity
     bound: float  # no path costs less
@@ -218,9 +216,7 @@ def search(request: Request) -> PathSearchResult:
             run.consider(np.array([[s[j] for j in range(run.n)] for s in states]))
         if run.share >= 1.0 or run.used >= 1.0 or run.cost <= _PROVEN * run.bound:
             break
-    return PathSearchResult(
-        run.path, run.cost, tuple(run.curve), run.evaluations, run.checks, run.bound
-    )
+    return PathSearchResult(run.path, run.cost, run.evaluations, run.checks, run.bound)
 
 
 class _Search:
@@ -235,7 +231,6 @@ class _Search:
         self.evaluations = self.checks = self.guesses = 0
         self.path: Array | None = None
         self.cost = math.inf
-        self.curve: list[tuple[float, int, float]] = []
 
     @property
     def used(self) -> float:
@@ -251,11 +246,10 @@ class _Search:
             raise _BudgetSpent
 
     def consider(self, path: Array) -> None:
-        """Keep the better path (k, n) [rad], and a point of the curve."""
+        """Keep the better path (k, n) [rad]."""
         cost = sum(require_cost(self.edge(a, b)) for a, b in itertools.pairwise(path))
         if cost < self.cost:
             self.path, self.cost = path, cost
-        self.curve.append((time.perf_counter() - self.begin, self.evaluations, self.cost))
 
     def validity(self, ob: Any, information: Any) -> Any:
         """OMPL's checker of one configuration."""

@@ -24,8 +24,8 @@ from ves_gym.mechanics.modes import root
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.spatial import skew
 from ves_gym.planners.coupling import blocks
-from ves_gym.planners.direct import MotionProblem
 from ves_gym.planners.momentum import BaseMomentum, momentum
+from ves_gym.planners.motion_problem import MotionProblem
 from ves_gym.planners.objective import QuadraticForm
 from ves_gym.planners.paths import feasible_part
 from ves_gym.planners.prediction import NODES, predict

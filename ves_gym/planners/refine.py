@@ -16,7 +16,7 @@ import numpy as np
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array
 from ves_gym.mechanics.motion import Motion
-from ves_gym.planners.direct import MotionProblem
+from ves_gym.planners.motion_problem import MotionProblem
 from ves_gym.planners.objective import checked_weights, weighted_name
 from ves_gym.planners.ompl_search import Ompl
 from ves_gym.planners.paths import time_path

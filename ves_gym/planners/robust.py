@@ -26,7 +26,7 @@ from ves_gym._util.params import Array, ParameterError, read_result, read_table,
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import has
-from ves_gym.planners.direct import MotionProblem, stacked
+from ves_gym.planners.motion_problem import MotionProblem, stacked
 from ves_gym.planners.objective import MeanEnergy, running_integral
 from ves_gym.planners.query import Query, first_violation
 from ves_gym.planners.refine import _FREE, Refined

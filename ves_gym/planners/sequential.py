@@ -9,15 +9,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ves_gym._util.params import Array
+from ves_gym.planners.motion_problem import MotionProblem
 from ves_gym.planners.objective import Objective
-
-if TYPE_CHECKING:
-    from ves_gym.planners.direct import MotionProblem
 
 _ROUNDS = 4  # of looking for torque between samples
 _PATHS = 2  # that the tool's error is linearised about, after the straight line

@@ -40,9 +40,8 @@ _MOST = 10  # stopped runs, and reasons of failures, that are named
 _ENERGIES = """\
 Medians over queries. ratio: E_mean over the straight line's on the same query, with
 the 95 % interval of the median; E_res, E_peak and the base's largest acceleration:
-likewise; score: 0 the straight line, 1 the best known; off: predicted E_mean
-against the simulated one; success: of all queries; plan: median and longest
-planning time."""
+likewise; off: predicted E_mean against the simulated one; success: of all queries;
+plan: median and longest planning time."""
 _EMULATED = """\
 Energies are those of the emulated base. emulation error: its E_mean over that of the same
 motion in space, less 1; base error: largest distance between the two base positions over the
@@ -83,8 +82,6 @@ def _energy_columns(result: Result, emulated: bool) -> Columns:
         "E_mean [J]": _median("E_mean", ".4g"),
         "ratio": lambda row: _number(row["ratio_median"], ".3f") + _interval(row),
     }
-    if any(row["score_median"] is not None for row in result["summary"]):
-        out["score"] = _median("score", ".3f")
     out["E_res"] = _median("E_res_ratio", ".3f")
     out["E_peak"] = _median("E_peak_ratio", ".3f")
     out["acc.\npeak"] = _median("acceleration_peak_ratio", ".2f")

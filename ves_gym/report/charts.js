@@ -169,58 +169,6 @@ if (choices("traces", $("trace-pick"), traces.map(caseLabel), "energy traces")) 
   });
 }
 
-// ---------------------------------------------------------------- searches as they go on
-
-/** Best cost over the final one against planning time (logarithmic), a line per search. */
-function drawAnytime(group) {
-  const node = $("anytime-plot");
-  const [w, h] = [node.clientWidth, node.clientHeight];
-  const times = group.curves.flatMap((c) => c.seconds);
-  const [first, last] = [Math.min(...times), Math.max(...times)].map(Math.log10);
-  const top = Math.max(1.1, ...group.curves.flatMap((c) => c.ratio));
-  const x = (t) => EDGE.left + (w - EDGE.left - EDGE.right) * (Math.log10(t) - first) / (last - first || 1);
-  const y = (r) => EDGE.top + (h - EDGE.top - EDGE.bottom) * (top - r) / (top - 1);
-  const grid = svg("g");
-  for (const r of ticks(1, top, 5)) {
-    grid.append(svg("line", { class: "grid", x1: EDGE.left, x2: w - EDGE.right, y1: y(r), y2: y(r) }),
-      svg("text", { x: EDGE.left - 8, y: y(r) + 4, "text-anchor": "end" }, String(r)));
-  }
-  for (let k = Math.floor(first); k <= Math.ceil(last); k++) {
-    for (const t of [1, 2, 5].map((step) => step * 10 ** k)) {
-      if (Math.log10(t) < first || Math.log10(t) > last) continue;
-      grid.append(svg("text", { x: x(t), y: h - EDGE.bottom + 18, "text-anchor": "middle" },
-        String(Number(t.toPrecision(2)))));
-    }
-  }
-  grid.append(svg("text", { x: w - EDGE.right, y: h - 6, "text-anchor": "end" }, "planning time [s]"),
-    svg("text", { x: 10, y: 18 }, "best cost / final cost"));
-  const line = (c) => `M${c.seconds.map((t, k) => `${x(t).toFixed(1)} ${y(c.ratio[k]).toFixed(1)}`).join("L")}`;
-  node.setAttribute("viewBox", `0 0 ${w} ${h}`);
-  node.replaceChildren(grid, ...group.curves.map((c) => svg("path", {
-    class: "curve", style: `stroke:${colour(c.planner)}`, "stroke-dasharray": dash(c.planner), d: line(c),
-  })));
-  $("anytime-legend").replaceChildren(...group.curves.map((c) => el("span", {}, swatch(c.planner), c.planner,
-    el("span", { class: "value" }, `within 5 % after ${number(c.to_5_percent_median, 2)} s`))));
-}
-
-{
-  const groups = new Map();
-  for (const curve of data.anytime ?? []) {
-    const key = `${curve.vehicle} · T = ${curve.duration} s`;
-    groups.set(key, { label: key, curves: [...(groups.get(key)?.curves ?? []), curve] });
-  }
-  const all = [...groups.values()];
-  $("anytime").hidden = all.length === 0;
-  if (all.length && choices("anytime", $("anytime-pick"), all.map((g) => g.label), "searches")) {
-    let shownGroup = all[0];
-    redrawn(() => drawAnytime(shownGroup));
-    $("anytime-pick").addEventListener("change", (event) => {
-      shownGroup = all[event.target.value];
-      drawAnytime(shownGroup);
-    });
-  }
-}
-
 // -------------------------------------------------------------------- coupling maps
 
 const MARGIN = { left: 44, right: 10, top: 10, bottom: 34 };

@@ -110,8 +110,8 @@ def darker(colour: str) -> str:
 def benchmark_figures(result: Result) -> dict[str, Figure]:
     """Return the figures that a result has data for, by name.
 
-    Of ratio, energy, coupling, prediction, pareto and, where planners search, anytime; in mode
-    emulated also base_motion_emulated and strain_energy_emulated.
+    Of ratio, energy, coupling, prediction and pareto; in mode emulated also
+    base_motion_emulated and strain_energy_emulated.
 
     Raises:
         ParameterError: matplotlib is not installed.
@@ -128,7 +128,6 @@ def benchmark_figures(result: Result) -> dict[str, Figure]:
             lambda: coupling_figure(result["maps"], _planners(result)),
         ),
         "prediction": (rows, lambda: prediction_figure(result)),
-        "anytime": (result.get("anytime"), lambda: anytime_figure(result)),
         "pareto": (traded, lambda: pareto_figure(result)),
         "base_motion_emulated": (emulated, lambda: time_figure(result, "distance")),
         "strain_energy_emulated": (emulated, lambda: time_figure(result, "strain")),
@@ -248,24 +247,6 @@ def prediction_figure(result: Result) -> Figure:
     error.axhline(0.0, color="0.4", linewidth=0.8, zorder=0)
     error.set(xlabel="simulated E_mean [J]", ylabel="error of the prediction [%]")
     planner_legend(figure, names)
-    return figure
-
-
-def anytime_figure(result: Result) -> Figure:
-    """Best cost of every search over its final cost against planning time, by case."""
-    names = _planners(result)
-    cases = list(dict.fromkeys((c["vehicle"], c["duration"]) for c in result["anytime"]))
-    figure, panels = panels_of(len(cases), 4.6, 3.0, grid=False)
-    for axes, case in zip(panels, cases, strict=True):
-        for curve in result["anytime"]:
-            if (curve["vehicle"], curve["duration"]) == case:
-                style = line_style(curve["planner"], names)
-                axes.plot(curve["seconds"], curve["ratio"], drawstyle="steps-post", **style)
-        axes.axhline(1.05, color="0.4", linewidth=0.8, linestyle=":")
-        axes.set(xscale="log", xlabel="planning time [s]", ylabel="best cost / final cost")
-        plain_log(axes.xaxis)
-        axes.set_title(f"{case[0]}, T = {case[1]:g} s")
-    planner_legend(figure, names, {c["planner"] for c in result["anytime"]})
     return figure
 
 

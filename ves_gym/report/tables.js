@@ -12,7 +12,6 @@ function ratioOf(row) {
 
 // ---------------------------------------------------------------------- summary
 
-const SCORES = (data.summary ?? []).some((row) => typeof row.score_median === "number");
 const MOVES = (data.summary ?? []).some((row) => typeof row.acceleration_peak_median === "number");
 const BAR = { w: 190, h: 22, pad: 5 };
 
@@ -56,7 +55,6 @@ function summaryTable(groups) {
     ["case", ""], ["planner", ""], ["ratio to straight", `0 to ${number(top, 2)}`],
     ["E_mean", "ratio"], ["95 %", "interval"], ["E_mean", "J"], ["E_res", "ratio"],
     ["E_peak", "ratio"], ...(MOVES ? [["acceleration", "peak, ratio"], ["tip", "peak, ratio"]] : []),
-    ...(SCORES ? [["score", "best = 1"]] : []),
     ...(EMULATED ? [["emulation", "error"], ["base", "error"]] : []), ["predicted", "error"],
     ["planning", "s"], ["95 %", "below s"], ["success", ""], ["solvable", "solved"], ["queries", ""],
   ];
@@ -89,7 +87,6 @@ function summaryGroup(group, top, headings) {
       ...(MOVES ? [
         cell(number(row.acceleration_peak_ratio_median)), cell(number(row.tip_peak_ratio_median)),
       ] : []),
-      ...(SCORES ? [cell(number(row.score_median))] : []),
       ...(EMULATED ? [
         row.stopped === row.n ? cell("stopped", "bad") : cell(signed(row.emulation_error_median)),
         cell(percent(row.base_error_median)),
@@ -155,7 +152,6 @@ const COLUMNS = [
   ["plan_seconds", "planning", "s", (value) => number(value, 2)],
   ["success", "success", "", (value) => (value ? "yes" : "failed")],
   ["failure", "why", ""],
-  ...(SCORES ? [["score", "score", "best = 1", number]] : []),
   ...(EMULATED ? [["stopped", "stopped", ""]] : []),
 ];
 const FIRST = 200; // rows shown until all are asked for

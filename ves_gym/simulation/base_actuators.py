@@ -9,7 +9,6 @@ import numpy as np
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.pointing import (
-    act,
     on_rotors,
     shares,
     wheel_axes,
@@ -17,7 +16,7 @@ from ves_gym.mechanics.pointing import (
     within_limits,
 )
 from ves_gym.mechanics.spatial import matvec  # row by row: a product of all rows rounds by n
-from ves_gym.mechanics.vehicle import Satellite
+from ves_gym.mechanics.vehicle import Satellite, act
 from ves_gym.simulation.machines import ControlPeriod, Machines, Part
 from ves_gym.simulation.state import State
 
