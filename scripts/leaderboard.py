@@ -47,8 +47,8 @@ PLANNERS = (
 # not the same as another there, and plans for less than a second per episode.
 BESIDE = {
     "PumaRestToRest": ("refined", "adaptive", "mppi"),
-    "PumaReach": ("closing", "homing", "resolved-gentle", "braced"),
-    "PumaReachGoal": ("closing", "homing", "resolved-gentle", "braced"),
+    "PumaReach": ("closing", "resolved-gentle", "braced"),
+    "PumaReachGoal": ("closing", "resolved-gentle", "braced"),
     "PumaTrack": ("closing", "resolved-gentle", "braced"),
     "PumaDamp": ("high", "pped", "receding"),
     "BeamLQR": ("hold", "pped", "lqi"),

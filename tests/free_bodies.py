@@ -9,7 +9,10 @@ from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipkinc
 
 from ves_gym.mechanics.arm import Arm, Inertial, Link, Mount, diagonal
+from ves_gym.mechanics.carried import carried_inertia
+from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.payload import Payload
+from ves_gym.mechanics.spatial import matvec, rotation, twist
 
 _NOTHING = Inertial(mass=1e-12, com=(0.0, 0.0, 0.0), inertia=diagonal(1e-12, 1e-12, 1e-12))
 
@@ -112,3 +115,21 @@ def rebound(mass: float, stiffness: float, damping: float) -> tuple[float, float
         omega = math.sqrt(decay**2 - natural**2)
         time = math.log((decay + omega) / (decay - omega)) / omega
     return time, math.exp(-decay * time)
+
+
+def momentum(system, q, v, y, yd, internal=None):
+    """Linear and angular momentum (..., 6) in inertial axes, the latter about their origin.
+
+    Of arm, satellite and what it carries; rotors of the arm's joints turn with their joints
+    only and carry none (docs/physics.md).
+    """
+    base = system.base
+    moving, H = twist(y, yd), inertia(system.arm, q)
+    carried = matvec(H[..., :6, :6] + base.body.spatial(), moving)
+    carried = carried + matvec(H[..., :6, 6:], v)
+    if base.carried:
+        locked, across, _ = carried_inertia(base.carried, internal[0])
+        carried = carried + matvec(locked, moving) + matvec(across, internal[1])
+    R = rotation(y)
+    linear, angular = matvec(R, carried[..., :3]), matvec(R, carried[..., 3:])
+    return np.concatenate([linear, angular + np.cross(y[..., :3], linear)], axis=-1)

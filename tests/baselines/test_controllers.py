@@ -84,29 +84,25 @@ def test_hold_keeps_the_joints_in_place(name):
     assert away < (0.6 if name == "pped" else 0.05)
 
 
-SLOW = {"control": {"kind": "acceleration", "a_max": [6.0, 6.0, 12.0]}}
-
-
 @pytest.mark.parametrize(
-    ("name", "reference", "id", "episodes", "settings", "most"),
+    ("name", "reference", "id", "episodes", "most"),
     [
-        ("homing", "resolved", "ves/PumaReach-v0", 20, SLOW, 0.75),
-        ("closing", "resolved", "ves/PumaReach-v0", 20, {}, 0.9),
+        ("closing", "resolved", "ves/PumaReach-v0", 20, 0.9),
         pytest.param(
-            "closing-pose", "resolved-pose", "ves/PoseReach-v0", 6, {}, 0.95,
+            "closing-pose", "resolved-pose", "ves/PoseReach-v0", 6, 0.95,
             marks=pytest.mark.slow,
         ),
     ],
 )  # fmt: skip
 def test_laws_without_a_plan_reach_every_target_and_spare_the_base(
-    name, reference, id, episodes, settings, most
+    name, reference, id, episodes, most
 ):
     """Claim: success of the controllers with plans at less energy, episode by episode.
 
-    Tolerance: 0.57, 0.7 and 0.84 of the reference's energy, medians of 40 episodes.
+    Tolerance: 0.7 and 0.84 of the reference's energy, medians of 40 episodes.
     """
     some = {"episodes": episodes, "threads": 1}
-    law = evaluate(get_controller(name), id, **some, **settings)
+    law = evaluate(get_controller(name), id, **some)
     other = evaluate(get_controller(reference), id, **some)
     assert all(row["success"] for row in law.rows)
     assert ratio(law, other).value < most
@@ -127,8 +123,6 @@ def test_laws_without_a_plan_reach_every_target_and_spare_the_base(
         ("ilqr", "PumaRestToRest", "acceleration", "through control guided, got task"),
         ("resolved", "PumaRestToRest", None, "tasks reach, track, free_flyer and payload"),
         ("resolved-pose", "PumaReach", None, "leads the reference of task pose_reach"),
-        ("homing", "PumaRestToRest", None, "acts on tasks reach and reach_goal"),
-        ("homing", "PumaReach", "pd_target", "got task reach through control pd_target"),
         ("closing-pose", "PumaReach", None, "acts on task pose_reach through"),
         ("closing", "PumaRestToRest", None, "got task rest_to_rest through"),
         ("closing", "PumaTrack", "acceleration", "track through tool_vel"),

@@ -25,7 +25,7 @@ from ves_gym.damping.plant import (
     plants,
     respond,
 )
-from ves_gym.damping.tuning import Tuned, tune, tune_virtual
+from ves_gym.damping.tuning import Tuned, tune
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS
@@ -233,17 +233,3 @@ def test_a_better_configuration_is_found(beam, share):
     found = best_configurations(System(vehicle=BEAMS[beam]))[0].tuned.value
     print(f"{beam}: {found:.2f} J s, {found / best(beam).value:.3f} of (45, 0, 0)")
     assert found <= share * best(beam).value
-
-
-# ------------------------------------------------------------------ virtual manipulator
-
-
-def test_the_virtual_manipulator_is_of_little_use_here():
-    """As the thesis says (4.3.1), for a stiff base and an arm with rotors: its gains leave
-    more than 0.95 of what high gains do, the full analysis 0.68."""
-    plant = bent("modal")
-    found = analyse(plant, tune_virtual(System(vehicle=BENT_THESIS), Q45)[0]).E_int
-    high = analyse(plant, THESIS["high"]).E_int
-    shares = {"virtual manipulator": found / high, "full": best("modal").value / high}
-    print({name: f"{share:.3f}" for name, share in shares.items()})
-    assert 0.95 * high < found < high

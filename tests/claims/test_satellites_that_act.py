@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.free_bodies import NO_ARM, TARGET
+from tests.free_bodies import NO_ARM, TARGET, momentum
 from ves_gym._util.params import ParameterError
 from ves_gym.engine.backends.mujoco import compile_model
 from ves_gym.engine.mjcf import TO_Y
@@ -21,7 +21,7 @@ from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import SERVICER, SERVICER_FLEXIBLE, Satellite, get_vehicle
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.system.energy_balance import EnergyBalance, momentum
+from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 

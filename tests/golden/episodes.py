@@ -196,7 +196,6 @@ CONTROLLERS: dict[str, tuple[str, float | None, bool]] = {
     "receding": ("PumaDamp", 0.5, False),
     "resolved": ("PumaReach", 1.0, False),
     "resolved-gentle": ("PumaReach", 1.0, False),
-    "homing": ("PumaReach", 1.0, False),
     "closing": ("PumaReach", 1.0, False),
     "closing-pose": ("PoseReach", None, True),
     "braced": ("FreeFlyerReach", None, True),

@@ -1,4 +1,4 @@
-"""Closing in on a target by rates, or accelerations, as a function of what is observed now."""
+"""Closing in on a target by rates, as a function of what is observed now."""
 
 from __future__ import annotations
 
@@ -27,16 +27,12 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.kinematics import joint_positions, tool_frame, tool_jacobian
 from ves_gym.mechanics.spatial import matvec, rotation, twist
 from ves_gym.mechanics.spherical_wrist import has_spherical_wrist, shortest_way
-from ves_gym.mechanics.tool_pose import every_joints_for, joints_for
+from ves_gym.mechanics.tool_pose import every_joints_for
 
 _MOST_SHARE = 8.0  # 1/s: largest share of the way left that is gone per second
 _ROUNDS = 2  # of Newton's method for the joint angles on the base as measured
 _FOLLOW = 12.0  # 1/s: how fast the distance from a path is taken back
 _LEAD = 0.05  # s ahead that the path's velocity is taken: half a decision, and the servos' lag
-# of `Homing`
-_MOVE = 0.75  # share of an episode that the way takes
-_LEAST = 0.35  # s that there are left to go at any time
-_AHEAD = 0.05  # s after which the acceleration is what the way asks for
 _CONTROLS: dict[str, dict[str, Any]] = {
     "joint_velocity": {"kind": "joint_velocity"},
     "tool_velocity": {"kind": "tool_velocity", "speed": 1.5, "damping": 0.05},
@@ -56,7 +52,7 @@ class Closing:
 
     Rates that an error of the network adds do not add up, as accelerations do: they leave the
     tool off by the error over the share. So what is learned of this law ends closer to the
-    target than what is learned of `Homing` or `Resolved`, which lead accelerations.
+    target than what is learned of `Resolved`, which leads accelerations.
     """
 
     name = "closing"
@@ -189,50 +185,3 @@ def share_per_second(time: Array, seconds: float) -> Array:
     # rate of the quintic over the way that it leaves, in closed form
     pace = 30 * part**2 / ((1 - part) * (1 + 3 * part + 6 * part**2))
     return np.asarray(np.minimum(pace / seconds, _MOST_SHARE))
-
-
-class Homing:
-    """Leads the tool to a target by what there is to see, whatever came before.
-
-    In every period the quintic of least jerk is taken from the reference's rate and
-    acceleration (Flash & Hogan, J. Neuroscience 5(7), 1985) to rest at the joint angles that
-    bring the tool to the target on the base as measured, in the time that is left of the way,
-    at least `_LEAST`. The action is its acceleration shortly after. Unlike `Resolved` it
-    follows no plan: but for which of several configurations it goes to, chosen at the start,
-    two episodes that look alike ask for the same action.
-    """
-
-    name = "homing"
-    privileged = True
-    _end: Array  # (n, joints) that reach the target, base at rest [rad]
-
-    def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        s, fits = env.batch.scene, isinstance(env.task, Reach)
-        require_fit(
-            self.name,
-            fits and env.task.control.kind == "acceleration",
-            "acts on tasks reach and reach_goal through control acceleration",
-            env,
-        )
-        remember(self, len(s.q), _end=s.q.shape[1:])
-        self._end[ids], _ = joints_for(env.task.system.arm, s.goal[ids, :3], s.q[ids])
-
-    def act(self, env: VesVectorEnv, observation: Any) -> Array:
-        task, s, control = env.task, env.batch.scene, env.task.control
-        arm = task.system.arm
-        remaining = np.maximum(_MOVE * task.duration - s.time, _LEAST)[:, None]
-        # joint angles for the target, and their rate, on the base as it is
-        inverse = damped_inverse(tool_jacobian(arm, self._end))
-        reach = joint_positions(arm, self._end)[:, -1]
-        desired = seen_from_base(s.y_seen, s.goal[:, :3])
-        drift = carried(twist(s.y_seen, s.yd_seen), reach)[:, :3]
-        end, rate = self._end + matvec(inverse, desired - reach), -matvec(inverse, drift)
-        near = np.minimum(remaining, _LEAST)  # the base sways: its rate says little of later
-        _, v, a = s.ref.swapaxes(0, 1)
-        jerk = (
-            60 * (end + rate * near - s.q) / remaining**3
-            - (36 * v + 24 * rate) / remaining**2
-            - 9 * a / remaining
-        )
-        action: Array = (a + _AHEAD * jerk) / control.limits(arm)  # type: ignore[attr-defined]
-        return np.clip(action, -1.0, 1.0)

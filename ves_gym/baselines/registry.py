@@ -55,7 +55,6 @@ CONTROLLERS: dict[str, Callable[[int], Controller]] = {  # name -> from a seed
     "receding": _of("damping:Receding", _SEED),
     "resolved": _of("resolved:Resolved"),
     "resolved-gentle": _of("resolved:Resolved", "resolved-gentle", 16.0),
-    "homing": _of("closing:Homing"),
     "closing": _of("closing:Closing"),
     "closing-pose": _of("closing:ClosingPose"),
     "braced": _of("resolved:Resolved", "braced", FOLLOW, True),

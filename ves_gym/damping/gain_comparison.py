@@ -31,7 +31,7 @@ from ves_gym.damping.plant import (
     analyse,
     plant_at,
 )
-from ves_gym.damping.tuning import WIDE, Bounds, tune, tune_virtual
+from ves_gym.damping.tuning import WIDE, Bounds, tune
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import vehicle_name
 from ves_gym.simulation.machines import Divergence
@@ -193,13 +193,11 @@ def compare_gains(
             rows.append(GainRow(name, analyse(plant, GainMatrices.of(servo), y)))
     searches = list(itertools.product(objectives, (False, True) if full else (False,)))
     for k, (objective, symmetric) in enumerate(searches):
-        progress("searching gains", k / (len(searches) + 1))
+        progress("searching gains", k / len(searches))
         tuned = tune(plant, objective, y=y, full=symmetric, bounds=bounds, seed=seed)
         name = f"by {objective}" + (", full" if symmetric else "")
         damping = analyse(plant, tuned.gains, y)
         rows.append(GainRow(name, damping, objective, symmetric, tuned.seconds))
-    virtual, _ = tune_virtual(system, q, y=y, bounds=bounds, seed=seed)
-    rows.append(GainRow("virtual arm (4.1)", analyse(plant, virtual, y)))
     progress("searching gains", 1.0)
     gains = [row.damping.gains for row in rows]
     simulated, trouble = None, ""

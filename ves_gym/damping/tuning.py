@@ -1,12 +1,4 @@
-"""PPED gain tuning: the gains that leave least energy in the base (thesis 4.3).
-
-By the full linear model (`tune`), or by the virtual manipulator (thesis 4.3.1, B.5, B.6;
-`tune_virtual`): a free-floating arm moves as if massless virtual links joined its base to its
-centre of mass, which stands still (Vafa and Dubowsky). Base and arm then are two masses with a
-Cartesian spring and damper K_d, B_d between them; these are tuned, and become joint gains by
-eq. 4.1 and 4.2. The thesis does not print the two-mass model; ours is exact for an arm of point
-masses that its joints move freely, and poor where links and rotors resist turning.
-"""
+"""PPED gain tuning: the gains that leave least energy in the base (thesis 4.3)."""
 
 from __future__ import annotations
 
@@ -28,14 +20,9 @@ from ves_gym.damping.plant import (
     GainMatrices,
     LinearPlant,
     Lyapunov,
-    plant_at,
     require_decay,
     worst_displacement,
 )
-from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.spatial import skew
-from ves_gym.system.system import System
 
 Objective = Callable[[Array], tuple[float, Array]]  # closed A -> value to minimise, d / dA
 
@@ -255,85 +242,3 @@ def _minimise(
 
     tried = sorted((search(u, _SCREENING) for u in points), key=itemgetter(0))
     return min((search(u, 1000) for _, u in tried[:_FINALISTS]), key=itemgetter(0))
-
-
-# of the Cartesian spring and damper, far wider than what any joint gives
-CARTESIAN = Bounds(K=(1.0, 1e7), B=(0.1, 1e6))  # N/m, N s/m
-
-
-def virtual_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
-    """J_vm (..., 3, n) [m]: velocity of the base seen from the centre of mass, per joint rate.
-
-    By the momentum H_bm of the joints: what the arm pushes one way, its base goes the other.
-    """
-    return np.asarray(-inertia(arm, q)[..., :3, 6:] / arm.mass)
-
-
-def joint_gains(arm: Arm, q: npt.ArrayLike, cartesian: GainMatrices) -> GainMatrices:
-    """Thesis eq. 4.1 and 4.2: K_vm = J_vm^T K_d J_vm, B_vm = J_vm^T B_d J_vm.
-
-    From K_d [N/m] and B_d [N s/m], (3, 3) each.
-    """
-    J = virtual_jacobian(arm, q)
-    return GainMatrices(J.T @ cartesian.K @ J, J.T @ cartesian.B @ J)
-
-
-def two_masses(system: System, q: npt.ArrayLike) -> LinearPlant:
-    """The vehicle and, beside it, the arm as one mass at its centre: thesis figure 4-3.
-
-    z = (Y, c), c the displacement of the arm's centre of mass [m]; the gains act on c less
-    what the base carries it along: nine coordinates and three gains.
-
-    Raises:
-        ParameterError: as `plant_at`.
-    """
-    arm, base = system.arm, system.base
-    model = plant_at(system, q)  # refuses what has no stiffness, or no motors
-    H, m = model.mass[:6, :6] - base.mass_matrix, arm.mass  # of the arm, joints locked
-    # centre of mass from the first moment in the spatial inertia (`Inertial.spatial`)
-    com = np.array([H[5, 1], H[3, 2], H[4, 0]]) / m
-    w = 9 + base.m  # coordinates: Y, c, internal modes
-    M, D, K = (np.zeros((w, w)) for _ in range(3))
-    at = np.r_[:6, 9:w]
-    for part, block in zip((M, D, K), base.full(), strict=True):
-        part[at[:, None], at] = block
-    M[6:9, 6:9] = m * np.eye(3)
-    carried = np.hstack([np.eye(3), -skew(com)])  # displacement of the centre with the base
-    port = np.hstack([-carried, np.eye(3), np.zeros((3, base.m))])
-    free, drive = np.zeros((2 * w, 2 * w)), np.zeros((2 * w, 3))
-    free[:w, w:] = np.eye(w)
-    free[w:] = np.linalg.solve(M, np.hstack([-K, -D]))
-    drive[w:] = np.linalg.solve(M, port.T)
-    return LinearPlant(
-        free=free,
-        drive=drive,
-        port=port,
-        displacement_map=np.vstack([np.eye(6), carried, base.attached(np.eye(6)).T]),
-        K=model.K,
-        stiffness=model.stiffness,
-        mass=model.mass,
-    )
-
-
-def tune_virtual(
-    system: System,
-    q: npt.ArrayLike,
-    *,
-    y: npt.ArrayLike = THESIS_DISPLACEMENT,
-    full: bool = False,
-    bounds: Bounds = WIDE,
-    seed: int = 0,
-) -> tuple[GainMatrices, Tuned]:
-    """Tune the two masses and turn K_d, B_d into joint gains; judge them with `analyse`.
-
-    J_vm has rank 3 at most, so the least gains of `bounds` are added: no joint is left free.
-    The largest are not enforced. Arguments as those of `tune`; `full`: of K_d and B_d.
-
-    Returns:
-        The joint gains, and what the two masses promise, with K_d and B_d (3, 3).
-    """
-    search = tune(two_masses(system, q), y=y, full=full, bounds=CARTESIAN, seed=seed)
-    joint = joint_gains(system.arm, q, search.gains)
-    least = np.eye(system.arm.n)
-    gains = GainMatrices(joint.K + bounds.K[0] * least, joint.B + bounds.B[0] * least)
-    return gains, search

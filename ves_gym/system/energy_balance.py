@@ -1,4 +1,4 @@
-"""Accounts of a run: work of the drives against what base and arm hold, and momentum."""
+"""Accounts of a run: work of the drives against what base and arm hold."""
 
 from __future__ import annotations
 
@@ -7,19 +7,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym._util.views import Viewable
 from ves_gym.mechanics.attitude import conjugate, rotate, to_matrix
-from ves_gym.mechanics.carried import carried_inertia
-from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.kinematics import tool_frame, tool_twists
 from ves_gym.mechanics.spatial import matvec, rotation, twist
 from ves_gym.system.effect import joint_torque
 from ves_gym.system.energy import (
-    Internal,
     body_energy,
     internal_of,
     port_energy,
@@ -322,53 +318,3 @@ def _from_payload(log: RunLog, system: System, place: Array, moving: Array) -> A
     against = mean(velocity - moving[:, :3]), mean(spin), mean(moving[:, 3:])
     out: Array = np.sum(force * against[0] + moment * against[1] - at_tool * against[2], axis=1)
     return -out
-
-
-def momentum(
-    system: System,
-    q: npt.ArrayLike,
-    v: npt.ArrayLike,
-    y: npt.ArrayLike,
-    yd: npt.ArrayLike,
-    internal: Internal | None = None,
-) -> Array:
-    """Return linear and angular momentum in inertial axes, the latter about their origin.
-
-    The rotors of the arm's joints turn with their joints only and carry none (docs/physics.md).
-
-    Args:
-        system: arm and satellite.
-        q, v: (..., n) joint angles [rad] and rates [rad/s].
-        y, yd: (..., 6) pose of the base and its rate.
-        internal: coordinates and rates (..., k) of wheels and appendages.
-
-    Returns:
-        (..., 6) [kg m/s, kg m^2/s].
-
-    Raises:
-        ParameterError: the vehicle is no body in free space, or `internal` is missing.
-    """
-    base = system.base
-    system.arm.require_rigid("momentum")
-    if base.body is None:
-        raise ParameterError(
-            f"momentum needs a satellite, got a vehicle of kind {system.vehicle.kind}"
-        )
-    if base.m:
-        raise ParameterError(
-            f"momentum needs bodies on the satellite, got {base.m} of its `extra` masses, whose"
-            " place beside their way is not known: describe them as appendages"
-        )
-    pose, rates = np.asarray(y, float), np.asarray(v, float)
-    moving, H = twist(pose, yd), inertia(system.arm, q)
-    carried = matvec(H[..., :6, :6] + base.body.spatial(), moving)
-    carried = carried + matvec(H[..., :6, 6:], rates)
-    if base.carried:
-        if internal is None:
-            raise ParameterError("momentum needs the motion of wheels and appendages")
-        locked, across, _ = carried_inertia(base.carried, internal[0])
-        carried = carried + matvec(locked, moving) + matvec(across, internal[1])
-    R = rotation(pose)
-    linear, angular = matvec(R, carried[..., :3]), matvec(R, carried[..., 3:])
-    out: Array = np.concatenate([linear, angular + np.cross(pose[..., :3], linear)], axis=-1)
-    return out
