@@ -71,6 +71,7 @@ TOOL = PayloadBody(
 UNWEIGHED = GravityTool(mass=1.2, moment=(0.06, -0.03, 0.18))
 
 
+@pytest.mark.slow
 def test_a_payload_that_sits_a_little_elsewhere_and_extends_is_named_by_its_mass():
     """3 cm off along two axes and 2 cm wide, where a body of ten numbers explains no more."""
     place, wide = np.array([0.03, 0.02, -0.03]), 0.02

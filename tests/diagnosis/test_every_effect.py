@@ -108,6 +108,12 @@ ROUGH = {  # relative error, where it is more than 0.15
     "sensor/calibration": 0.3,
 }
 
+ONE_OF_EACH = (  # way of acting: on a model, as a law, with a state, on a signal; at each port
+    "base/stiffness", "command/delay", "gravity/tilt", "joint/asymmetry", "joint/elasticity",
+    "joint/measurement_delay", "joint/torque_limit", "payload/mass", "platform/delay",
+    "sensor/drift", "sensor/rotation",
+)  # fmt: skip
+
 ALIKE = {"payload/body": "payload/mass"}  # a body of no more than a mass is one
 LEFT = {  # deviance that is more than 20
     ("joint/backlash", "joint"): 1200.0,  # of 1,550: teeth meet between two samples
@@ -221,7 +227,13 @@ def test_every_effect_that_can_be_named_is_tried_here():
     assert set(SIZES) == nameable
 
 
-@pytest.mark.parametrize("kind", SIZES)
+def each(kinds, but=()):
+    """Parameters of a test, of which one of each way of acting is not slow, `but` for some."""
+    quick = set(ONE_OF_EACH).difference(but)
+    return [k if k in quick else pytest.param(k, marks=pytest.mark.slow) for k in kinds]
+
+
+@pytest.mark.parametrize("kind", each(SIZES))
 def test_an_effect_of_ten_times_the_noise_is_seen_at_its_port(kind):
     """Its candidate gains what a name needs, finds the numbers, and is quiet without it."""
     system = MACHINES.get(kind, SYSTEM)
@@ -247,14 +259,7 @@ SILENT = {  # of which test_ports.py and test_admittance.py say the same, if not
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        pytest.param(k, marks=[pytest.mark.slow] * (k in SILENT))
-        for k in SIZES
-        if k != "sensor/drift"
-    ],
-)
+@pytest.mark.parametrize("kind", each((k for k in SIZES if k != "sensor/drift"), SILENT))
 def test_an_effect_that_is_described_leaves_nothing(kind):
     """At every port, without noise: what is left could be taken for a second effect."""
     system = MACHINES.get(kind, SYSTEM)
@@ -433,6 +438,7 @@ def test_an_effect_of_one_s_own_is_compiled_and_randomised(own):
     env.close()
 
 
+@pytest.mark.slow
 def test_effects_of_one_s_own_are_quiet_where_nothing_is_missing(own):
     found = vg.diagnose(noisy(healthy(SYSTEM)[0]), as_logged=True)
     assert found.verdict == d.NOTHING

@@ -133,6 +133,7 @@ def test_a_motion_is_a_table_for_a_controller(designed):
     assert np.gradient(q, t, axis=0)[5:-5] == pytest.approx(rows[5:-5, 4:], abs=2e-3)
 
 
+@pytest.mark.slow
 def test_a_name_that_is_withheld_gets_the_motion_that_decides_about_it(monkeypatch):
     """A drive 0.75 % off gains 66: of names that gain so little some are wrong."""
     motion = Motion.straight([0.3, 0.5, 0.4], [1.2, -0.4, -0.9], 4.0)

@@ -38,6 +38,13 @@ def changed(log, keys, matrix):
     return dataclasses.replace(log, **{k: getattr(log, k) @ np.array(matrix).T for k in keys})
 
 
+def beginning(log, seconds):
+    count = int(np.searchsorted(log.t, log.t[0] + seconds))
+    values = {f.name: getattr(log, f.name) for f in dataclasses.fields(log)}
+    cut = {k: v[:count] for k, v in values.items() if np.shape(v)[:1] == log.t.shape}
+    return dataclasses.replace(log, **cut)
+
+
 def flip(n, i):
     return np.diag([-1.0 if k == i else 1.0 for k in range(n)])
 
@@ -74,7 +81,8 @@ def slowly(*values):
     ids=lambda x: x.replace(" ", "-")[:40] if isinstance(x, str) else "",
 )
 def test_a_mistake_in_the_log_is_asked_about(log, keys, matrix, text):
-    assert asked(changed(log, keys, matrix)).startswith(text)
+    """The first 3 s tell it: what a unit or a sign does is large from the start."""
+    assert asked(changed(beginning(log, 3.0), keys, matrix)).startswith(text)
 
 
 @pytest.mark.slow

@@ -90,6 +90,7 @@ def caught(log):
     )
 
 
+@pytest.mark.slow
 def test_a_law_of_fine_structure_over_an_angle_is_written_as_curves():
     """Four motions cover the angles of the one held back."""
     found, part = written(*changed(recorded(5), caught), HERE, ["joint/curves at joint 2"])
