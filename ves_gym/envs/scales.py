@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -185,6 +186,7 @@ def released_energy(system: System, q: Array, y: Array, duration: float) -> Arra
     return np.asarray(((omega * x) ** 2 * (swing + fall) / 4).sum(axis=1), dtype=np.float64)
 
 
+@lru_cache(maxsize=256)  # alike in all environments of a task, and most of making one
 def _response(duration: float, tail: float, z: float) -> Array:
     """Mean energy of oscillators x'' + 2 z w x' + w^2 x = -s''(t), s the quintic law."""
     t = np.linspace(0.0, duration + tail, _SAMPLES)
@@ -202,4 +204,6 @@ def _response(duration: float, tail: float, z: float) -> Array:
         x = state.imag / pole.imag
         rate_x = state.real + pole.real * x
         total += (rate_x**2 + (w * x) ** 2) / 2
-    return np.asarray(total / len(t), dtype=np.float64)
+    out = np.asarray(total / len(t), dtype=np.float64)
+    out.setflags(write=False)
+    return out
