@@ -101,7 +101,7 @@ def same_runs(a, b):
 
 @pytest.mark.parametrize(
     "config",
-    [pytest.param(PPO, marks=pytest.mark.slow), IMITATING, DAGGER],
+    [IMITATING, *(pytest.param(k, marks=pytest.mark.slow) for k in (PPO, DAGGER))],
     ids=lambda c: c.label,
 )
 def test_a_stopped_run_ends_as_if_it_had_not_been(config, tmp_path):

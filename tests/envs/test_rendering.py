@@ -13,13 +13,14 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from tests.display import require_opengl, virtual_display
-from tests.envs.walks import actions, each_kind, same, walk
+from tests.envs.walks import IDS, actions, same, walk
 from ves_gym.envs.recording import Renderer
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.rendering import opengl as gl
 from ves_gym.rendering.opengl import Probe, RenderError
 
 IDEAL, EMULATED = "ves/PumaRestToRest-v0", "ves/PumaRestToRestEmulated-v0"
+PICTURED = (IDEAL, "ves/PumaReachGoal-v0", "ves/ServicerCapture-v0")  # alone, by goals, 3-D
 GENTLE = {"kind": "guided", "jerk": 40.0}  # so that actions at random meet no joint limit
 ENERGY = (0.32, 0.72, 0.98)  # of the line in the strip
 TARGET = (0.98, 0.86, 0.30)
@@ -123,7 +124,9 @@ def test_a_vector_shows_every_environment_as_it_would_be_alone(make):
         VesVectorEnv(2, render_mode="human")
 
 
-@each_kind
+@pytest.mark.parametrize(
+    "name", [k if k in PICTURED else pytest.param(k, marks=pytest.mark.slow) for k in IDS]
+)
 def test_observations_can_be_pictures(name, make):
     """Gymnasium's AddRenderObservation, alone and beside what else is observed."""
     env = gym.wrappers.AddRenderObservation(make(name), render_only=True)

@@ -6,7 +6,7 @@ The reference is no competitor: it knows the nominal machine and reads the true 
 import numpy as np
 import pytest
 
-from tests.envs.walks import IDS
+from tests.envs.walks import IDS, KINDS
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.registry import REFERENCES, get_controller
 from ves_gym.envs.registration import IDS as NAMES
@@ -24,10 +24,10 @@ def name_of(id):
 
 
 def cases():
-    """(id, reference, episodes): 100 among the slow tests, 20 of what is quick."""
+    """(id, reference, episodes): 100 among the slow tests, 20 of each kind that is quick."""
     for id in IDS:
         name = name_of(id)
-        if name not in LONG:
+        if id in KINDS and name not in LONG:
             yield pytest.param(id, REFERENCES[name], 20)
         yield pytest.param(id, REFERENCES[name], 100, marks=pytest.mark.slow)
 

@@ -10,7 +10,7 @@ from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.suites import get_suite, part_of
 from ves_gym.system.system import System
 
-PLANNERS = ["straight", "hotspot-q", "hotspot-qt", "direct"]
+PLANNERS = ["straight", "hotspot-q", "refined", "direct"]
 
 
 class Elements(html.parser.HTMLParser):
