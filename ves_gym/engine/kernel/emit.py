@@ -11,7 +11,7 @@ import math
 import struct
 import sys
 from collections.abc import Callable
-from functools import partialmethod
+from functools import cache, partialmethod
 from typing import TYPE_CHECKING
 
 from ves_gym._util.params import ParameterError
@@ -226,7 +226,6 @@ def emit_function(name: str, graph: casadi.Function, in_place: bool = False) -> 
     code = FunctionBody()
     registers: dict[int, str] = {}
     outputs: dict[tuple[int, int], str] = {}
-    unity, zero = splat(1.0), splat(0.0)
     for k in range(graph.n_instructions()):
         op, into = graph.instruction_id(k), graph.instruction_output(k)
         operands = graph.instruction_input(k)
@@ -237,8 +236,8 @@ def emit_function(name: str, graph: casadi.Function, in_place: bool = False) -> 
         elif op == ca.OP_OUTPUT:
             outputs[into[0], into[1]] = registers[operands[0]]
         else:
-            args = [registers[i] for i in operands]
-            registers[into[0]] = _operation(code, ca, op, args, unity, zero)
+            a, b = (registers[operands[i]] for i in (0, -1))
+            registers[into[0]] = _operation(op)(code, a, b)
     for (which, row), value in outputs.items():
         code.store(value, f"%out{which}", row)
     kind = "ptr" if in_place else "ptr noalias"
@@ -248,53 +247,61 @@ def emit_function(name: str, graph: casadi.Function, in_place: bool = False) -> 
     return "\n".join([head, *code.lines, "  ret void", "}"])
 
 
-def _operation(
-    code: FunctionBody, ca: object, op: int, args: list[str], unity: str, zero: str
-) -> str:
-    a = args[0]
-    b = args[1] if len(args) > 1 else ""
+_UNITY, _NOTHING = splat(1.0), splat(0.0)
 
-    def truth(test: str) -> str:
-        return code.select(test, unity, zero)
 
-    table: dict[str, Callable[[], str]] = {
-        "OP_ASSIGN": lambda: a,
-        "OP_ADD": lambda: code.add(a, b),
-        "OP_SUB": lambda: code.sub(a, b),
-        "OP_MUL": lambda: code.mul(a, b),
-        "OP_DIV": lambda: code.div(a, b),
-        "OP_NEG": lambda: code.negate(a),
-        "OP_SQ": lambda: code.mul(a, a),
-        "OP_TWICE": lambda: code.add(a, a),
-        "OP_INV": lambda: code.div(unity, a),
-        "OP_SIN": lambda: code.sine_cosine(a)[0],
-        "OP_COS": lambda: code.sine_cosine(a)[1],
-        "OP_SQRT": lambda: code.call("sqrt", a),
-        "OP_EXP": lambda: code.exp(a),
-        "OP_LOG": lambda: code.log(a),
-        "OP_TANH": lambda: code.tanh(a),
-        "OP_FLOOR": lambda: code.call("floor", a),
-        "OP_CALL": lambda: code.single(a),  # the one function that graphs call
-        "OP_FABS": lambda: code.call("fabs", a),
-        "OP_FMIN": lambda: code.call("minimum", a, b),
-        "OP_FMAX": lambda: code.call("maximum", a, b),
-        "OP_LT": lambda: truth(code.compare("olt", a, b)),
-        "OP_LE": lambda: truth(code.compare("ole", a, b)),
-        "OP_EQ": lambda: truth(code.compare("oeq", a, b)),
-        "OP_NE": lambda: truth(code.compare("une", a, b)),
-        "OP_NOT": lambda: truth(code.compare("oeq", a, zero)),
-        "OP_AND": lambda: code.mul(a, b),
-        "OP_OR": lambda: code.call("maximum", a, b),
-        "OP_IF_ELSE_ZERO": lambda: code.select(code.compare("une", a, zero), b, zero),
-        "OP_REMAINDER": lambda: code.sub(a, code.mul(b, code.call("rint", code.div(a, b)))),
-        "OP_SIGN": lambda: code.select(
-            code.compare("ueq", a, zero), a, code.call("copysign", unity, a)
-        ),
-    }
-    for name, build in table.items():
+def _truth(code: FunctionBody, kind: str, a: str, b: str) -> str:
+    return code.select(code.compare(kind, a, b), _UNITY, _NOTHING)
+
+
+_OPERATIONS: dict[str, Callable[[FunctionBody, str, str], str]] = {
+    "OP_ASSIGN": lambda code, a, b: a,
+    "OP_ADD": lambda code, a, b: code.add(a, b),
+    "OP_SUB": lambda code, a, b: code.sub(a, b),
+    "OP_MUL": lambda code, a, b: code.mul(a, b),
+    "OP_DIV": lambda code, a, b: code.div(a, b),
+    "OP_NEG": lambda code, a, b: code.negate(a),
+    "OP_SQ": lambda code, a, b: code.mul(a, a),
+    "OP_TWICE": lambda code, a, b: code.add(a, a),
+    "OP_INV": lambda code, a, b: code.div(_UNITY, a),
+    "OP_SIN": lambda code, a, b: code.sine_cosine(a)[0],
+    "OP_COS": lambda code, a, b: code.sine_cosine(a)[1],
+    "OP_SQRT": lambda code, a, b: code.call("sqrt", a),
+    "OP_EXP": lambda code, a, b: code.exp(a),
+    "OP_LOG": lambda code, a, b: code.log(a),
+    "OP_TANH": lambda code, a, b: code.tanh(a),
+    "OP_FLOOR": lambda code, a, b: code.call("floor", a),
+    "OP_CALL": lambda code, a, b: code.single(a),  # the one function that graphs call
+    "OP_FABS": lambda code, a, b: code.call("fabs", a),
+    "OP_FMIN": lambda code, a, b: code.call("minimum", a, b),
+    "OP_FMAX": lambda code, a, b: code.call("maximum", a, b),
+    "OP_LT": lambda code, a, b: _truth(code, "olt", a, b),
+    "OP_LE": lambda code, a, b: _truth(code, "ole", a, b),
+    "OP_EQ": lambda code, a, b: _truth(code, "oeq", a, b),
+    "OP_NE": lambda code, a, b: _truth(code, "une", a, b),
+    "OP_NOT": lambda code, a, b: _truth(code, "oeq", a, _NOTHING),
+    "OP_AND": lambda code, a, b: code.mul(a, b),
+    "OP_OR": lambda code, a, b: code.call("maximum", a, b),
+    "OP_IF_ELSE_ZERO": lambda code, a, b: code.select(
+        code.compare("une", a, _NOTHING), b, _NOTHING
+    ),
+    "OP_REMAINDER": lambda code, a, b: code.sub(
+        a, code.mul(b, code.call("rint", code.div(a, b)))
+    ),
+    "OP_SIGN": lambda code, a, b: code.select(
+        code.compare("ueq", a, _NOTHING), a, code.call("copysign", _UNITY, a)
+    ),
+}
+
+
+@cache  # asked for every instruction of every graph
+def _operation(op: int) -> Callable[[FunctionBody, str, str], str]:
+    import casadi as ca
+
+    for name, build in _OPERATIONS.items():
         if getattr(ca, name) == op:
-            return build()
-    operations = ", ".join(name[3:].lower() for name in table)
+            return build
+    operations = ", ".join(name[3:].lower() for name in _OPERATIONS)
     raise ParameterError(f"the kernel cannot compile operation {op}; it knows {operations}")
 
 
