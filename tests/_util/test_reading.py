@@ -62,7 +62,7 @@ def test_a_reader_that_takes_too_long_is_ended(tmp_path, monkeypatch):
 
 def test_an_archive_that_unpacks_to_more_than_it_should_is_refused(tmp_path):
     file = tmp_path / "K.npz"
-    np.savez_compressed(file, K=np.zeros((16_000, 16_000)))  # 2 GB in 2 MB
+    np.savez_compressed(file, K=np.zeros((12_000, 12_000)))  # 1.15 GB in 1.1 MB
     with pytest.raises(ParameterError, match="of memory"):
         read_matrices(file)
 

@@ -42,7 +42,7 @@ def test_the_next_line_plays_the_plan_on_its_machine(call, machine):
     if machine == "mast":
         assert call("structure", *MAST, "--damping", "0.01", "--save", "my mast.toml")[0] == 0
         words = ["--goal", "30,20,-15", "--vehicle", "my mast.toml"]
-    words += ["--planner", "straight", "--duration", "4"]
+    words += ["--planner", "straight", "--duration", "2"]
     status, out, _, planned = call("plan", *words, out="with a space")
     assert status == 0
     line = next_line(out)

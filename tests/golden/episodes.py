@@ -227,7 +227,9 @@ def probes() -> dict[str, Probe]:
         **{f"{id} whole": Probe(whole(id), slow="Servicer" in id) for id in IDS},
         **{f"{id} alone": Probe(alone(id), loose=loose) for id in ALONE},
         **{
-            f"with {name}": Probe(in_lockstep(id, **settings), loose=loose)
+            f"with {name}": Probe(
+                in_lockstep(id, **settings), loose=loose, slow=name == "another arm"
+            )
             for name, (id, settings) in SETTINGS.items()
         },
         **{

@@ -192,7 +192,9 @@ def gains() -> dict[str, Probe]:
         "gains by estimator": Probe(lambda: tuned("estimator"), loose=about),
         "gains by worst": Probe(lambda: tuned("worst", vehicle="decoupled"), loose=about),
         # of nine gains instead of six the search ends elsewhere when rounding changes
-        "full gains": Probe(lambda: tuned("strain", full=True), loose={"value": 1e-2}),
+        "full gains": Probe(
+            lambda: tuned("strain", full=True), loose={"value": 1e-2}, slow=True
+        ),
         # few starts a point: 1.6e-3 between processors with AVX-512 and those with AVX2
         "damping map": Probe(mapped, loose={"tuned": 5e-3}),
     }
@@ -291,7 +293,9 @@ def derivatives() -> dict[str, Probe]:
         return {"energy": float(out.energy[0]), **slopes}
 
     return {
-        f"derivatives, {k}": Probe(lambda table=table, wrt=wrt: along(table, wrt))
+        f"derivatives, {k}": Probe(
+            lambda table=table, wrt=wrt: along(table, wrt), slow=k == "bent"
+        )
         for k, (table, wrt) in cases.items()
     }
 

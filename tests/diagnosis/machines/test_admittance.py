@@ -90,7 +90,12 @@ def gap(system, run, effects=()):
     return np.abs(x[skip:-skip]).max() / np.ptp(run["w"], axis=0).max()
 
 
-@pytest.mark.parametrize("name", MACHINES)
+LONGER = ("bent, errors", "satellite, as read", "weight and all", "two periods", "prescribed")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(k, marks=pytest.mark.slow) if k in LONGER else k for k in MACHINES]
+)
 def test_a_machine_as_described_leaves_rounding(name):
     """Tolerance: y_cmd rounds at 1e-17 m, and two differences over 12.5 ms make 1e-13 m/s^2."""
     system = MACHINES[name]
