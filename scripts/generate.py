@@ -22,7 +22,7 @@ from ves_gym.envs.build import build_task
 from ves_gym.envs.control import CONTROLS, Control
 from ves_gym.envs.env import VesEnv
 from ves_gym.envs.registration import IDS
-from ves_gym.envs.signals import WEIGHTS, described
+from ves_gym.envs.signals import WEIGHTS
 from ves_gym.envs.task import Task
 from ves_gym.mechanics.vehicle import VEHICLES
 
@@ -214,6 +214,22 @@ def _info(env: VesEnv) -> str:
     )
 
 
+def _described(task: Task, terms: tuple[str, ...]) -> dict[str, str]:
+    """Return what each objective of a task is made of, for its page.
+
+    Args:
+        task: whose.
+        terms: names of its reward's terms.
+    """
+    parts = {
+        "energy": [k for k in terms if k in task.energetic],
+        "error": [k for k in terms if k not in task.energetic],
+    }
+    sums = {k: " + ".join(f"`reward/{name}`" for name in v) or "0" for k, v in parts.items()}
+    time = "minus the share of the episode in which it was not solved; a failure takes the rest"
+    return {"energy": sums["energy"], "time": time, "error": sums["error"]}
+
+
 def _objectives(env: VesEnv, terms: tuple[str, ...]) -> str:
     """What `reward="vector"` and `cost=True` add; a goal variant has no vector."""
     text = (
@@ -226,7 +242,7 @@ def _objectives(env: VesEnv, terms: tuple[str, ...]) -> str:
     rows = [
         (f"`{name}`", f"{weight:g}", what)
         for (name, what), weight in zip(
-            described(env.task, terms).items(), WEIGHTS, strict=True
+            _described(env.task, terms).items(), WEIGHTS, strict=True
         )
     ]
     head = '\n\nWith `reward="vector"` the reward is an array:\n\n'

@@ -7,10 +7,11 @@ from math import pi
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Arm, Inertial, Link, diagonal, matrix
-from ves_gym.mechanics.kinematics import frames, joint_positions
+from ves_gym.mechanics.kinematics import ToolPose, frames, joint_positions, tool_frame
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.vehicle import BENT_THESIS, MatrixVehicle
 from ves_gym.planners.obstacles import link_radius
@@ -137,3 +138,19 @@ def with_modes(coupling: float) -> System:
         omega=(2.0, 5.0),
     )
     return System(vehicle=vehicle)
+
+
+def tool_pose(arm: Arm, q: Array) -> ToolPose:
+    """Pose of the tool at one configuration (n,) [rad], base at rest."""
+    place, turn = tool_frame(arm, np.asarray(q, float))
+    z, y, x = Rotation.from_matrix(turn).as_euler("ZYX")
+    return ToolPose(position=tuple(place.tolist()), angles=(float(x), float(y), float(z)))
+
+
+def pose_error(arm: Arm, pose: ToolPose, q: Array) -> Array:
+    """What is missing to a pose at angles (..., n) [rad], as a twist; a place has no turn."""
+    place, turn = tool_frame(arm, np.asarray(q, float))
+    if pose.rotation is None:
+        return pose.position - place
+    turned = pose.rotation @ np.swapaxes(turn, -1, -2)
+    return np.concatenate([pose.position - place, Rotation.from_matrix(turned).as_rotvec()], -1)

@@ -24,8 +24,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.arms import SEVEN_GAINS, seven_joint_arm
-from ves_gym.mechanics.tool_pose import tool_pose
+from tests.arms import SEVEN_GAINS, seven_joint_arm, tool_pose
 from ves_gym.mechanics.vehicle import BENT_THESIS, get_vehicle
 from ves_gym.planners.coupling_map import coupling_map
 from ves_gym.planners.query import solve

@@ -62,19 +62,9 @@ def test_poles_of_the_beam_are_those_found_before(servo, printed):
     of the joints show and the slow ones of the beam do not.
     """
     system = System(vehicle=dataclasses.replace(BENT_THESIS, damping_model="elementwise"))
-    poles = linearise_ideal(system, np.deg2rad([45, 0, 0]), servo=servo).poles
+    poles = np.linalg.eigvals(linearise_ideal(system, np.deg2rad([45, 0, 0]), servo=servo).A)
     for pole in printed:
         assert np.abs(poles - pole).min() < 0.01
-
-
-def test_gains_are_a_feedback():
-    q = [0.5, -0.3, 0.2]
-    gain = np.zeros((3, 18))
-    gain[:, 6:9], gain[:, 15:] = np.diag(PPED_GAINS.kp), np.diag(PPED_GAINS.kd)
-    closed = linearise_ideal(System(vehicle=BENT_THESIS), q).feedback(gain)
-    held = linearise_ideal(System(vehicle=BENT_THESIS), q, servo=PPED_GAINS)
-    np.testing.assert_allclose(closed.A, held.A, atol=1e-10)
-    np.testing.assert_allclose(held.u0, np.array(PPED_GAINS.kp) * q)
 
 
 def test_sampled_it_is_what_the_simulator_does():
@@ -101,7 +91,7 @@ def test_a_batch_is_its_members():
     y = 0.1 * np.ones((5, 6))
     many = linearise_ideal(System(vehicle=BENT_THESIS), q, y=y, servo=HIGH_GAINS)
     assert many.A.shape == (4, 5, 18, 18) and many.B.shape == (4, 5, 18, 3)
-    assert many.poles.shape == many.drift.shape == (4, 5, 18)
+    assert many.drift.shape == (4, 5, 18)
     assert many.discretise(0.01)[0].shape == (4, 5, 18, 18)
     one = linearise_ideal(System(vehicle=BENT_THESIS), q[2, 3], y=y[3], servo=HIGH_GAINS)
     np.testing.assert_array_equal(one.A, many.A[2, 3])
@@ -127,10 +117,8 @@ def test_wrong_arguments_are_refused(message):
         linearise_ideal(**{"system": System(vehicle=BENT_THESIS), **REFUSED[message]})
 
 
-def test_wrong_gains_and_periods_are_refused():
+def test_wrong_periods_are_refused():
     linear = linearise_ideal(System(vehicle=BENT_THESIS))
-    with pytest.raises(ParameterError, match=r"gain must have shape \(\.\.\., 3, 18\)"):
-        linear.feedback(np.zeros((3, 9)))
     for dt in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(ParameterError, match="dt must be > 0 s"):
             linear.discretise(dt)

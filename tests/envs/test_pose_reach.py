@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.arms import tool_pose
 from tests.envs.runs import EMULATED, controlled, unscaled
 from ves_gym.baselines.registry import get_controller
 from ves_gym.baselines.resolved import inverse_sparing
@@ -15,7 +16,6 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.kinematics import pose_dexterity, tool_frame, tool_twists
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED
 from ves_gym.mechanics.spatial import rotation
-from ves_gym.mechanics.tool_pose import tool_pose
 
 SIX, SEVEN = "puma560-wrist", "iiwa14"
 

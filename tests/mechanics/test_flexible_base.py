@@ -15,7 +15,6 @@ from ves_gym.mechanics.flexible_base import (
     FlexibleBase,
     Polyline,
     Strut,
-    stress,
 )
 from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.structure import Structure
@@ -183,17 +182,6 @@ def test_a_mode_bends_it_between_its_ends():
     assert np.abs(bent[:, 1]).max() == pytest.approx(np.abs(bent).max())
 
 
-def test_stress_under_a_load_on_the_flange():
-    """100 N across the bent beam's upper half: F L c / I at the elbow and along the lower."""
-    force = np.array([100.0, 0, 0, 0, 0, 0])
-    y = np.linalg.solve(BENT_THESIS.stiffness(), force)[None]
-    found = stress(FLEXIBLE, y, FLEXIBLE.base_model().attached(y))[0]
-    area, second = BENT_THESIS.section.area, BENT_THESIS.section.second_y
-    bending = 100.0 * 8.0 * 0.09 / second
-    assert found[1] == pytest.approx([bending, 0.0], abs=1e-3 * bending)
-    assert found[0] == pytest.approx([bending + 100.0 / area] * 2, rel=1e-3)
-
-
 REDUCED = users(damped=False).reduced(2)
 
 
@@ -215,9 +203,6 @@ REFUSED = {
         REDUCED, coupling=matrix(50 * np.ones((6, 2)))
     ),
     "axes must be a rotation": lambda: users().reduced(2, axes=2 * np.eye(3)),
-    "stress needs a Polyline": lambda: stress(
-        FlexibleBase(structure=drawn(), modes=2), np.zeros((1, 6))
-    ),
 }
 
 

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.arms import planar_arm, seven_joint_arm, six_joint_arm
+from tests.arms import planar_arm, pose_error, seven_joint_arm, six_joint_arm, tool_pose
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.kinematics import (
@@ -22,8 +22,6 @@ from ves_gym.mechanics.tool_pose import (
     configurations_at,
     every_joints_for,
     joints_for,
-    pose_error,
-    tool_pose,
     towards_pose,
 )
 

@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 
 import ves_gym as vg
-from tests.arms import seven_joint_arm, six_joint_arm
+from tests.arms import pose_error, seven_joint_arm, six_joint_arm, tool_pose
 from tests.reach import SPEED_LIMITS
 from ves_gym._util.params import ParameterError, content_hash, from_plain, to_plain
-from ves_gym.mechanics.kinematics import joint_positions
+from ves_gym.mechanics.kinematics import ToolPose, joint_positions
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.tool_pose import ToolPose, pose_error, tool_pose
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING
 from ves_gym.planners.case import load_case
 from ves_gym.planners.direct import Direct

@@ -175,8 +175,8 @@ def require_one_of(name: str, value: object, choices: Collection[str]) -> None:
         )
 
 
-def symmetric(value: object, name: str, size: int = 6, *, semidefinite: bool = True) -> Array:
-    """Return a value as a symmetric positive (semi)definite matrix.
+def symmetric(value: object, name: str, size: int = 6) -> Array:
+    """Return a value as a symmetric positive semidefinite matrix.
 
     Symmetry is tested to 1e-9 of the largest entry (rounding of a printed or inverted
     matrix); an eigenvalue may be negative by 1e-12 of the largest.
@@ -185,7 +185,6 @@ def symmetric(value: object, name: str, size: int = 6, *, semidefinite: bool = T
         value: (size, size) numbers.
         name: of the value, for the message.
         size: rows and columns.
-        semidefinite: admit vanishing eigenvalues.
 
     Raises:
         ParameterError: not symmetric, or tells the offending eigenvalue.
@@ -200,9 +199,10 @@ def symmetric(value: object, name: str, size: int = 6, *, semidefinite: bool = T
             f" and [{j + 1},{i + 1}] = {matrix[j, i]:.6g}"
         )
     lowest = float(np.linalg.eigvalsh(matrix)[0])
-    if lowest < -1e-12 * largest or (not semidefinite and lowest <= 0):
-        kind = "positive semidefinite" if semidefinite else "positive definite"
-        raise ParameterError(f"{name} must be {kind}, got an eigenvalue {lowest:.6g}")
+    if lowest < -1e-12 * largest:
+        raise ParameterError(
+            f"{name} must be positive semidefinite, got an eigenvalue {lowest:.6g}"
+        )
     return (matrix + matrix.T) / 2
 
 

@@ -135,8 +135,8 @@ def _orthogonal(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
 class Adam:
     """Kingma & Ba's optimiser (arXiv:1412.6980), on a vector."""
 
-    def __init__(self, size: int, epsilon: float = 1e-5) -> None:
-        self.epsilon, self.steps = epsilon, 0
+    def __init__(self, size: int) -> None:
+        self.steps = 0
         self.mean, self.square = np.zeros(size, np.float32), np.zeros(size, np.float32)
 
     def state(self) -> tuple[int, Floats, Floats]:
@@ -156,7 +156,7 @@ class Adam:
         self.square += np.float32(1 - b) * slopes * slopes
         size = np.sqrt(self.square)
         size *= np.float32(1 / math.sqrt(1 - b**self.steps))
-        size += np.float32(self.epsilon)
+        size += np.float32(1e-5)
         numbers -= np.float32(rate / (1 - a**self.steps)) * self.mean / size
 
 

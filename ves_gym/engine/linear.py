@@ -6,7 +6,7 @@ at once. The laboratory's discrete loop is linearised in `simulation/stability.p
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache, partial
 
 import numpy as np
@@ -36,18 +36,6 @@ class Linear:
     drift: Array  # (..., 2 s) x' at the point: zero at an equilibrium
     x0: Array  # (..., 2 s)
     u0: Array  # (..., n)
-
-    @property
-    def poles(self) -> npt.NDArray[np.complex128]:
-        """(..., 2 s) eigenvalues of A [1/s]."""
-        return np.linalg.eigvals(self.A).astype(np.complex128)
-
-    def feedback(self, gain: npt.ArrayLike) -> Linear:
-        """Closed by u = u0 - gain (x - x0) + u', gain (..., n, 2 s); input u' from there."""
-        K, (size, n) = np.asarray(gain, float), self.B.shape[-2:]
-        if K.shape[-2:] != (n, size):
-            raise ParameterError(f"gain must have shape (..., {n}, {size}), got {K.shape}")
-        return replace(self, A=self.A - self.B @ K)
 
     def discretise(self, dt: float) -> tuple[Array, Array]:
         """Sampled exactly with u held over each step of dt [s] (zero-order hold).

@@ -255,19 +255,3 @@ def objectives(batch: Batch, info: Mapping[str, Any], over: Mask | None = None) 
         left[over] = 0.0
     out[:, 1] = -left / task.steps
     return out
-
-
-def described(task: Task, terms: tuple[str, ...]) -> dict[str, str]:
-    """Return what each objective of a task is made of, for its page.
-
-    Args:
-        task: whose.
-        terms: names of its reward's terms.
-    """
-    parts = {
-        "energy": [k for k in terms if k in task.energetic],
-        "error": [k for k in terms if k not in task.energetic],
-    }
-    sums = {k: " + ".join(f"`reward/{name}`" for name in v) or "0" for k, v in parts.items()}
-    time = "minus the share of the episode in which it was not solved; a failure takes the rest"
-    return {"energy": sums["energy"], "time": time, "error": sums["error"]}

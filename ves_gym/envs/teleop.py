@@ -72,7 +72,6 @@ class Teleop:
         system: either mode.
         start: joint angles [rad]; zero by default.
         seed: of sensor noise and drift.
-        backend: see `Simulator`.
         record: keep what happens, for `log`.
     """
 
@@ -82,7 +81,6 @@ class Teleop:
         *,
         start: npt.ArrayLike = 0.0,
         seed: int = 0,
-        backend: str = "auto",
         record: bool = False,
     ) -> None:
         arm = system.arm
@@ -99,7 +97,7 @@ class Teleop:
             tail=0.0,
             home=tuple(home.tolist()),
         )
-        self.batch = Batch(self.task, 1, backend=backend, threads=1)
+        self.batch = Batch(self.task, 1, threads=1)
         if record:
             self.batch.recorder = Recorder(self.batch)
         self.batch.seed(_ALL, seed, 0)

@@ -7,7 +7,6 @@ Frame: the platform's, wrench and twist at its origin, linear part first.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -97,11 +96,6 @@ class Appendage:
     def inertia(self) -> float:
         """Inertia that its spring moves, the satellite at rest [kg m^2, kg]."""
         return float(inertia_of(self, np.zeros(())).joint)
-
-    @property
-    def frequency(self) -> float:
-        """Natural frequency, the satellite at rest [Hz]."""
-        return math.sqrt(self.stiffness / self.inertia) / (2 * math.pi)
 
 
 Carried = ReactionWheel | Appendage

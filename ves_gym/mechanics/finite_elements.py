@@ -162,31 +162,6 @@ class BeamFrame:
         mass, stiffness = element(float(f"{length:.14g}"), section, material, rotary)
         return slice(6 * i, 6 * i + 12), turn, mass, stiffness
 
-    def stress(self, displacement: Array) -> Array:
-        """Return the largest axial stress at each end of each member.
-
-        Tension plus bending at the outermost fibre, without the loads' own inertia within
-        the element; for round sections exact in the fibre that is bent most.
-
-        Args:
-            displacement: (..., 6k) of all freedoms [m, rad].
-
-        Returns:
-            (..., members, 2) at start and end [Pa].
-        """
-        out = np.zeros((*displacement.shape[:-1], len(self.members), 2))
-        for i, (section, material) in enumerate(self.members):
-            s = section.of(material)
-            if s.fibre is None:
-                raise ParameterError(f"Section.fibre of members[{i}] is needed for stress")
-            at, turn, _, k = self._element(i)
-            loads = displacement[..., at] @ (k @ turn).T  # at both ends, in its own axes
-            for end in (0, 1):
-                pull, _, _, _, my, mz = np.moveaxis(loads[..., 6 * end : 6 * end + 6], -1, 0)
-                bent = s.fibre * np.hypot(my / s.second_y, mz / s.second_z)
-                out[..., i, end] = np.abs(pull) / s.area + bent
-        return out
-
 
 def _axes(x: Array, section: Section | Tube) -> Array:
     """(3, 3) local axes of a member as columns: along it (x), local y, local z."""

@@ -489,30 +489,3 @@ def beam_line(
         eta = u - y @ base.reduction().coupling
         out = out + np.einsum("kic,nc->nki", shapes, eta)
     return np.asarray(out, dtype=np.float64)
-
-
-def stress(base: FlexibleBase, y: Array, u: Array | None = None) -> Array:
-    """Return the largest axial stress along a polyline, tension and bending together.
-
-    What its static shapes and internal modes strain; modes that are left out add nothing.
-
-    Args:
-        base: of a polyline.
-        y: (N, 6) poses of its flange [m, rad].
-        u: (N, m) internal modes [kg^(1/2) m]; None: they rest on the flange.
-
-    Returns:
-        (N, members, 2) at start and end of each member [Pa].
-
-    Raises:
-        ParameterError: a user's reduced matrices, which know no sections.
-    """
-    if isinstance(base.structure, Reduced):
-        raise ParameterError("stress needs a Polyline, got reduced matrices")
-    reduced, frame = base.reduction(), base.structure.frame()
-    moved = y @ reduced.static.T
-    if u is not None:
-        moved = moved + (u - y @ reduced.coupling) @ reduced.shapes.T
-    ends = frame.stress(moved)  # (N, elements, 2), member by member
-    first = np.arange(len(base.structure.members)) * ELEMENTS
-    return np.stack([ends[:, first, 0], ends[:, first + ELEMENTS - 1, 1]], axis=-1)

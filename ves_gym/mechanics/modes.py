@@ -172,16 +172,15 @@ def jacobi_sweep(A: Array, b: Array) -> tuple[Array, Array]:
     return A, b
 
 
-def root(K: Array, symmetric: bool = False) -> Array:
-    """R (k, k) with R^T R = K.
+def root(K: Array) -> Array:
+    """R (k, k) with R^T R = K, its rows along the axes of K.
 
     Args:
         K: (k, k) symmetric and positive semidefinite.
-        symmetric: the one root that is so too; without it the rows are along the axes of K.
     """
     values, vectors = np.linalg.eigh(K)
     out: Array = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    return vectors @ out if symmetric else out
+    return out
 
 
 def quintic_spectrum(x: npt.ArrayLike) -> Array:

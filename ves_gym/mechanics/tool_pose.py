@@ -28,26 +28,11 @@ _STEP = 0.3  # rad, the most a joint moves per round
 _DAMPING = 1e-2  # of the least squares, times the squared error
 
 
-def tool_pose(arm: Arm, q: npt.ArrayLike) -> ToolPose:
-    """Return the tool's pose at one configuration (n,) [rad], base at rest."""
-    from scipy.spatial.transform import Rotation  # heavy, and not for every arm
-
-    place, turn = tool_frame(arm, finite(q, (arm.n,), "q"))
-    z, y, x = Rotation.from_matrix(turn).as_euler("ZYX")
-    return ToolPose(position=tuple(place.tolist()), angles=(float(x), float(y), float(z)))
-
-
-def pose_error(arm: Arm, pose: ToolPose, q: npt.ArrayLike) -> Array:
-    """Return what is missing to a pose, as a twist, at joint angles q (..., n) [rad].
-
-    Returns:
-        (..., 3) [m], or (..., 6) [m, rad] where the turn matters.
-    """
-    return _missing(arm, np.array(pose.position), pose.rotation, np.asarray(q, float))
-
-
 def _missing(arm: Arm, position: Array, rotation: Array | None, q: Array) -> Array:
-    """Return what is missing to poses (..., 3) [m] and (..., 3, 3), as `pose_error`."""
+    """Return what is missing to poses, places (..., 3) [m] and turns (..., 3, 3), as a twist.
+
+    Of angles (..., n) [rad]: (..., 3) [m], or (..., 6) [m, rad] where the turn matters.
+    """
     place, turn = tool_frame(arm, q)
     missing: Array = position - place
     if rotation is None:

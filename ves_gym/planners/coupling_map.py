@@ -93,16 +93,15 @@ class CouplingMap(Viewable):
         except (ValueError, KeyError, AttributeError, TypeError) as error:
             raise ParameterError(f"{path}: no coupling map can be read: {error}") from None
 
-    def lines(self, spacing: float = 0.05) -> list[Array]:
+    def lines(self) -> list[Array]:
         """Minimum-energy lines: curves (k, 2) [rad] along the least-coupling direction.
 
         Traced until none is missing anywhere; a line ends at the edge, where another one runs
-        already, or where it has come round. `spacing`: least distance between lines, as a
-        fraction of the map's width.
+        already, or where it has come round.
         """
         origin, second = np.array([axis[:2] for axis in self.axes]).T
-        tracer = _Tracer(self.direction / (second - origin), max(2, round(1 / spacing)))
-        least = 1.5 / spacing / tracer.bins
+        tracer = _Tracer(self.direction / (second - origin), round(1 / _SPACING))
+        least = 1.5 / _SPACING / tracer.bins
         curves = [c for c in map(tracer.trace, tracer.seeds()) if len(c) * _STEP > least]
         points = (np.array(curve).view(float).reshape(-1, 2) for curve in curves)
         return [origin + k * (second - origin) for k in points]
@@ -280,6 +279,7 @@ def minimise_on_grid(
     return best
 
 
+_SPACING = 0.05  # between lines, of the map's width
 _STEP = 0.2  # of a line, in grid cells
 _STRIDE = 7919  # prime: seeds of lines come from all over the map, not row by row
 

@@ -326,11 +326,6 @@ class PayloadHandler(NotingPart):
 
     # ------------------------------------------------------------------ latch
 
-    def gap(self, ids: npt.ArrayLike | None = None) -> tuple[Array, Array]:
-        """Return how far the tool is from the fixture (k,) [m], and the turn missing [rad]."""
-        t = self.target(simulation_ids(ids, self.machines.n))
-        return t.distance, t.angle
-
     def closes(self, ids: Index) -> Mask:
         """Return (k,) whether the latches reach the fixtures."""
         return self.target(ids).reached.astype(bool)

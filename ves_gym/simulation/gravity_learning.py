@@ -61,7 +61,6 @@ def learn_gravity(
     slow: float = 20.0,
     settle: float = 10.0,
     servo: JointServo = OWN_GAINS,
-    start: Callable[[Array], Array] | None = None,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Learning:
@@ -72,8 +71,6 @@ def learn_gravity(
         iterations: at most; the thesis needed nine.
         slow: time scale alpha of phase A, >= 1; the thesis used 20.
         settle: how long the arm rests after the motion, in full-speed time [s].
-        start: first guess of the base motion, instants (m,) -> pose (m, 6), for instance of
-            a simulation; default no motion.
         seed: of sensor noise and drift.
 
     Returns:
@@ -97,7 +94,11 @@ def learn_gravity(
         effects=tuple(e for e in system.effects if not e.kind.startswith("gravity/")),
     )
     slowly = motion.retimed(motion.duration * slow)
-    pose = start or (lambda t: np.zeros((len(t), 6)))
+
+    def still(t: Array) -> Array:
+        return np.zeros((len(t), 6))
+
+    pose: Callable[[Array], Array] = still
     done: list[Iteration] = []
     clock = np.empty(0)
     last: Recording | None = None
