@@ -59,8 +59,8 @@ A result prints in one line, shows itself in a notebook, and draws itself: `plot
 matplotlib axes (without them it makes a figure) and returns them. `RunLog.plot` has three
 panels, or base energy alone in one; `CouplingMap.plot` takes `paths=[plan, ...]`,
 `Comparison.plot` `log=True`, that of `evaluate` `measure="E_int"`. Logs, motions, systems,
-vehicles, plans, maps, comparisons and evaluations have `save` and `load` (vehicles:
-`get_vehicle`); a `Diagnosis` has `save`, and its `system` is saved and loaded like any other.
+vehicles and cases have `save` and `load` (vehicles: `get_vehicle`, cases: `load_case`); maps
+(.npz), comparisons, evaluations and a `Diagnosis` (.json) have `save`.
 """
 MIDDLE = """
 ## Rarer things

@@ -42,7 +42,6 @@ from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.matrix_files import read_matrices
 from ves_gym.mechanics.meshes import mesh_points
 from ves_gym.planners.case import Case, load_case
-from ves_gym.planners.coupling_map import CouplingMap
 from ves_gym.planners.obstacles import read_surroundings
 from ves_gym.system.runlog import RunLog, RunLogError
 from ves_gym.system.system import System
@@ -173,8 +172,6 @@ def kinds(root: Path) -> dict[str, Kind]:
     if not lacking("", "pyarrow"):
         log.save(root / "run.parquet")
         out["runlog-parquet"] = [root / "run.parquet"], RunLog.load
-    vg.coupling_map(System(), q3=-0.5, points=5).save(root / "map.npz")
-    out["map"] = [root / "map.npz"], CouplingMap.load
     config = next(iter(sorted(CONFIGS.glob("*.toml"))))
     out["config"] = [file("config.toml", config.read_bytes())], read_config
     out["spec"] = [file("sweep.toml", _SWEEP)], read_spec

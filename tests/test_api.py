@@ -97,9 +97,6 @@ def test_evaluate_is_that_of_the_command(tmp_path):
         assert mine["rows"] == theirs["rows"]
     assert ours.best.name == "lqr"
     assert ours.ratio("lqr", "zero").value == result["ratios"]["lqr"]["E_mean"]["value"]
-    ours.save(tmp_path / "evaluation.json")
-    again = type(ours).load(tmp_path / "evaluation.json")
-    assert again["lqr"].rows == ours["lqr"].rows and repr(again) == repr(ours)
 
 
 # --------------------------------------------------------- hide, name, better, picture
@@ -204,16 +201,11 @@ def test_paths_keep_their_planners_colours(comparison):
         assert drawn[name] == curves[name] == colour_of(name)
 
 
-def test_results_are_saved_and_read(tmp_path, plan, comparison):
+def test_results_are_saved_and_a_case_read(tmp_path, plan, comparison):
     plan.case.save(tmp_path / "case.toml")
     assert vg.load_case(tmp_path / "case.toml") == plan.case
     comparison.save(tmp_path / "comparison.json")
-    again = type(comparison).load(tmp_path / "comparison.json")
-    assert again.to_dict() == comparison.to_dict() and again.table == comparison.table
-    section = vg.coupling_map(q3=-0.1, points=9)
-    section.save(tmp_path / "map.npz")
-    there = type(section).load(tmp_path / "map.npz")
-    assert np.array_equal(there.most, section.most) and repr(there) == repr(section)
+    assert json.loads((tmp_path / "comparison.json").read_text("utf-8")) == comparison.to_dict()
 
 
 # --------------------------------------------------------------------------- bad input

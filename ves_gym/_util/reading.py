@@ -106,22 +106,7 @@ def read_apart(reader: str, path: str | os.PathLike[str]) -> dict[str, Any]:
     raise ParameterError(answer[1:].decode())
 
 
-def read_arrays(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the arrays of an .npz file by name.
-
-    Raises:
-        ParameterError: see `read_apart`.
-    """
-    return read_apart("ves_gym._util.reading:arrays_of", path)
-
-
 # ------------------------------------------------------------------------- in the child
-
-
-def arrays_of(path: Path) -> dict[str, Any]:
-    """Arrays of an .npz file, for `read_apart`."""
-    with np.load(path, allow_pickle=False) as archive:
-        return dict(archive)
 
 
 _LONGEST = 500  # characters of a sentence

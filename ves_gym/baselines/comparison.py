@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ves_gym._util.params import ParameterError, read_result, write_result
+from ves_gym._util.params import ParameterError, write_result
 from ves_gym._util.statistics import Estimate
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.tables import table
@@ -142,24 +142,6 @@ class ControllerComparison(Viewable):
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as JSON, completely or not at all."""
         write_result(path, self.to_dict())
-
-    @staticmethod
-    def load(path: str | os.PathLike[str]) -> ControllerComparison:
-        """Read what `save` or `ves-gym evaluate --json` wrote.
-
-        Raises:
-            ParameterError: another schema.
-        """
-        result = read_result(path, SCHEMA)
-        out = []
-        for entry in result["controllers"]:
-            entry["rows"] = [
-                {k: float("inf") if v is None else v for k, v in row.items()}
-                for row in entry["rows"]
-            ]
-            del entry["summary"]
-            out.append(Evaluation(id=result["id"], **entry))
-        return ControllerComparison(tuple(out))
 
 
 def _interval(e: Estimate | None, form: str) -> str:

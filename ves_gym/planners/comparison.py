@@ -8,9 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from ves_gym._util.params import Array, ParameterError, read_result, write_result
+from ves_gym._util.params import Array, ParameterError, write_result
 from ves_gym._util.tables import table
 from ves_gym._util.views import Viewable
 from ves_gym.mechanics.limits import LimitCheck
@@ -136,25 +134,6 @@ class Comparison(Viewable):
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write as JSON, completely or not at all; plans are saved on their own."""
         write_result(path, self.to_dict())
-
-    @staticmethod
-    def load(path: str | os.PathLike[str]) -> Comparison:
-        """Read what `save` wrote; it has no `plans`.
-
-        Raises:
-            ParameterError: another schema.
-        """
-        plain = read_result(path, SCHEMA)
-        rows = []
-        for row in plain["rows"]:
-            trace = None if row["energy"] is None else np.array(row["energy"])
-            measured = row["simulated"] and Energies.from_dict(row["simulated"])
-            moved = row.get("disturbance") and Disturbance.from_dict(row["disturbance"])
-            changes = {"simulated": measured, "energy": trace, "disturbance": moved}
-            rows.append(ComparisonRow(**{**row, **changes}))
-        straight = plain["straight"] and Energies.from_dict(plain["straight"])
-        times = np.array(plain["t"])
-        return Comparison(plain["name"], plain["duration"], times, tuple(rows), straight)
 
 
 def compare_planners(query: Query, planners: Sequence[Planner], *, seed: int = 0) -> Comparison:

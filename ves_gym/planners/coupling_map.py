@@ -14,7 +14,6 @@ import numpy.typing as npt
 from scipy.stats import qmc
 
 from ves_gym._util.params import Array, ParameterError, require_one_of, write_bytes
-from ves_gym._util.reading import named, read_arrays
 from ves_gym._util.views import Viewable
 from ves_gym.planners.coupling import metric
 from ves_gym.planners.metric import Metric
@@ -75,23 +74,6 @@ class CouplingMap(Viewable):
         }
         np.savez_compressed(buffer, **arrays)
         write_bytes(path, buffer.getvalue())
-
-    @staticmethod
-    def load(path: str | os.PathLike[str]) -> CouplingMap:
-        """Read what `save` wrote.
-
-        Raises:
-            ParameterError: it cannot be read, or is no coupling map.
-        """
-        with named(path):
-            part = read_arrays(path)
-        try:
-            duration = part["duration"].item() if "duration" in part else None
-            whole = {"duration": duration, "others": part["others"].item()}
-            pairs = {"joints": tuple(part["joints"].tolist()), "axes": tuple(part["axes"])}
-            return CouplingMap(**part | whole | pairs)
-        except (ValueError, KeyError, AttributeError, TypeError) as error:
-            raise ParameterError(f"{path}: no coupling map can be read: {error}") from None
 
     def lines(self) -> list[Array]:
         """Minimum-energy lines: curves (k, 2) [rad] along the least-coupling direction.

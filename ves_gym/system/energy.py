@@ -9,9 +9,8 @@ seconds after it, is the primary score; docs/physics.md says why not the end val
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -64,11 +63,6 @@ class Measures:
     def to_dict(self) -> dict[str, float | None]:
         """Plain numbers; None where a value is not finite."""
         return {k: v if math.isfinite(v) else None for k, v in asdict(self).items()}
-
-    @classmethod
-    def from_dict(cls, plain: Mapping[str, float | None]) -> Self:
-        """Rebuild from what `to_dict` returned; None becomes infinite."""
-        return cls(**{k: math.inf if v is None else v for k, v in plain.items()})
 
 
 @dataclass(frozen=True, kw_only=True)
