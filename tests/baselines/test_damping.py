@@ -15,9 +15,9 @@ from ves_gym.system.system import System
 ID, LAB = "ves/PumaDamp-v0", "ves/PumaDampEmulated-v0"
 
 
-def integrals(controller, id=ID, episodes=2):
+def integrals(controller, id=ID, episodes=2, fails=False):
     rows = evaluate(controller, id, episodes=episodes, threads=1).rows
-    assert not any(row["failed"] for row in rows)
+    assert fails or not any(row["failed"] for row in rows)
     return np.array([row["E_int"] for row in rows])
 
 
@@ -79,5 +79,6 @@ def test_replanning_is_the_same_in_any_company(replanned):
 
 @pytest.mark.slow
 def test_replanning_damps_under_the_errors_of_the_laboratory():
-    ratio = integrals(Receding(), LAB, 8) / integrals(TunedGains(), LAB, 8)
+    """Tuned gains fail in some of these episodes, which count as far as they come."""
+    ratio = integrals(Receding(), LAB, 8) / integrals(TunedGains(), LAB, 8, fails=True)
     assert np.median(ratio) <= 0.85

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from benchmarks.feedback import on_machine, row
+from benchmarks.feedback import described, on_machine, row
 from ves_gym.baselines.adaptive import Adaptive
 from ves_gym.baselines.evaluate import evaluate, make_vector
 from ves_gym.baselines.ilqr import Ilqr, costs, derivatives, play
@@ -67,7 +67,7 @@ def test_held_out_machines(machine: str, arrived: float, ratio: float) -> None:
     mine, straight = (
         on_machine(machine, get_controller(name), 100, 20_000) for name in ("adaptive", "zero")
     )
-    figures = row(mine, straight)
+    figures = row(mine, straight, described(machine, 100, 20_000))
     assert figures.arrived >= arrived
     assert figures.ratio.mean() <= ratio
 
