@@ -55,7 +55,7 @@ def base_error(system: System, settle: float) -> float:
     "vehicle",
     [
         "bent-thesis",
-        "straight-horizontal-thesis",
+        pytest.param("straight-horizontal-thesis", marks=pytest.mark.slow),
         pytest.param("straight-vertical-thesis", marks=pytest.mark.slow),
     ],
 )

@@ -54,7 +54,9 @@ def test_residual_of_a_satellite():
     assert np.abs(found.residual).max() <= 1e-6 * found.kinetic.max()
 
 
-@pytest.mark.parametrize("planner", ["straight", "direct"])
+@pytest.mark.parametrize(
+    "planner", [pytest.param("straight", marks=pytest.mark.slow), "direct"]
+)
 def test_residual_of_benchmark_motions(planner):
     """Five reach100 motions of 2 s. An optimised one sends far less through the port
     (measured on twenty: 2e-7 straight, 2e-4 optimised, at most)."""

@@ -66,7 +66,7 @@ MACHINES = {
     ),
     "leg servos": (3, "heavy", "motor", "rk4", {"platform": FILTERED}, LEGS),
 }
-MORE = ("two joints", "six joints", "position, own weight", "leg servos")  # in the slow ring
+MORE = ("two joints", "six joints", "prescribed", "position, own weight", "leg servos")  # slow
 COUNT = 3  # systems of each
 
 

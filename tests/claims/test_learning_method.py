@@ -16,6 +16,7 @@ from ves_gym.simulation.gravity_learning import learn_gravity
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.system import System
 
+pytestmark = pytest.mark.slow  # quick: tests/simulation/test_gravity_learning.py
 TURN = Motion.straight(np.deg2rad([-90, 0, 0]), np.deg2rad([90, 0, 0]), 2.0)
 SETTLE = 1.0  # s; it is repeated slowly as well
 
@@ -48,7 +49,6 @@ def test_both_methods_give_the_same_base_motion(learnt):
         assert np.linalg.norm(gap[:, part], axis=1).max() < 0.03 * size
 
 
-@pytest.mark.slow
 def test_noise_is_all_that_is_left():
     """3.5: unrepeatable noise cannot be learnt; the changes level off at millimetres."""
     noise = SensorNoise(force=(0.35, 0.2, 0.4), moment=(0.3, 0.3, 0.05))

@@ -94,12 +94,14 @@ def test_weight_is_predicted_as_in_table_3_1(noisy):
     assert force <= 0.5 and moment <= 1.0
 
 
+@pytest.mark.slow
 def test_noise_is_what_limits_it(noisy, clean):
     print("times better:", np.array(rms(noisy)) / np.array(rms(clean)))
     for with_noise, without in zip(rms(noisy), rms(clean), strict=True):
         assert without <= with_noise / 10
 
 
+@pytest.mark.slow
 def test_without_the_matrix_it_fails(clean):
     """3.4.5: the manufacturer's matrix left several Newtons."""
     kept = table_3_1((), iterations=0)[0]

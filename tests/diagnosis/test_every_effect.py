@@ -392,12 +392,8 @@ OWN = {  # kind -> name of its number, value at ten times the noise, place
 }
 
 
-LONGER = ("own/forgotten_tool", "own/guy_wire", "own/heavy_link")  # beside a law of torque
-
-
-@pytest.mark.parametrize(
-    "kind", [pytest.param(k, marks=pytest.mark.slow) if k in LONGER else k for k in OWN]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", OWN)
 def test_an_effect_of_one_s_own_is_named_with_no_other_edit(own, kind):
     name, value, place = OWN[kind]
     effect = own[kind](**{name: (0.0, value, 0.0) if place else value})

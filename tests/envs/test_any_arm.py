@@ -14,7 +14,8 @@ from ves_gym.mechanics.arm_library import PUMA_560, get_arm
 from ves_gym.mechanics.servo import own_gains
 from ves_gym.system.runlog import RunLog
 
-IDS = ("RestToRest", "Reach", "ReachGoal", "Track", "Damp")
+IDS = ("PumaRestToRest", "PumaReachGoal", "PumaDamp", "BeamLQR")
+MORE = ("PumaReach", "PumaTrack", "FreeFlyerReach")
 IIWA = get_arm("iiwa14")
 
 
@@ -25,11 +26,9 @@ def bent():
     return dataclasses.replace(IIWA, links=tuple(links), name="bent-thesis")
 
 
-@pytest.mark.parametrize(
-    "id", [*(f"Puma{k}-v0" for k in IDS), "FreeFlyerReach-v0", "BeamLQR-v0"]
-)
+@pytest.mark.parametrize("id", [*IDS, *(pytest.param(k, marks=pytest.mark.slow) for k in MORE)])
 def test_seven_joints_in_every_environment(id):
-    env = gym.make(f"ves/{id}", arm=bent())
+    env = gym.make(f"ves/{id}-v0", arm=bent())
     assert env.action_space.shape == (7,)
     for seed in range(3):
         observation, _ = env.reset(seed=seed)

@@ -128,6 +128,7 @@ def test_what_has_no_name_has_a_place_and_a_quantity(made):
     assert best.sentence in found.sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("along", [0.0, 6.0])
 def test_a_name_is_earned_if_no_curve_explains_clearly_more(along, monkeypatch):
     """Claim: friction is named where it is even, and where it is not it has no name.
@@ -182,7 +183,8 @@ def test_noise_that_draws_foretell_contradicts_no_name(
 
 
 @pytest.mark.parametrize(
-    ("pose", "times", "worse"), [(2e-4, 1, False), (5e-5, 1, False), (5e-5, 3, True)]
+    ("pose", "times", "worse"),
+    [pytest.param(2e-4, 1, False, marks=pytest.mark.slow), (5e-5, 1, False), (5e-5, 3, True)],
 )
 def test_noise_that_an_effect_passes_on_makes_no_channel_worse(pose, times, worse):
     """Seven times the damping multiplies the noise of a pose: more is left, all of it noise.

@@ -159,6 +159,7 @@ def at_servos(logs, slow=None):
     return WhitenedResiduals(machine, with_shared_colour(runs, runs), slow=slow)
 
 
+@pytest.mark.slow
 def test_a_wander_of_most_channels_is_noise_and_not_a_gap(healthy, monkeypatch):
     still = [noisy(healthy, seed) for seed in range(4)]
     moved = [wandering(k, seed) for seed, k in enumerate(still)]

@@ -110,6 +110,7 @@ def rested(log, length=8e-4, time=1.5, way=1e-2):
     return out
 
 
+@pytest.mark.slow
 def test_a_friction_that_grows_at_rest_is_written_with_its_memory(logs):
     """Reference: a law of the test's own. Angles and rates alone remove none of it."""
     assert written(*changed(logs, rested), HERE, ["joint/memory at joint 2"])[1] > 0.9

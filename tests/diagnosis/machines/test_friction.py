@@ -131,7 +131,7 @@ def rubbing(quiet, torque):
     return residuals, *(every[f"joint/{k} at joint 1"] for k in ("coulomb", "stribeck"))
 
 
-@pytest.mark.parametrize("distance", [3e-4, 1e-3])
+@pytest.mark.parametrize("distance", [3e-4, pytest.param(1e-3, marks=pytest.mark.slow)])
 def test_bristles_of_any_usual_length_are_coulomb_friction(quiet, distance):
     """As told of rates alone it was Stribeck's: a tenth more below 0.2 rad/s (the trial)."""
     residuals, coulomb, stribeck = rubbing(quiet, LEVEL * dahl(quiet, distance))

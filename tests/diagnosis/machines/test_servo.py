@@ -118,6 +118,7 @@ def test_a_ramp_comes_through_a_low_pass_as_in_closed_form(first):
     assert np.array_equal(out[:, 1], v[:, 1])
 
 
+@pytest.mark.slow
 def test_a_lag_that_a_soft_servo_hardly_feels_is_seen_in_the_rates():
     """Gains of 5 N m s/rad make 0.02 N m of it, under 0.4 N m of noise."""
     run = logged(

@@ -361,7 +361,7 @@ def gained(candidate_kind, *effects, machine_type=SystemMachine):
     ("effect", "number", "deviation"),
     [
         (E.PayloadMass(mass=0.05), 0.05, 0.01),
-        (E.BaseVirtualMass(error=0.02), 0.02, 0.0025),
+        pytest.param(E.BaseVirtualMass(error=0.02), 0.02, 0.0025, marks=pytest.mark.slow),
         pytest.param(E.BaseStiffness(error=0.015), 0.015, 0.002, marks=pytest.mark.slow),
     ],
     ids=lambda x: getattr(x, "kind", ""),
