@@ -16,7 +16,7 @@ import numpy.typing as npt
 from ves_gym._util.params import Array, ParameterError, Vector, finite
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import PUMA_560
-from ves_gym.mechanics.limits import require_limits
+from ves_gym.mechanics.limits import require_positions
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.system.energy import TAIL, Energies, log_energies
@@ -94,7 +94,7 @@ def simulate(
     case = _case(motion, system, servo)
     system, played = case.system, case.motion
     assert played is not None
-    require_limits(system.arm, played, ("position",))
+    require_positions(system.arm, played)
     default = system.physics_dt if system.mode == "ideal" else system.control_dt
     if isinstance(platform, Motion):
         if platform.n != 6:

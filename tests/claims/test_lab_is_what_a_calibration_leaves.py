@@ -92,7 +92,7 @@ def test_weights_are_the_scatter_of_the_fit():
     arm = System(vehicle=BENT_THESIS).arm
     q, y = calibration_poses(arm, 47)
     noise = np.array([0.4, 0.3, 0.4, 0.5, 0.7, 0.1])
-    left = left_by_noise(arm, q, y, noise, estimate_offset=False)
+    left = left_by_noise(arm, q, y, noise)
     weight, rng, found = GravityModel.of(arm).wrench(arm, q, y), np.random.default_rng(0), []
     for _ in range(300):
         w = weight + noise * rng.standard_normal((47, 6))

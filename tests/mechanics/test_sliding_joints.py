@@ -10,7 +10,7 @@ from ves_gym.engine.mjcf import TO_Y
 from ves_gym.envs.build import build_task
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_files import pinocchio_model
-from ves_gym.mechanics.limits import LimitError, require_limits
+from ves_gym.mechanics.limits import LimitError, require_positions
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING
 from ves_gym.planners.coupling_map import coupling_map
@@ -80,7 +80,7 @@ def test_units_and_refusals(arm, tmp_path):
     with pytest.raises(
         LimitError, match=r"position limit of joint 4 .* mm, allowed \+-300.0 mm"
     ):
-        require_limits(arm, Motion.straight([0, 0, 0, 0], [0, 0, 0, 0.8], 2.0), ("position",))
+        require_positions(arm, Motion.straight([0, 0, 0, 0], [0, 0, 0, 0.8], 2.0))
     system = System(arm=arm)
     for refused in (
         lambda: System(arm=arm, mode="emulated"),

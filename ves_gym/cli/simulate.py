@@ -29,7 +29,7 @@ from ves_gym.cli.flags import (
     say,
 )
 from ves_gym.cli.machine import MACHINE
-from ves_gym.mechanics.limits import require_limits, usual_goal
+from ves_gym.mechanics.limits import require_positions, usual_goal
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import FREE, HIGH_GAINS, OWN_GAINS, PPED_GAINS, JointServo
 from ves_gym.planners.case import Case
@@ -102,7 +102,7 @@ def simulate(
     latch = [*((t, "grasp") for t in grasp), *((t, "release") for t in release)]
     how: dict[str, Any] = {"settle": settle, "latch": latch}
     if learn is not None:
-        require_limits(case.system.arm, motion, ("position",))
+        require_positions(case.system.arm, motion)
         learnt = learn_gravity(
             case.system, motion, iterations=learn, settle=settle, servo=case.servo,
             seed=case.seed, progress=at.progress,

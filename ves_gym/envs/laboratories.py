@@ -118,7 +118,7 @@ def _calibration(system: System, times: float) -> Spec:
     from ves_gym.simulation.gravity_calibration import calibration_poses, left_by_noise
 
     q, y = calibration_poses(system.arm, POSES)
-    remainder = left_by_noise(system.arm, q, y, times * _reading(), estimate_offset=False)
+    remainder = left_by_noise(system.arm, q, y, times * _reading())
     # read by C w where `fit` would give w: of signals in the sensor's frame
     frame = system.emulator_settings.sensor.frame
     matrix = np.einsum("ab,bcm,cd->adm", frame, remainder.C, np.linalg.inv(frame))

@@ -77,56 +77,6 @@ class Stewart:
                 " parallel patterns?)"
             )
 
-    @classmethod
-    def hexagonal(
-        cls,
-        *,
-        base_radius: float,
-        top_radius: float,
-        base_angle: float,
-        top_angle: float,
-        top_depth: float,
-        length_min: float,
-        length_max: float,
-        speed_max: float,
-        source: str = "user",
-    ) -> Stewart:
-        """Joints in three pairs on two circles, half-extended and level at home.
-
-        Args:
-            base_radius, top_radius: of the joint circles [m].
-            base_angle, top_angle: between the two joints of a pair, at the centre [rad].
-                Base pairs lie around 0, 120, 240 deg from x, top pairs around 60, 180, 300.
-            top_depth: of the upper joints below the platform-top frame [m].
-            length_min, length_max, speed_max: of a leg [m], [m/s].
-
-        Raises:
-            ParameterError: as the class, or legs too short to reach from circle to circle.
-        """
-        side = np.array([1, -1] * 3)  # leg after, leg before a base pair's middle
-        base_at = np.deg2rad([0, 120, 120, 240, 240, 360]) + side * base_angle / 2
-        top_at = np.deg2rad([60, 60, 180, 180, 300, 300]) - side * top_angle / 2
-        base, top = (
-            np.stack([r * np.cos(at), r * np.sin(at), np.full(6, z)], axis=-1)
-            for r, at, z in ((base_radius, base_at, 0.0), (top_radius, top_at, -top_depth))
-        )
-        half = (length_min + length_max) / 2
-        rise = half**2 - float(np.sum((top - base)[0, :2] ** 2))
-        if not rise > 0:
-            raise ParameterError(
-                f"Stewart.hexagonal: half-extended legs of {half} m do not reach from circle"
-                " to circle"
-            )
-        return cls(
-            base=tuple(map(tuple, base.tolist())),
-            top=tuple(map(tuple, top.tolist())),
-            home_height=float(np.sqrt(rise)) + top_depth,
-            length_min=length_min,
-            length_max=length_max,
-            speed_max=speed_max,
-            source=source,
-        )
-
     @property
     def feet(self) -> Array:
         """(6, 3) base joints seen from the home position of the platform-top frame [m]."""
@@ -311,14 +261,30 @@ def _least_squares(J: Array, b: Array) -> Array:
     return solve(turned @ J, matvec(turned, b))
 
 
-VES = Stewart.hexagonal(
-    base_radius=1.0,
-    top_radius=0.7,
-    base_angle=float(np.deg2rad(20)),
-    top_angle=float(np.deg2rad(20)),
-    top_depth=0.1,
-    length_min=1.1,
-    length_max=1.9,
-    speed_max=1.0,
-    source="nominal, this project: the thesis prints no dimensions",
-)
+def _hexagonal() -> Stewart:
+    """Joints in pairs on circles of 1 and 0.7 m, the platform level on half-extended legs.
+
+    Base pairs lie around 0, 120, 240 deg from x, top pairs around 60, 180, 300; 20 deg between
+    the joints of a pair; the upper joints 0.1 m below the platform-top frame.
+    """
+    apart, depth, shortest, longest = float(np.deg2rad(20)), 0.1, 1.1, 1.9
+    side = np.array([1, -1] * 3)  # leg after, leg before a base pair's middle
+    base_at = np.deg2rad([0, 120, 120, 240, 240, 360]) + side * apart / 2
+    top_at = np.deg2rad([60, 60, 180, 180, 300, 300]) - side * apart / 2
+    base, top = (
+        np.stack([r * np.cos(at), r * np.sin(at), np.full(6, z)], axis=-1)
+        for r, at, z in ((1.0, base_at, 0.0), (0.7, top_at, -depth))
+    )
+    rise = ((shortest + longest) / 2) ** 2 - float(np.sum((top - base)[0, :2] ** 2))
+    return Stewart(
+        base=tuple(map(tuple, base.tolist())),
+        top=tuple(map(tuple, top.tolist())),
+        home_height=float(np.sqrt(rise)) + depth,
+        length_min=shortest,
+        length_max=longest,
+        speed_max=1.0,
+        source="nominal, this project: the thesis prints no dimensions",
+    )
+
+
+VES = _hexagonal()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import math
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -395,21 +395,11 @@ def _planners(result: Result) -> list[str]:
     return names or list(dict.fromkeys(r["planner"] for r in result.get("rows", ())))
 
 
-def planner_legend(
-    figure: Figure,
-    names: Sequence[str],
-    drawn: Container[str] | None = None,
-    *,
-    in_space: bool = False,
-) -> None:
-    """Put the planners below a figure: those of `names` that are `drawn`."""
+def planner_legend(figure: Figure, names: Sequence[str], *, in_space: bool = False) -> None:
+    """Put the planners below a figure."""
     from matplotlib.lines import Line2D
 
-    lines = {
-        name: Line2D([], [], linewidth=3, **line_style(name, names))
-        for name in names
-        if drawn is None or name in drawn
-    }
+    lines = {name: Line2D([], [], linewidth=3, **line_style(name, names)) for name in names}
     if in_space:
         lines["the same in space"] = Line2D([], [], color="black", **IN_SPACE)
     wide = max(1.6, 0.09 * max(map(len, lines)))  # inch per name

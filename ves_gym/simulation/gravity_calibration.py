@@ -199,33 +199,26 @@ class LeftByNoise(NamedTuple):
 
     model: Array  # (1 + p, m) of M_total [kg] and P [kg m]
     C: Array  # (6, 6, m) of the matrix (eq. 3.14) [1, m, 1/m]
-    offset: Array  # (6, m) of the zero [N, N m]; nothing where it is trusted
 
 
 def left_by_noise(
-    arm: Arm,
-    q: npt.ArrayLike,
-    y: npt.ArrayLike,
-    noise: npt.ArrayLike,
-    *,
-    estimate_offset: bool = True,
+    arm: Arm, q: npt.ArrayLike, y: npt.ArrayLike, noise: npt.ArrayLike
 ) -> LeftByNoise:
-    """Errors of model, matrix and zero after `fit(..., iterations=None)`, to first order.
+    """Errors of model and matrix after `fit(..., iterations=None)` that trusts the zero.
 
     The errors belong together: matrix and model have explained the same readings. Drawn each
-    by itself they would leave a wrench several times too large.
+    by itself they would leave a wrench several times too large. To first order.
 
     Args:
         arm: the arm, whose masses are taken as true.
         q, y: (m, n) joint angles [rad] and (m, 6) poses [m, rad], as for `fit`.
         noise: (6,) standard deviation of a reading [N, N m]; independent from pose to pose.
-        estimate_offset: False trusts the sensor's zero.
     """
     count = np.shape(q)[0] if np.ndim(q) else 0
     joints, pose, _ = _checked(arm, q, y, np.zeros((count, 6)))
     deviation = finite(noise, (6,), "noise")
     minimal = minimal_model(arm)
-    problem = _Problem(minimal, joints, pose, estimate_offset)
+    problem = _Problem(minimal, joints, pose, offset=False)
     theta = np.concatenate([[arm.mass], minimal.parameters(arm)])
     problem.require_model()
     problem.require_matrix(theta)
@@ -236,12 +229,8 @@ def left_by_noise(
     # singular vectors alone have signs, which are another processor's to choose.
     axes, lengths, _ = np.linalg.svd(answer, full_matrices=False)
     weights: Array = (axes * lengths) @ axes.T
-    n, k = problem.A.shape[2], problem.zero.shape[1]
-    return LeftByNoise(
-        model=weights[:n],
-        C=np.tensordot(_FREE, weights[n + k :], axes=(0, 0)),
-        offset=problem.zero @ weights[n : n + k],
-    )
+    n = problem.A.shape[2]
+    return LeftByNoise(weights[:n], np.tensordot(_FREE, weights[n:], axes=(0, 0)))
 
 
 class Errors(NamedTuple):

@@ -226,7 +226,6 @@ def weigh_poses(
     y: npt.ArrayLike,
     *,
     seconds: float = 1.0,
-    servo: JointServo = OWN_GAINS,
     seed: int = 0,
 ) -> RunLog:
     """Hold arm and platform still in each of m poses and record the force sensor.
@@ -244,7 +243,7 @@ def weigh_poses(
     lab = replace(system.emulator_settings, operation="position", zero_at_start=False)
     effects = tuple(e for e in system.effects if not e.kind.startswith("gravity/"))
     still = system.replace(emulator=lab, effects=effects)
-    sim = Simulator(still, len(angles), servo=servo, seed=seed, warn_at=None)
+    sim = Simulator(still, len(angles), seed=seed, warn_at=None)
     sim.reset(q=angles, y=poses)
     assert sim.emulation_loop is not None
     sim.emulation_loop.warm_up()
