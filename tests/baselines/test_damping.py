@@ -36,11 +36,13 @@ def test_tuned_gains_are_better_than_those_of_the_thesis(tuned):
     assert (tuned < integrals(get_controller("high"))).all()
 
 
+@pytest.mark.slow
 def test_replanning_damps_better_than_the_best_gains(tuned, replanned):
     """Claimed: the median of 24 (tests/claims); of these two each."""
     assert (replanned < 0.75 * tuned).all()
 
 
+@pytest.mark.slow
 def test_the_regulator_lies_between(tuned, replanned):
     lqi = integrals(Regulator())
     assert (lqi < 0.95 * tuned).all()

@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.run import PARTS
 
-LONG = {"environments", "startup", "training"}  # processes, and learners
+LONG = {"environments", "kernel", "resets", "startup", "training"}  # seconds each
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -61,6 +61,7 @@ def measured(vehicle, count):
     return np.array(ratios), np.array(seconds)
 
 
+@pytest.mark.slow
 def test_seven_joints_leave_a_third_of_the_straight_lines_energy_on_either_of_two_queries():
     ratios, _ = measured("bent-thesis", 2)
     assert (ratios <= 1 / 3).all()

@@ -41,6 +41,7 @@ def test_coefficients_are_those_of_table_5_1():
     assert abs(notch) == pytest.approx(12.7, abs=0.05)  # Hz
 
 
+@pytest.mark.slow
 def test_filter_lowers_the_positioning_error_by_about_forty_percent():
     """5.5: about 40 % against low gains without the filter, on every axis."""
     low = positioning_error(LOW_GAINS)

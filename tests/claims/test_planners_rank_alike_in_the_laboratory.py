@@ -7,6 +7,8 @@ planners' E_mean as emulated with theirs in space, query by query. Seen: 0.98, 1
 
 import dataclasses
 
+import pytest
+
 from ves_gym.planners.benchmark import rank_correlation, run_benchmark
 from ves_gym.planners.suites import get_suite
 from ves_gym.system.system import System
@@ -14,6 +16,7 @@ from ves_gym.system.system import System
 PLANNERS = ("straight", "smooth-jerk", "shaped-zv", "bad-path", "hotspot-q", "direct")
 
 
+@pytest.mark.slow
 def test_ranks_agree():
     suite = get_suite(
         "reach100", system=System(mode="emulated"), quick=True, vehicle="bent-thesis"

@@ -35,7 +35,7 @@ def next_line(out):
 # --------------------------------------------------------------------- the printed line
 
 
-@pytest.mark.parametrize("machine", ["mast", "ur5e"])
+@pytest.mark.parametrize("machine", ["mast", pytest.param("ur5e", marks=pytest.mark.slow)])
 def test_the_next_line_plays_the_plan_on_its_machine(call, machine):
     """The energy is that of the plan, to 0.1 %: the records of the two are 10 times apart."""
     words = ["--goal", "20,-20,30,10,10,10", "--arm", "ur5e"]

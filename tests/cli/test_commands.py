@@ -262,6 +262,7 @@ def test_benchmark_names_a_stop_and_draws_it(call, tmp_path):
         assert (tmp_path / "out" / name).exists()
 
 
+@pytest.mark.slow
 def test_a_benchmark_of_weights_shows_what_they_buy(call, tmp_path):
     options = ("--first", "1", "--durations", "0.5", "--workers", "1", "--planners", "straight")
     words = ("benchmark", *options, "--weights", "acceleration_peak=0.01,0.3")

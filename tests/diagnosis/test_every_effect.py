@@ -272,7 +272,9 @@ def test_an_effect_that_is_described_leaves_nothing(kind):
         assert left < LEFT.get((kind, port), 20.0), port
 
 
-@pytest.mark.parametrize(("times", "told"), [(1.0, True), (8.0, False)])
+@pytest.mark.parametrize(
+    ("times", "told"), [(1.0, True), pytest.param(8.0, False, marks=pytest.mark.slow)]
+)
 def test_a_spring_that_swings_in_the_band_is_not_charged_for_the_noise(times, told):
     """8 Hz, hardly damped: it multiplies the noise of angles, and more damping leaves less.
 

@@ -153,10 +153,10 @@ QUICK = {
     ),
 }
 
-LONGER = ("nominal", "friction", "no compensation", "straight", "satellite")
+LONGER = tuple(k for k in QUICK if k != "legs")
 
 
-@pytest.mark.parametrize(  # the laboratory's errors are further off than friction alone
+@pytest.mark.parametrize(
     "name", [pytest.param(k, marks=pytest.mark.slow) if k in LONGER else k for k in QUICK]
 )
 def test_nothing_is_missing_in_an_exact_description(name):
@@ -180,6 +180,7 @@ def test_an_error_below_the_swing_between_samples_is_named():
     assert found.explanations[0].values == pytest.approx(error[2], abs=1e-4)
 
 
+@pytest.mark.slow
 def test_friction_of_a_joint_that_turns_round_quickly_is_that_described():
     """By a rate of the band alone joint 1 had up to 15 times what means nothing."""
     system, *logs = case(409)

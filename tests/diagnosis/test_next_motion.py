@@ -87,6 +87,7 @@ def test_the_separation_predicted_is_that_which_the_run_has(at_hand, designed, a
     assert gaps[1] - gaps[0] == pytest.approx(expected, abs=3 * spread)
 
 
+@pytest.mark.slow
 def test_what_could_not_be_seen_gets_a_motion_that_shows_it():
     still = measured(Motion.straight([0.3, 0.5, 0.4], [0.301, 0.501, 0.401], 4.0), 4, ())
     before = diagnosed([still])

@@ -97,7 +97,7 @@ def test_observations_are_inside_and_none_is_constant(name):
     assert len(np.unique(table, axis=1).T) == table.shape[1]
 
 
-@every_id
+@each_kind
 def test_a_vector_is_a_batch_of_singles(name):
     """Environment i after reset(seed) is the single one after reset(seed, index i)."""
     n = 3

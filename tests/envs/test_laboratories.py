@@ -49,7 +49,13 @@ def test_what_is_held_out_is_in_no_other():
     assert kinds("held-out") and not kinds("held-out") & trained
 
 
-@pytest.mark.parametrize("name", LABORATORIES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        k if k in ("lab", "hard") else pytest.param(k, marks=pytest.mark.slow)
+        for k in LABORATORIES
+    ],
+)
 def test_every_laboratory_runs_on_both_beams(name):
     """Drawn alike alone and together; nothing freezes in the first quarter of a second."""
     for vehicle in ("bent-thesis", "straight-horizontal-thesis"):

@@ -212,6 +212,7 @@ def test_the_engines_agree_through_a_capture():
     assert worst <= 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", ["iiwa14"])
 def test_any_arm_of_six_joints_and_any_satellite(arm):
     env = gym.make("ves/ServicerCapture-v0", arm=arm, duration=1.0)

@@ -100,10 +100,8 @@ def at_the_base(system, *effects):
     return told(system, noisy, lambda c: "base" in c.ports)
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["straight", *(pytest.param(k, marks=pytest.mark.slow) for k in ("bent", "satellite"))],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["straight", "bent", "satellite"])
 def test_a_noisy_pose_makes_no_base_lighter(name):
     """0.2 mm and 0.1 mrad: base/virtual_mass and base/stiffness were named, p = 1.00 each."""
     found = at_the_base(System(vehicle=VEHICLES[name]))
@@ -171,6 +169,7 @@ def with_errors(factor, seed=5):
     return DESCRIBED.replace(arm=arm)
 
 
+@pytest.mark.slow
 def test_many_numbers_far_off_are_no_effect():
     """Errors of up to ten times what is stated: rotors were named, p = 1.00 each."""
     found = found_in(with_errors(10.0))

@@ -140,6 +140,7 @@ def test_what_has_no_name_at_the_base_is_written_as_springs_and_dampers(coeffici
     assert part > 0.8
 
 
+@pytest.mark.slow
 def test_nothing_is_written_at_a_base_that_is_as_described():
     residuals, last = on_a_base(0.0)
     assert unnamed(residuals, last, fit(residuals, (), ())) is None

@@ -68,6 +68,7 @@ def test_two_engines_give_the_same_forces_for_bodies_changed_and_loaded(bodies):
     assert columns @ [mass, *mass * centre, *six] == pytest.approx(carried, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_friction_of_an_arm_and_of_a_coupled_shaft_are_two_causes(bodies):
     machine = MjcfMachine("arm", JOINTS, bodies, couplings=[SHAFT])
     hidden = {"viscous": (2.0, 3.0, 1.0), "coulomb": (4.0, 6.0, 3.0)}

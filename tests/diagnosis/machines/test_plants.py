@@ -195,6 +195,7 @@ def test_an_arm_over_a_force_plate_as_described_is_left_alone(plate):
     assert found.verdict in (d.NOTHING, d.WEAK)
 
 
+@pytest.mark.slow
 def test_a_payload_over_a_force_plate(plate):
     run = over_a_plate(1, mass=2.0, centre=(0.2, 0.0, 0.05))
     found = d.diagnose(plate, [run], candidates=plate.candidates())
