@@ -18,8 +18,9 @@ HEAD = """\
 
 Every row is a file of `tests/claims/`: its tests fail if the claim is false. Run one with
 `make test-all ARGS="tests/claims/FILE -rP"`, which prints what it measures. Tests that take
-longer than about ten seconds are *slow*: `make test-all` runs them all, every CI run three
-minutes of them. This page is written by `python scripts/claims.py` from those files.
+long, and most of those that others are like, are *slow*: `make test-all` runs them all, every
+CI run three minutes of them. This page is written by `python scripts/claims.py` from those
+files.
 
 | claim | judged by | tests |
 |---|---|---|
