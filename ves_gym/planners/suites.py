@@ -7,6 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -267,9 +268,7 @@ def reach100(
     limits = tuple(arm.column("v_max").tolist())
     queries = []
     for duration in reach_durations(arm) if durations is None else durations:
-        rng = np.random.default_rng((seed, round(1000 * duration)))
-        for k in range(count):
-            start, goal = (tuple(end.tolist()) for end in _drawn(arm, duration, rng))
+        for k, (start, goal) in enumerate(_ends(arm, duration, seed, count)):
             label = f"reach-{duration:g}s-{k:03d}"
             query = Query(system=mounted, start=start, goal=goal, duration=duration,
                           v_max=limits, name=label)  # fmt: skip
@@ -284,6 +283,16 @@ def reach100(
         queries=tuple({"off": queries, "on": among, "both": queries + among}[obstacles]),
         planners=("straight", "hotspot-q", "hotspot-qt", "direct", "refined"),
     )
+
+
+@lru_cache(maxsize=64)  # every command and figure asks a suite for all its questions
+def _ends(
+    arm: Arm, duration: float, seed: int, count: int
+) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...]:
+    """Starts and goals of `count` questions of a duration."""
+    rng = np.random.default_rng((seed, round(1000 * duration)))
+    drawn = (_drawn(arm, duration, rng) for _ in range(count))
+    return tuple((tuple(start.tolist()), tuple(goal.tolist())) for start, goal in drawn)
 
 
 def _drawn(arm: Arm, duration: float, rng: np.random.Generator) -> tuple[Array, Array]:
