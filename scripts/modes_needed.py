@@ -38,7 +38,6 @@ BEAMS = {
 BAND = 20.0  # Hz
 FINE = 40  # modes that stand for all of them
 TRIED = range(1, 9)
-NODES = 48  # steps of a prediction
 POSES = 60
 
 
@@ -91,7 +90,7 @@ def frequencies(beam: Beam, modes: int) -> Array:
 def energies(beam: Beam, modes: int, queries: list[Query]) -> Array:
     """Return E_mean of each query's straight line, predicted [J]."""
     system = System(vehicle=flexible(beam, modes))
-    return np.array([predict(system, q.straight, q.servo, NODES).E_mean for q in queries])
+    return np.array([predict(system, q.straight, q.servo).E_mean for q in queries])
 
 
 def apart(few: Array, many: Array, band: float) -> float:

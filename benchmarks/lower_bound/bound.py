@@ -35,7 +35,6 @@ from benchmarks.lower_bound.potential import (
 )
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.modes import root
 from ves_gym.planners.motion_problem import MotionProblem
 from ves_gym.planners.objective import MeanEnergy
 from ves_gym.planners.prediction import LinearBase
@@ -116,7 +115,9 @@ def bound_energy(
     sides = [reach.box(k * T / N, (k + 1) * T / N) for k in range(N)]
     low, high = np.min([b[0] for b in sides], axis=0), np.max([b[1] for b in sides], axis=0)
     shapes = Shapes(arm, (low + high) / 2, (high - low) / 2)
-    setting = Setting(reach, shapes, root(cost.R, symmetric=True), N)
+    values, vectors = np.linalg.eigh(cost.R)
+    square = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T  # the symmetric root
+    setting = Setting(reach, shapes, square, N)
     unit = _near(query, where)
     potential = Barrier(setting, conjugate(cost, N), unit).solve()
     energy, errors = _evaluate(setting, potential, cost, unit)
