@@ -20,10 +20,13 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from queue import SimpleQueue
 
 ROOT = Path(__file__).parents[1]
 LIMIT = 900  # s for the tests of one fault
+WORKERS = 2  # faults that are judged side by side, each in a tree of its own
 Edit = tuple[str, int, int, int, int, str]  # kind, first line, column, last line, column, text
 
 
@@ -121,14 +124,21 @@ def draw(seed: int, count: int) -> list[tuple[str, Edit]]:
     return out
 
 
+_IN_EPISODES = {
+    "_util", "baselines", "effects", "engine", "envs", "hardware", "mechanics", "simulation",
+    "system",
+}  # fmt: skip
+
+
 def targets(file: str) -> list[list[str]]:
     """Tests that may see a fault in a file, the nearest first."""
     room, stem = Path(file).parts[1], Path(file).stem
     near = list((ROOT / "tests").rglob(f"test_{stem}*.py"))
     own = [p for p in (ROOT / "tests" / room, ROOT / "tests" / f"test_{room}") if p.is_dir()]
     rest = [ROOT / "tests" / name for name in ("golden", "claims")]
-    steps = [near, own, [p for p in rest if p.exists()], [ROOT / "tests" / "envs"]]
-    return [[str(p.relative_to(ROOT)) for p in step] for step in steps if step]
+    last = [ROOT / "tests" / "envs"] if room in _IN_EPISODES and room != "envs" else []
+    steps = [near, own, rest, last]
+    return [[str(p.relative_to(ROOT)) for p in step if p.exists()] for step in steps if step]
 
 
 def caught(tree: Path, file: str, edit: Edit) -> str:
@@ -139,7 +149,7 @@ def caught(tree: Path, file: str, edit: Edit) -> str:
     environment = {**os.environ, "PYTHONPATH": str(tree), "OMP_NUM_THREADS": "1"}
     try:
         for step in targets(file):
-            command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "2", *step]
+            command = [sys.executable, "-m", "pytest", "-x", "-q", *step]
             try:
                 code = subprocess.run(
                     command, cwd=tree, env=environment, capture_output=True, timeout=LIMIT
@@ -162,12 +172,24 @@ def main() -> None:
     args = parser.parse_args()
     args.out.parent.mkdir(parents=True, exist_ok=True)
     rows = json.loads(args.out.read_text("utf-8")) if args.out.exists() else []
-    with tempfile.TemporaryDirectory() as folder:
-        tree = Path(folder) / "tree"
+    done = {(row["file"], *row["edit"]) for row in rows}
+    faults = [k for k in draw(args.seed, args.count) if (k[0], *k[1]) not in done]
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(WORKERS) as pool:
+        trees: SimpleQueue[Path] = SimpleQueue()
         ignored = shutil.ignore_patterns(".git", ".venv", "out", "__pycache__")
-        shutil.copytree(ROOT, tree, symlinks=True, ignore=ignored)
-        for file, edit in draw(args.seed, args.count)[len(rows) :]:
-            by = caught(tree, file, edit)
+        for k in range(WORKERS):
+            tree = Path(folder) / str(k)
+            shutil.copytree(ROOT, tree, symlinks=True, ignore=ignored)
+            trees.put(tree)
+
+        def judged(fault: tuple[str, Edit]) -> tuple[str, Edit, str]:
+            tree = trees.get()
+            try:
+                return *fault, caught(tree, *fault)
+            finally:
+                trees.put(tree)
+
+        for file, edit, by in pool.map(judged, faults):
             rows.append({"file": file, "edit": edit, "caught by": by})
             args.out.write_text(json.dumps(rows, indent=1), "utf-8")
             print(f"{len(rows):3d} {file}:{edit[1]} {edit[0]}: {by or 'NOBODY'}", flush=True)

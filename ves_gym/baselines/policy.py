@@ -252,10 +252,11 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
     names = [f"layer{i}.{k}" for i in layers for k in ("weight", "bias")]
     if set(arrays) != set(names):
         raise ParameterError(f"{file}: expected {', '.join(names)}, got {', '.join(arrays)}")
-    weights = tuple(
-        (arrays[f"layer{i}.weight"].astype(float), arrays[f"layer{i}.bias"].astype(float))
-        for i in layers
-    )
+    with np.errstate(invalid="ignore"):  # what is not finite is refused
+        weights = tuple(
+            (arrays[f"layer{i}.weight"].astype(float), arrays[f"layer{i}.bias"].astype(float))
+            for i in layers
+        )
     return Policy(network, weights, plain["about"], name=path.stem)
 
 
