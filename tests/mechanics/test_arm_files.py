@@ -291,6 +291,26 @@ def test_a_mesh_becomes_a_capsule_that_holds_it(write, tmp_path, kind):
     assert capsule.radius < 0.6
 
 
+@pytest.mark.parametrize(
+    "name", ["../m.stl", "{root}/m.stl", "file://{root}/m.stl", "package://robot/../m.stl"]
+)
+def test_a_mesh_outside_the_files_folder_is_asked_for(tmp_path, name):
+    """Claim: a URDF reads no mesh outside its folder and its package unless it is told to."""
+    rng, folder = np.random.default_rng(0), tmp_path / "robot"
+    folder.mkdir()
+    (tmp_path / "m.stl").write_bytes(mesh_file("stl", rng.normal(size=(9, 3))))
+    shape = MESH.replace("package://x/f.stl", name.format(root=tmp_path))
+    file = folder / "arm.urdf"
+    file.write_text(single(rng, shape, xyz=(0, 0, 0)))
+    with pytest.raises(ParameterError, match=r"lies outside .*allow_outside=True"):
+        Arm.from_file(file)
+    assert Arm.from_file(file, collision=False).n == 1
+    assert len(Arm.from_file(file, allow_outside=True).links[0].shape) == 1
+    if name.startswith(".."):  # a package's files are its own
+        (tmp_path / "package.xml").write_text("<package/>")
+        assert len(Arm.from_file(file).links[0].shape) == 1
+
+
 # ------------------------------------------------------------------ URDF that is refused
 
 
