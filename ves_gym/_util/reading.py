@@ -34,12 +34,12 @@ _OF_FILE = 20  # times the file that its numbers may take: DMIG as tuples
 
 
 @contextmanager
-def named(file: object) -> Iterator[None]:
-    """Put a file's name before whatever is wrong with it."""
+def named(file: object, kind: type[ValueError] = ParameterError) -> Iterator[None]:
+    """Put a file's name before whatever is wrong with it: errors of one kind."""
     try:
         yield
-    except ParameterError as error:
-        raise ParameterError(f"{file}: {error}") from None
+    except kind as error:
+        raise kind(f"{file}: {error}") from None
 
 
 def read_bytes(path: str | os.PathLike[str], most: int = MOST) -> bytes:

@@ -395,7 +395,7 @@ def _actuate(shape: Shape) -> casadi.Function:
 
 
 def _target(shape: Shape) -> casadi.Function:
-    """(x, free body, its other numbers) -> `latch.Target` in rows."""
+    """(x, free body, its other numbers) -> `latch.LatchTarget` in rows."""
     arm, n, order = shape.system.actual.arm, shape.joints, shape.coordinates
 
     def seen(x: Traced, body: Traced, others: Traced) -> tuple[Any, ...]:

@@ -14,7 +14,7 @@ from ves_gym.envs.task import Field, Scene, Start, register_task
 from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.attitude import from_angles, to_matrix
 from ves_gym.mechanics.kinematics import joint_positions
-from ves_gym.mechanics.latch import Target
+from ves_gym.mechanics.latch import LatchTarget
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.spatial import matvec, rotation
 from ves_gym.mechanics.vehicle import BENT_THESIS
@@ -142,14 +142,14 @@ class PayloadTransfer(ArmTask):
 
     def closes(self, s: Scene) -> Mask:
         """See `Task`."""
-        t = Target.of(s.payload)
+        t = LatchTarget.of(s.payload)
         slow = np.linalg.norm(t.relative[:, :3], axis=1) <= self.catch
         free: Mask = (t.carried == 0) & (s.memory[:, _BERTHED] == 0)
         return free & (t.reached > 0) & slow
 
     def remember(self, s: Scene, dt: float) -> None:
         """See `Task`. The berth takes the payload."""
-        t, memory = Target.of(s.payload), s.memory
+        t, memory = LatchTarget.of(s.payload), s.memory
         off = np.linalg.norm(t.fixture - s.goal[:, 3:6], axis=1)
         there = (t.carried > 0) & (off <= self.tolerance)
         there = there & (np.linalg.norm(t.fixture_velocity, axis=1) <= self.rest)
@@ -159,7 +159,7 @@ class PayloadTransfer(ArmTask):
 
     def opens(self, s: Scene) -> Mask:
         """See `Task`. The berth holds the payload."""
-        held: Mask = Target.of(s.payload).carried > 0
+        held: Mask = LatchTarget.of(s.payload).carried > 0
         return held & self.success(s)
 
     def success(self, s: Scene) -> Mask:
@@ -180,7 +180,7 @@ class PayloadTransfer(ArmTask):
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
         to_base = np.swapaxes(rotation(s.y_seen), -1, -2)
-        fixture = Target.of(s.payload).fixture
+        fixture = LatchTarget.of(s.payload).fixture
         return (
             *self.sense(s),
             matvec(to_base, fixture - s.tool_seen),
@@ -193,7 +193,7 @@ class PayloadTransfer(ArmTask):
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         # the count of the hold is back at zero a period after the berth took the payload
         taken = (s.memory[:, _BERTHED] > 0) & (s.memory[:, _HELD] > 0)
-        t = Target.of(s.payload)
+        t = LatchTarget.of(s.payload)
         tool = np.linalg.norm(t.fixture - s.tool, axis=1)
         berth = np.linalg.norm(s.goal[:, 3:6] - t.fixture, axis=1)
         to_go = np.where(t.carried > 0, berth, tool + berth)
@@ -206,4 +206,4 @@ class PayloadTransfer(ArmTask):
 
     def marker(self, s: Scene) -> Array:
         """The fixture, then the berth."""
-        return np.stack([Target.of(s.payload).fixture, s.goal[:, 3:6]], axis=1)
+        return np.stack([LatchTarget.of(s.payload).fixture, s.goal[:, 3:6]], axis=1)

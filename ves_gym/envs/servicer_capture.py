@@ -17,7 +17,7 @@ from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.attitude import from_matrix, log, rotate
 from ves_gym.mechanics.kinematics import joint_positions, pose_dexterity, tool_frame
-from ves_gym.mechanics.latch import BODY, Target, named
+from ves_gym.mechanics.latch import BODY, LatchTarget, named
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.spatial import cross, matvec, rotation, twist
 from ves_gym.mechanics.vehicle import SERVICER_FLEXIBLE, Satellite
@@ -259,13 +259,13 @@ class ServicerCapture(ArmTask):
 
     def closes(self, s: Scene) -> Mask:
         """See `Task`."""
-        t = Target.of(s.payload)
+        t = LatchTarget.of(s.payload)
         slow = np.linalg.norm(t.relative[:, :3], axis=1) <= self.catch
         slow = slow & (np.linalg.norm(t.relative[:, 3:], axis=1) <= self.catch_turn)
         closing: Mask = slow & (t.reached > 0) & (t.carried == 0)
         return closing
 
-    def _missing(self, t: Target) -> Array:
+    def _missing(self, t: LatchTarget) -> Array:
         """(n, 3) rotation vectors from the tool to the fixture [rad]."""
         grip, _ = self._fixture
         return log(from_matrix(t.turn @ grip @ np.swapaxes(t.tool, -1, -2)))
@@ -276,7 +276,7 @@ class ServicerCapture(ArmTask):
         return np.array([wheel.speed_max for wheel in wheels_of(self.system)])
 
     def remember(self, s: Scene, dt: float) -> None:
-        t = Target.of(s.payload)
+        t = LatchTarget.of(s.payload)
         still = (t.carried > 0) & (np.abs(s.v) <= self.settled).all(axis=1)
         still &= np.linalg.norm(t.spin, axis=1) <= self.rest
         still &= np.linalg.norm(twist(s.y, s.yd)[:, 3:], axis=1) <= self.rest
@@ -331,7 +331,7 @@ class ServicerCapture(ArmTask):
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
         """See `Task`. What is of tool and target is in the base's axes."""
-        t, to_base = Target.of(s.payload), np.swapaxes(rotation(s.y_seen), -1, -2)
+        t, to_base = LatchTarget.of(s.payload), np.swapaxes(rotation(s.y_seen), -1, -2)
         free = t.carried[:, None] == 0
         # of the target where the tool is, and then where its fixture is
         closing = t.relative[:, :3] + cross(t.spin, s.tool - t.fixture)
@@ -354,7 +354,7 @@ class ServicerCapture(ArmTask):
     # -------------------------------------------------------------------- reward
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        t, share = Target.of(s.payload), dt / self.duration
+        t, share = LatchTarget.of(s.payload), dt / self.duration
         distance = np.linalg.norm(t.fixture - s.tool, axis=1)
         half = np.linalg.norm(self._missing(t), axis=1) / 2
         missing = distance / self.far + np.sin(half)
@@ -369,7 +369,7 @@ class ServicerCapture(ArmTask):
 
     def marker(self, s: Scene) -> Array:
         """The fixture."""
-        return Target.of(s.payload).fixture[:, None]
+        return LatchTarget.of(s.payload).fixture[:, None]
 
 
 def meeting(s: Scene, joints: int) -> tuple[Array, Array]:

@@ -89,7 +89,7 @@ class Scene:
         memory: (n, `Task.memory`) what the task remembers, zero at an episode's start.
         table_values: (n, k) of `Task.lookup` at this instant.
         tau: (n, joints) torque or drive command last asked for.
-        payload: (n, k) `latch.Target` of the payload in rows; k = 0 where none takes part.
+        payload: (n, k) `latch.LatchTarget` of the payload in rows; k = 0 where none takes part.
         propellant: (n,) used since the start [kg].
         wheels: (n, w) speeds of the vehicle's reaction wheels [rad/s].
         tail: (n,) J s that the base will keep after the end; zero before it.

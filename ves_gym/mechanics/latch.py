@@ -122,7 +122,7 @@ def tool_in_space(arm: Arm, y: Array, base: Array, q: Array, v: Array) -> ToolSt
     )
 
 
-class Target(NamedTuple):
+class LatchTarget(NamedTuple):
     """A payload beside the tool: in space, inertial axes. Leading axis = simulation."""
 
     carried: Array  # (n,) 1 or 0
@@ -142,11 +142,11 @@ class Target(NamedTuple):
         return np.concatenate([k.reshape(len(k), -1) for k in self], axis=1)
 
     @staticmethod
-    def of(rows: Array) -> Target:
+    def of(rows: Array) -> LatchTarget:
         """Return what lies in rows (n, `TARGET`)."""
-        parts = np.split(rows, np.cumsum([1, 1, 1, 1, 3, 3, 3, 3, 6, 9]), axis=1)
+        parts = np.split(rows, np.cumsum(_WIDTHS)[:-1], axis=1)
         turns = [k.reshape(len(k), 3, 3) for k in parts[9:]]
-        return Target(*(k[:, 0] for k in parts[:4]), *parts[4:9], *turns)
+        return LatchTarget(*(k[:, 0] for k in parts[:4]), *parts[4:9], *turns)
 
     @property
     def fixture_velocity(self) -> Array:
@@ -155,7 +155,8 @@ class Target(NamedTuple):
         return out
 
 
-TARGET = 40  # numbers of a `Target`
+_WIDTHS = (1, 1, 1, 1, 3, 3, 3, 3, 6, 9, 9)  # of the fields of a `LatchTarget`, in rows
+TARGET = sum(_WIDTHS)
 
 
 BODY = {"position": 3, "attitude": 4, "velocity": 3, "spin": 3}  # of a free payload, in rows
@@ -189,7 +190,7 @@ def flown(rows: Array, com: Array, inertia: Array, time: Array) -> Array:
     return out
 
 
-def target(tool: ToolState, axes: Array, body: Mapping[str, Array]) -> Target:
+def target(tool: ToolState, axes: Array, body: Mapping[str, Array]) -> LatchTarget:
     """Return where a payload is, free or carried, as seen from the tool.
 
     Args:
@@ -215,7 +216,7 @@ def target(tool: ToolState, axes: Array, body: Mapping[str, Array]) -> Target:
     reached = reached & (angle <= body["latch_angle"][:, 0])
     there = velocity + cross(spin, tool.place - centre)  # of the payload where the tool is
     relative = np.concatenate([linear - there, angular - spin], axis=1)
-    return Target(
+    return LatchTarget(
         body["carried"][:, 0], reached, distance, angle, fixture, centre, velocity, spin,
         relative, turn, tool.turn,
     )  # fmt: skip

@@ -21,7 +21,7 @@ from ves_gym.mechanics.kinematics import ToolState
 from ves_gym.mechanics.latch import (
     BODY,
     NUMBERS,
-    Target,
+    LatchTarget,
     ToolMotion,
     body_momentum,
     directions_of,
@@ -246,7 +246,7 @@ class PayloadHandler(NotingPart):
             spin[held] = matvec(np.swapaxes(t.turn, -1, -2), t.spin)
         return PayloadState(position, attitude, velocity, spin)
 
-    def target(self, ids: Index) -> Target:
+    def target(self, ids: Index) -> LatchTarget:
         """Return where the payloads of some simulations are, as seen from their tools."""
         names = ("position", "attitude", "velocity", "spin", *NUMBERS)
         body = {k: getattr(self, k)[ids].reshape(len(ids), -1) for k in names}

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, canonical_json, write_bytes
+from ves_gym._util.reading import named
 from ves_gym._util.views import Viewable
 from ves_gym.system.runlog_files import (
     BASE,
@@ -35,7 +36,6 @@ from ves_gym.system.runlog_files import (
     WHEEL,
     RunLogError,
     load_pyarrow,
-    naming,
     read_bytes,
     read_csv,
     read_json,
@@ -238,15 +238,15 @@ class RunLog(Viewable):
         """
         path = Path(path)
         if suffix_of(path) == ".parquet":
-            with naming(path):
+            with named(path, RunLogError):
                 columns, meta, digest = read_parquet(path)
         else:
             digest = None
-            with naming(path):
+            with named(path, RunLogError):
                 columns = read_csv(path)
-            with naming(path.with_suffix(".json")):
+            with named(path.with_suffix(".json"), RunLogError):
                 meta = read_json(read_bytes(path.with_suffix(".json")))
-        with naming(path):
+        with named(path, RunLogError):
             log = cls(**columns, meta=meta)
             if digest is not None and log.digest != digest:
                 raise RunLogError(

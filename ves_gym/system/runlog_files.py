@@ -1,6 +1,6 @@
 """Files of a run log: strict reading and all-or-nothing writing of its columns.
 
-A fault names row and column (rows count from 1, without the CSV header); `naming` puts
+A fault names row and column (rows count from 1, without the CSV header); `reading.named` puts
 the file before it. Nothing is guessed or repaired.
 """
 
@@ -12,8 +12,7 @@ import os
 import re
 import reprlib
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -83,15 +82,6 @@ def load_pyarrow(path: Path) -> tuple[ModuleType, ModuleType]:
     import pyarrow.parquet
 
     return pyarrow, pyarrow.parquet
-
-
-@contextmanager
-def naming(path: Path) -> Iterator[None]:
-    """Put the file's name before whatever is wrong with it."""
-    try:
-        yield
-    except RunLogError as error:
-        raise RunLogError(f"{path}: {error}") from None
 
 
 def read_bytes(path: Path) -> bytes:

@@ -139,7 +139,7 @@ def _own_folder() -> Path | None:
 
 
 def _is_private(about: os.stat_result) -> bool:
-    """Whether a file or folder is this user's, and can't be written by others."""
+    """True if a file or folder is this user's, and others can't write to it."""
     if not hasattr(os, "getuid"):  # Windows: a profile's folders are
         return True
     return about.st_uid == os.getuid() and not about.st_mode & 0o022
