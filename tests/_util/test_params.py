@@ -1,6 +1,7 @@
 """Parameter sets: exact round trips, strict reading, files written completely or not at all."""
 
 import dataclasses
+import errno
 import json
 import math
 import os
@@ -327,11 +328,12 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(call, tmp_path, mon
     write_text(path, "old")
 
     def fail(*args, **kwargs):
-        raise OSError("disk full")
+        raise OSError(errno.ENOSPC, "disk full", "a temporary name")
 
     monkeypatch.setattr(params.os, call, fail)
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(OSError, match="disk full") as caught:
         write_text(path, "new")
+    assert caught.value.filename == str(path)
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["kept.txt"]
 

@@ -1,5 +1,6 @@
 """What is wrong is said in one line with the name that was meant, and nothing is written."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -206,6 +207,39 @@ def test_a_structure_that_cannot_be_read_writes_nothing(refused, tmp_path, words
     options = words[len(files) :]
     assert sentence in refused("structure", MAST, *files, *own, *options)
     assert not (tmp_path / "vehicle.toml").exists()
+
+
+WRITING = [  # what is begun, and what it can't finish
+    (("list", "commands", "--json", "j.json"), "j.json"),
+    (("simulate", "--goal", "5,5,5", "--duration", "0.4", "--log", "run.csv"), "run.json"),
+    (
+        ("simulate", "--goal", "5,5,5", "--duration", "0.4", "--log", "run.parquet"),
+        "run.parquet",
+    ),
+    (("plan", "--goal", "5,5,5"), "case.toml"),
+    (("map",), "map_q1_q2.npz"),
+    (("leaderboard", "run", "paths", "bent-2s-quick", "straight"), "entry.json"),
+]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a limit of files' sizes")
+@pytest.mark.parametrize(("words", "file"), WRITING, ids=lambda k: str(k[0]))
+def test_where_there_is_no_room_the_file_is_named_and_none_is_half_written(
+    words, file, tmp_path, monkeypatch, capsys
+):
+    import resource
+
+    monkeypatch.chdir(tmp_path)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))  # bytes: EFBIG beyond
+    try:
+        status = main([*words, "--out", "out"])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    err = capsys.readouterr().err
+    assert status == 2 and err.startswith("ves-gym: error: "), err
+    assert err.endswith(f"{file}: File too large\n") and err.count("\n") == 1, err
+    assert not [p for p in tmp_path.rglob("*") if p.is_file()]
 
 
 def test_a_program_error_is_not_hidden(monkeypatch):

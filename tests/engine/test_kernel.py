@@ -366,6 +366,16 @@ def test_where_the_cache_is(monkeypatch, tmp_path):
     assert build.cache_folder() == tmp_path / "Library" / "Caches" / "ves_gym"
 
 
+def test_without_a_home_nothing_is_kept_and_all_compiles(monkeypatch):
+    def none(*_):
+        raise RuntimeError("Could not determine home directory.")
+
+    for name in ("VES_GYM_CACHE", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(build.Path, "home", none)
+    assert build._own_folder() is None
+
+
 def links(**changes):
     """The PUMA with its second link changed."""
     every = list(PUMA_560.links)

@@ -9,6 +9,7 @@ import pytest
 from tests.experiments.sweeps import files
 from ves_gym._util.params import ParameterError
 from ves_gym._util.threads import on_one_thread
+from ves_gym.baselines.config import CONFIGS
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.registry import get_controller
 from ves_gym.cli.main import main
@@ -152,6 +153,14 @@ def test_the_page(file, done):
     assert steps == {600} and len(trainings(matrix)) == 2
 
 
+def test_a_configuration_of_ones_own_beside_the_matrix(tmp_path, file):
+    (tmp_path / "mine.toml").write_text((CONFIGS / "BeamLQR-ppo.toml").read_text())
+    path = tmp_path / "m.toml"
+    path.write_text(FILE.replace("BeamLQR-ppo", "mine.toml"))
+    units = [[u.id for u in trainings(read_matrix(k)).values()] for k in (path, file)]
+    assert units[0] == units[1]
+
+
 def test_bad_matrices_are_refused(tmp_path, file):
     path = tmp_path / "m.toml"
     path.write_text(FILE.replace('controller = "lqr"', 'controller = "lqr", released = "ppo"'))
@@ -162,6 +171,9 @@ def test_bad_matrices_are_refused(tmp_path, file):
         read_matrix(path)
     path.write_text(FILE.replace('machine = "lab"', 'machine = "moon"'))
     with pytest.raises(ParameterError, match="moon"):
+        read_matrix(path)
+    path.write_text(FILE.replace("BeamLQR-ppo", "BeamLQR-pp"))
+    with pytest.raises(ParameterError, match=r"'BeamLQR-pp'; did you mean .BeamLQR-ppo"):
         read_matrix(path)
     path.write_text(FILE.replace('name = "lab"', 'name = "space"'))
     with pytest.raises(ParameterError, match="name of its own"):

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from tests.leaderboard.entries import Spoiled, code_of, made_entry, noisy
 from ves_gym._util.params import ParameterError
+from ves_gym.leaderboard import verify
 from ves_gym.leaderboard.entry import LARGEST, Code, Refused, from_bytes, require_name, to_bytes
 from ves_gym.leaderboard.files import ENTRY, RECORDING, pack, read_files, unpack, write_files
 
@@ -127,6 +128,20 @@ def test_a_folder_in_use_is_left_alone(tmp_path):
     with pytest.raises(ParameterError, match="empty folder"):
         write_files(tmp_path, {ENTRY: b""})
     assert [p.name for p in tmp_path.iterdir()] == ["x"]
+
+
+def test_what_a_killed_run_left_is_replaced(tmp_path):
+    for name in (RECORDING, f".{ENTRY}.x1y2"):
+        (tmp_path / name).write_text("half")
+    write_files(tmp_path, {ENTRY: b"whole"})
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == {ENTRY: b"whole"}
+
+
+def test_a_folder_in_use_is_refused_before_the_work(tmp_path, monkeypatch):
+    (tmp_path / ENTRY).write_text("{}")
+    monkeypatch.setattr(verify, "enter", None)  # the work
+    with pytest.raises(ParameterError, match="empty folder"):
+        verify.make_entry(tmp_path, "paths", "bent-2s-quick", "straight")
 
 
 def test_what_is_not_there_is_bad_usage(tmp_path):

@@ -1,7 +1,11 @@
 """`Simulator`: what goes in, what comes out, and what happens when it goes wrong."""
 
+import gc
 import itertools
+import os
 import pickle
+import signal
+import time
 
 import numpy as np
 import pytest
@@ -382,3 +386,30 @@ def test_a_command_may_run_linearly_through_the_period(backend, mode):
     assert abs(held.state.v - stepped.state.v).max() > 1e-4
     with pytest.raises(ParameterError, match=r"until must be numbers of shape \(3, 3\)"):
         stepped.step(0.0, until=np.zeros(4))
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="fork")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_forked_process_may_lose_a_simulator_of_its_parent():
+    """Its threads are not there: MuJoCo would wait for them for ever."""
+    here = Simulator(System(), n=2, threads=2, backend="mujoco")
+    here.reset()
+    ring = [here]
+    ring.append(ring)  # garbage that the collector finds, not the count
+    gc.collect()
+    gc.disable()
+    try:
+        del here, ring
+        child = os.fork()
+        if child == 0:
+            gc.collect()
+            os._exit(0)
+        deadline = time.monotonic() + 60.0
+        while os.waitpid(child, os.WNOHANG) == (0, 0):
+            if time.monotonic() > deadline:
+                os.kill(child, signal.SIGKILL)
+                os.waitpid(child, 0)
+                pytest.fail("hangs")
+            time.sleep(0.01)
+    finally:
+        gc.enable()

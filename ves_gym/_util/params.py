@@ -357,7 +357,8 @@ def read_table(path: str | os.PathLike[str]) -> dict[str, Any]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ParameterError(f"{path}: cannot be read: {error}") from None
+        why = getattr(error, "strerror", None) or error
+        raise ParameterError(f"{path}: cannot be read: {why}") from None
     if path.suffix not in (".toml", ".json"):
         raise ParameterError(f"{path}: expected a .toml or .json file, got {path.suffix!r}")
     try:
@@ -462,21 +463,27 @@ def write_bytes(path: str | os.PathLike[str], data: bytes, *, private: bool = Fa
         path: its folder is made if it is not there.
         data: content.
         private: nobody else may read or write it.
+
+    Raises:
+        OSError: no room, or no right to write; it names the file, and what was there stays.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        if not private:  # as it is made
-            os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            if not private:  # as it is made
+                os.chmod(temporary, 0o666 & ~_umask())
+            os.replace(temporary, path)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+    except OSError as error:  # under the name that the caller knows
+        raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def _umask() -> int:

@@ -104,6 +104,27 @@ def read_config(path: str | os.PathLike[str]) -> TrainConfig:
     return config_from_plain(read_table(path), str(path))
 
 
+def find_config(name: str, base: Path) -> Path:
+    """Return the file of a configuration: one of the package by its name, or any by its path.
+
+    Args:
+        name: such as `PumaDamp-ppo`, or a .toml or .json file.
+        base: folder that paths start from.
+
+    Raises:
+        ParameterError: the package has none of that name.
+    """
+    if Path(name).suffix in (".toml", ".json"):
+        return base / name
+    known = {path.stem: path for path in sorted(CONFIGS.glob("*.toml"))}
+    if name not in known:
+        raise ParameterError(
+            f"config must be a .toml file or one of {', '.join(known)}, got {name!r}"
+            f"{did_you_mean(name, known)}"
+        )
+    return known[name]
+
+
 def config_from_plain(plain: Mapping[str, Any], where: str = "config") -> TrainConfig:
     """A configuration from plain data; unknown keys are an error."""
     config: TrainConfig = from_plain(TrainConfig, plain, where)

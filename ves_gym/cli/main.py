@@ -265,8 +265,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("ves-gym: interrupted", file=sys.stderr)
         return 130
-    except (ValueError, OSError, ArithmeticError) as error:
-        # parameters, limits, logs, files and runs that diverge: all say what is wrong
+    except OSError as error:  # of a file, no room for one among them
+        named = error.filename is not None and error.strerror is not None
+        sentence = f"{error.filename}: {error.strerror}" if named else str(error)
+    except (ValueError, ArithmeticError) as error:
+        # parameters, limits, logs and runs that diverge: all say what is wrong
         sentence = str(error)
     except ImportError as error:
         if not (known := explain(error)):

@@ -19,7 +19,7 @@ import numpy as np
 from ves_gym._util.params import Array, ParameterError, from_plain, read_table
 from ves_gym._util.statistics import STATISTICS, Estimate, bootstrap, rate
 from ves_gym.baselines.comparison import policy_files
-from ves_gym.baselines.config import CONFIGS, config_from_plain
+from ves_gym.baselines.config import config_from_plain, find_config
 from ves_gym.baselines.registry import get_controller
 from ves_gym.experiments.spec import changed
 from ves_gym.experiments.sweep import Report, do_units
@@ -44,7 +44,7 @@ class MatrixMethod:
     name: str
     controller: str | None = None
     released: str | None = None  # name of a policy of the package, such as ppo
-    train: str | None = None  # name of a configuration of the package, a policy per seed
+    train: str | None = None  # configuration of the package, or a file: a policy per seed
     machine: str | None = None  # that it is trained on; None: the first
     changes: dict = field(default_factory=dict)  # entries of the configuration
     settings: dict = field(default_factory=dict)  # of the environments that it acts in
@@ -111,9 +111,18 @@ class Cell:
 
 
 def read_matrix(path: str | os.PathLike[str]) -> Matrix:
-    """A matrix from a TOML or JSON file; unknown keys are an error."""
+    """A matrix from a TOML or JSON file, which paths in it start from.
+
+    Raises:
+        ParameterError: an unknown key, or a configuration that is not there.
+    """
     matrix: Matrix = from_plain(Matrix, read_table(path), str(path))
-    return matrix
+    base = Path(path).parent
+
+    def found(method: MatrixMethod) -> MatrixMethod:
+        return replace(method, train=method.train and str(find_config(method.train, base)))
+
+    return replace(matrix, tasks=_with_methods(matrix, found))
 
 
 def shortened(matrix: Matrix, steps: int) -> tuple[TaskRow, ...]:
@@ -127,8 +136,14 @@ def shortened(matrix: Matrix, steps: int) -> tuple[TaskRow, ...]:
     def shorter(method: MatrixMethod) -> MatrixMethod:
         return replace(method, changes={**method.changes, "total_timesteps": steps})
 
+    return _with_methods(matrix, shorter)
+
+
+def _with_methods(
+    matrix: Matrix, change: Callable[[MatrixMethod], MatrixMethod]
+) -> tuple[TaskRow, ...]:
     return tuple(
-        replace(task, methods=tuple(map(shorter, task.methods))) for task in matrix.tasks
+        replace(task, methods=tuple(map(change, task.methods))) for task in matrix.tasks
     )
 
 
@@ -152,7 +167,7 @@ def trainings(matrix: Matrix) -> dict[tuple[str, str, int], Unit]:
             if method.train is None:
                 continue
             machine = machines[method.machine or matrix.machines[0].name]
-            path = CONFIGS / f"{method.train}.toml"
+            path = find_config(method.train, Path())
             table = changed(read_table(path), {"settings": machine.settings})
             table = changed(table, {**method.changes, "env": environment_of(task, machine)})
             config = config_from_plain(table, str(path))

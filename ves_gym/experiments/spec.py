@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from ves_gym._util.params import ParameterError, from_plain, read_table, to_plain
-from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.comparison import policy_files
-from ves_gym.baselines.config import CONFIGS, TrainConfig, config_from_plain
+from ves_gym.baselines.config import config_from_plain, find_config
 from ves_gym.baselines.evaluate import MOST_EPISODES
 from ves_gym.baselines.registry import CONTROLLERS
 from ves_gym.experiments.units import Unit, evaluate_unit, plan_unit, train_unit
@@ -128,20 +127,10 @@ def _policies(text: str, env: str, base: Path) -> list[str]:
 
 def _trainings(table: Trainings, base: Path) -> Iterable[Unit]:
     for name in table.configs:
-        config = _config(name, table.changes, base)
+        path = find_config(name, base)
+        config = config_from_plain(changed(read_table(path), table.changes), str(path))
         for seed in config.seeds if table.seeds is None else table.seeds:
             yield train_unit(config, seed)
-
-
-def _config(name: str, changes: Mapping[str, Any], base: Path) -> TrainConfig:
-    path = base / name if Path(name).suffix in (".toml", ".json") else CONFIGS / f"{name}.toml"
-    if path.parent == CONFIGS and not path.exists():
-        names = sorted(p.stem for p in CONFIGS.glob("*.toml"))
-        raise ParameterError(
-            f"config must be a .toml file or one of {', '.join(names)}, got {name!r}"
-            f"{did_you_mean(name, names)}"
-        )
-    return config_from_plain(changed(read_table(path), changes), str(path))
 
 
 def changed(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -60,14 +60,25 @@ def read_files(path: str | os.PathLike[str]) -> dict[str, bytes]:
     return {name: _read(file, _limit(name) or 0) for name, file in files.items()}
 
 
-def write_files(folder: str | os.PathLike[str], files: Mapping[str, bytes]) -> Path:
-    """Write an entry's folder, `entry.json` last; one that is in use is left alone."""
-    folder = Path(folder)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+def unfinished(folder: Path) -> list[Path]:
+    """Return what a run that was killed has left in the folder of an entry.
+
+    Raises:
+        ParameterError: the folder holds an entry, or files of something else.
+    """
+    found = list(folder.iterdir()) if folder.is_dir() else []
+    names = [p.name[1:].rpartition(".")[0] if p.name[0] == "." else p.name for p in found]
+    if folder.is_file() or (folder / ENTRY).exists() or None in map(_limit, names):
         raise ParameterError(f"{folder}: must be a new or empty folder for the entry")
+    return found
+
+
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write an entry's folder, `entry.json` last; one that is in use is left alone."""
+    for path in unfinished(folder):
+        path.unlink()
     for name in sorted(files, key=lambda k: (k == ENTRY, k)):
         write_bytes(folder / name, files[name])
-    return folder
 
 
 def pack(recording: Recording) -> bytes:

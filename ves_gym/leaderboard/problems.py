@@ -121,7 +121,8 @@ def read_salt(path: str | os.PathLike[str]) -> str:
     try:
         salt = Path(path).read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
-        raise ParameterError(f"{path}: cannot be read: {error}") from None
+        why = getattr(error, "strerror", None) or error
+        raise ParameterError(f"{path}: cannot be read: {why}") from None
     if len(salt) < _LEAST_SALT:
         raise ParameterError(
             f"{path}: a salt has at least {_LEAST_SALT} characters, got {len(salt)}"

@@ -30,7 +30,15 @@ from ves_gym.leaderboard.entry import (
     refusing,
     to_bytes,
 )
-from ves_gym.leaderboard.files import ENTRY, RECORDING, pack, read_files, unpack, write_files
+from ves_gym.leaderboard.files import (
+    ENTRY,
+    RECORDING,
+    pack,
+    read_files,
+    unfinished,
+    unpack,
+    write_files,
+)
 from ves_gym.leaderboard.methods import answering, enter
 from ves_gym.leaderboard.problems import PUBLIC, Problem, Seeds, get_problem, seeds_of
 from ves_gym.leaderboard.statistics import repeated
@@ -89,6 +97,8 @@ def make_entry(
     Returns:
         The entry.
     """
+    folder = Path(folder)
+    unfinished(folder)  # one in use is refused before the work, not after it
     question = get_problem(track, problem)
     drawn, entered = seeds_of(question, salt), enter(question, method, seeds)
     rules = track_of(question, drawn, entered.method, workers)

@@ -102,20 +102,23 @@ def write_pair(first: Path, first_text: str, second: Path, second_text: str) -> 
         first_text, second_text: contents.
     """
     first.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=first.parent, prefix=f".{first.stem}.") as staging:
-        staged = [Path(staging) / path.name for path in (first, second)]
-        write_bytes(staged[0], first_text.encode("ascii"))
-        write_bytes(staged[1], second_text.encode("ascii"))
-        before = first.read_bytes() if first.exists() else None
-        os.replace(staged[0], first)
-        try:
-            os.replace(staged[1], second)
-        except BaseException:
-            if before is None:
-                first.unlink()
-            else:
-                write_bytes(first, before)
-            raise
+    try:
+        with tempfile.TemporaryDirectory(dir=first.parent, prefix=f".{first.stem}.") as staging:
+            staged = [Path(staging) / path.name for path in (first, second)]
+            write_bytes(staged[0], first_text.encode("ascii"))
+            write_bytes(staged[1], second_text.encode("ascii"))
+            before = first.read_bytes() if first.exists() else None
+            os.replace(staged[0], first)
+            try:
+                os.replace(staged[1], second)
+            except BaseException:
+                if before is None:
+                    first.unlink()
+                else:
+                    write_bytes(first, before)
+                raise
+    except OSError as error:  # under the name that the caller knows
+        raise OSError(error.errno, error.strerror, str(first)) from None
 
 
 def read_parquet(path: Path) -> tuple[dict[str, Array], Any, str | None]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
+import weakref
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -40,6 +43,22 @@ _BAD = [
         mujoco.mjtWarning.mjWARN_BADCTRL,
     )
 ]
+
+
+_BATCHES: weakref.WeakSet[Batch] = weakref.WeakSet()
+
+
+def _keep_in_a_fork() -> None:
+    """Let a forked process destroy no batch of its parent: it would wait for threads for ever.
+
+    Gymnasium's `AsyncVectorEnv` forks, and what is garbage in the parent is so in the child.
+    """
+    for batch in _BATCHES:
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(batch))
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_keep_in_a_fork)
 
 
 def compile_model(system: System, full: bool = False, acting: bool = False) -> mujoco.MjModel:
@@ -145,6 +164,7 @@ class MujocoBackend:
         """Run this model."""
         self.model = model
         self.batch = Batch(model, self.n, self._nthread)
+        _BATCHES.add(self.batch)
         self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._time = self.batch.bind("time")
         self._command, self._slope = self.batch.bind("act"), self.batch.bind("ctrl")

@@ -111,7 +111,11 @@ def _built(
 
 
 def cache_folder() -> Path:
-    """Return the folder of compiled functions: VES_GYM_CACHE, or the user's cache folder."""
+    """Return the folder of compiled functions: VES_GYM_CACHE, or the user's cache folder.
+
+    Raises:
+        RuntimeError: the user has no home.
+    """
     folder = os.environ.get("VES_GYM_CACHE")
     if folder:
         return Path(folder)
@@ -127,12 +131,12 @@ def _own_folder() -> Path | None:
     What lies there is run. So folder and files must be the user's own, and no one else may be
     able to write to them.
     """
-    folder = cache_folder()
     try:
+        folder = cache_folder()
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if _is_private(folder.stat()):
             return folder
-    except OSError:
+    except (OSError, RuntimeError):
         return None
     _warn_of(folder)
     return None

@@ -1,0 +1,140 @@
+"""A command that is killed at any moment, and given again, ends as if it had not been."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(os.name != "posix", reason="SIGKILL"),
+]
+
+ROOT = Path(__file__).parents[1]
+KILLS = 5
+SWEEP = """
+[[evaluate]]
+envs = ["PumaDamp-v0"]
+policies = ["zero", "pped"]
+seeds = [0, 100, 200, 300]
+episodes = 10
+
+[[plan]]
+suite = "reach100"
+planners = ["straight", "direct"]
+durations = [2.0]
+queries = 3
+"""
+TRAINING = """
+env = "ves/BeamLQR-v0"
+algorithm = "PPO"
+total_timesteps = 6000
+n_envs = 8
+seeds = [0, 1]
+[hyperparameters]
+n_steps = 40
+batch_size = 320
+"""
+MATRIX = """
+seeds = [0, 1]
+episodes = 5
+
+[[machines]]
+name = "space"
+
+[[tasks]]
+env = "PumaDamp"
+methods = [
+    { name = "high gains", controller = "high" },
+    { name = "PPO", train = "mine.toml" },
+]
+"""
+COMMANDS = {
+    "sweep": ("sweep", "sweep.toml", "--workers", "2", "--out", "out"),
+    "train": ("train", "mine.toml", "--resume", "--workers", "2", "--out", "out"),
+    "matrix": ("matrix", "matrix.toml", "--workers", "2", "--out", "out"),
+    "diagnose": (
+        "diagnose",
+        "runs/a.parquet",
+        "runs/b.parquet",
+        "--no-free-run",
+        "--out",
+        "out",
+    ),
+    "leaderboard": ("leaderboard", "run", "paths", "bent-2s-quick", "direct", "--out", "out"),
+}
+LOGS = ("simulate", "--mode", "emulated", "--effect", "joint/coulomb:torque=3,0,0")
+ABOUT = "about"  # folder of a sweep: when, where and how long
+
+
+def started(words, folder):
+    """The command as a process, in a folder."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "ves_gym.cli.main", *words],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def finished(words, folder):
+    process = started(words, folder)
+    out, err = process.communicate()
+    if "new or empty folder for the entry" in err:
+        return  # it was done
+    assert process.returncode == 0, (out, err)
+
+
+def files(folder):
+    found = (p for p in sorted((folder / "out").rglob("*")) if p.is_file())
+    return {str(p.relative_to(folder)): p.read_bytes() for p in found}
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory):
+    """A folder with what the commands read."""
+    folder = tmp_path_factory.mktemp("killed")
+    (folder / "sweep.toml").write_text(SWEEP)
+    (folder / "mine.toml").write_text(TRAINING)
+    (folder / "matrix.toml").write_text(MATRIX)
+    for name, goal in (("a", "-10,5,-15"), ("b", "10,-5,15")):
+        finished((*LOGS, "--goal", goal, "--log", f"{name}.parquet", "--out", "runs"), folder)
+    return folder
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_that_is_killed_and_given_again(name, desk, tmp_path):
+    words = COMMANDS[name]
+
+    def place(label):
+        folder = tmp_path / label
+        folder.mkdir()
+        for file in desk.iterdir():
+            (folder / file.name).symlink_to(file)
+        return folder
+
+    finished(words, place("first"))  # compiles: the others take as long as each other
+    whole, start = place("whole"), time.monotonic()
+    finished(words, whole)
+    seconds = time.monotonic() - start
+    draws = random.Random(time.time_ns())
+    for k in range(KILLS):
+        folder, delay = place(str(k)), draws.uniform(0.2, 1.0) * seconds
+        process = started(words, folder)
+        time.sleep(delay)
+        process.send_signal(signal.SIGKILL)
+        out, err = process.communicate(timeout=10.0)  # no orphan holds on to them
+        print(f"killed after {delay:.2f} of {seconds:.2f} s; it said {out!r}")
+        assert not err
+        finished(words, folder)
+        ours, theirs = files(whole), files(folder)
+        differ = [k for k in ours | theirs if ours.get(k) != theirs.get(k)]
+        assert not [k for k in differ if ABOUT not in Path(k).parts], differ
+        assert set(ours) == set(theirs)
