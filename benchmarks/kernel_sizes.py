@@ -32,7 +32,7 @@ def stepping(system: System, n: int) -> Callable[[], None]:
     engine, joints = KernelBackend(system, n, 1), system.arm.n
     rows = np.random.default_rng(0).uniform(-0.01, 0.01, (2, n, 6 + joints))
     engine.write(np.arange(n), np.zeros(n), *rows)
-    servo = own_gains(system.arm)
+    servo = own_gains(system.arm, system.vehicle)
     engine.set_gains(np.arange(n), np.tile(servo.kp, (n, 1)), np.tile(servo.kd, (n, 1)))
 
     pieces = engine.pieces(engine._u, 1, system.substeps)

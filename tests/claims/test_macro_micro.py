@@ -186,7 +186,7 @@ def test_the_linear_model_is_the_motion_near_rest():
     member = replace(SHUTTLE_LIKE.members[1], hinges=1)
     short = replace(SHUTTLE_LIKE, members=(member,))
     system = System(arm=short.carry(PUMA), vehicle=HOST)
-    servo, q, t = own_gains(system.arm), np.array([0.2, 0.3, -0.5, 0.4]), 0.5
+    servo, q, t = own_gains(system.arm, system.vehicle), np.array([0.2, 0.3, -0.5, 0.4]), 0.5
     linear = linearise_ideal(system, q, servo=servo)
     n, p = 4, 3
     small = 1e-6 * np.random.default_rng(0).uniform(-1, 1, 6 + n + p)

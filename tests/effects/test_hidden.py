@@ -246,7 +246,7 @@ def test_gears_are_the_same_joints_in_all_simulations():
 
 
 def test_a_gear_too_stiff_for_the_step_is_refused():
-    with pytest.raises(ParameterError, match=r"physics_dt must be <= .* arm's or vehicle's"):
+    with pytest.raises(ParameterError, match=r"physics_dt must be <= .* fastest motion"):
         Simulator(System(vehicle=BENT_THESIS, mode="emulated", effects=(soft(1e-8),)))
 
 

@@ -47,8 +47,8 @@ def test_starts_are_inside_the_limits_and_spread():
 
 
 def test_default_controls_are_the_arm_s_own():
-    damp = build_task("damp", arm="iiwa14").control
-    assert damp.damping == own_gains(IIWA).kd
+    damp = build_task("damp", arm="iiwa14")
+    assert damp.control.damping == own_gains(IIWA, damp.system.vehicle).kd
     assert build_task("free_flyer", arm="iiwa14").control.a_max is None
     assert build_task("free_flyer").control.a_max == (6.0, 6.0, 12.0)
     given = {"kind": "acceleration", "a_max": [6.0, 6.0, 12.0]}
@@ -75,4 +75,5 @@ def test_the_log_of_an_episode_has_seven_joints(tmp_path):
         env.step(np.zeros(7))
     derail(env.batch, 0)
     log = RunLog.load(env.step(np.zeros(7))[-1]["dump"])
-    assert log.n_joints == 7 and log.meta["controller"]["kd"] == list(own_gains(IIWA).kd)
+    own = own_gains(IIWA, env.batch.system.vehicle)
+    assert log.n_joints == 7 and log.meta["controller"]["kd"] == list(own.kd)

@@ -6,14 +6,13 @@ import pytest
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
 from ves_gym.envs.tail import FreeDecay
-from ves_gym.mechanics.arm_library import PUMA_560
-from ves_gym.mechanics.servo import HIGH_GAINS, own_gains
+from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES, MatrixVehicle
 from ves_gym.system.energy import base_energy
 from ves_gym.system.system import System
 
 TAIL = 10.0  # s
-GAINS = own_gains(PUMA_560).kp, own_gains(PUMA_560).kd
+GAINS = HIGH_GAINS.kp, HIGH_GAINS.kd
 N = 32
 
 

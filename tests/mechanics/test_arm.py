@@ -1,22 +1,26 @@
 """Arms as data: bodies that can exist, limits that name the joint, any number of joints."""
 
 import dataclasses
+import math
 
 import mujoco
 import numpy as np
 import pytest
 
+import ves_gym as vg
 from tests.arms import PLANAR_GAINS, WRIST_GAINS, planar_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.engine.backends.mujoco import compile_model
 from ves_gym.mechanics.arm import Inertial, diagonal, matrix
-from ves_gym.mechanics.arm_library import PUMA_560
+from ves_gym.mechanics.arm_library import PUMA_560, get_arm
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.kinematics import joint_positions
+from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS, OWN_GAINS, own_gains
 from ves_gym.mechanics.spatial import skew
-from ves_gym.mechanics.vehicle import BENT_THESIS
+from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, STRAIGHT_VERTICAL, MatrixVehicle
 from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.system import System
 
 # ------------------------------------------------------------------------- bodies
@@ -128,25 +132,29 @@ def test_gains_are_for_the_arm_s_joints():
     with pytest.raises(ParameterError, match="servo must have gains for 6 joints, got 3"):
         Simulator(system, servo=HIGH_GAINS)  # the PUMA's three
     own = Simulator(system).servo
-    assert own == own_gains(arm) and f"inertia of {arm.name}" in own.source
+    assert own == own_gains(arm, BENT_THESIS) and f"inertia of {arm.name}" in own.source
     assert len(own.kp) == len(own.kd) == 6
 
 
 # ------------------------------------------------------------------------ servo gains
 
+HEAVY = MatrixVehicle(  # as good as no base at all
+    M=diagonal(*[1e9] * 6), D=diagonal(*[0.0] * 6), K=diagonal(*[0.0] * 6)
+)
+
 
 def test_the_thesis_s_arm_keeps_the_thesis_s_gains():
-    assert OWN_GAINS.for_arm(PUMA_560) == HIGH_GAINS
-    plain = dataclasses.replace(OWN_GAINS, feedforward=False).for_arm(PUMA_560)
+    assert OWN_GAINS.for_arm(PUMA_560, BENT) == HIGH_GAINS
+    plain = dataclasses.replace(OWN_GAINS, feedforward=False).for_arm(PUMA_560, BENT)
     assert plain == dataclasses.replace(HIGH_GAINS, feedforward=False)
-    assert HIGH_GAINS.for_arm(PUMA_560) is HIGH_GAINS
+    assert HIGH_GAINS.for_arm(PUMA_560, BENT) is HIGH_GAINS
 
 
 @pytest.mark.parametrize("bandwidth", [1.0, 2.0, 4.0])
 def test_own_gains_have_the_bandwidth_that_the_arm_states(bandwidth):
     """Each joint alone, the others held, at its largest inertia: w = 2 pi f, zeta = 0.7."""
     arm = dataclasses.replace(six_joint_arm(), bandwidth=bandwidth)
-    gains = own_gains(arm)
+    gains = own_gains(arm, HEAVY)
     q = np.random.default_rng(1).uniform(arm.column("q_min"), arm.column("q_max"), (500, 6))
     J = np.diagonal(inertia(arm, q)[:, 6:, 6:], axis1=1, axis2=2).max(axis=0)
     w = np.sqrt(gains.kp / J)
@@ -161,7 +169,30 @@ def test_own_gains_of_light_wrists_do_not_outrun_the_physics_step():
         thin = dataclasses.replace(light[link].inertial, inertia=diagonal(1e-6, 1e-6, 1e-6))
         light[link] = dataclasses.replace(light[link], inertial=thin)
     arm = dataclasses.replace(six_joint_arm(), links=tuple(light), bandwidth=4.0)
-    gains = own_gains(arm)
+    gains = own_gains(arm, HEAVY)
     for q in np.random.default_rng(1).uniform(-1.5, 1.5, (100, 6)):
         fast = np.linalg.eigvals(np.linalg.solve(inertia(arm, q)[6:, 6:], np.diag(gains.kd)))
         assert np.abs(fast).max() < 1.5 * 600
+
+
+@pytest.mark.parametrize("vehicle", [BENT, STRAIGHT_VERTICAL], ids=["bent", "straight"])
+def test_own_gains_are_those_of_the_base_that_the_arm_stands_on(vehicle):
+    """1.5 t of arm on a beam's end of some kg: from the gains on a wall, 5033/s on `bent`."""
+    arm = get_arm("canadarm2")
+    held, own = (own_gains(arm, base) for base in (HEAVY, vehicle))
+    assert own.kd[0] < held.kd[0] / 5
+    Simulator(System(arm=arm, vehicle=vehicle))
+    with pytest.raises(
+        ParameterError, match=r"physics_dt must be <= .* canadarm2 .*/s"
+    ) as told:
+        Simulator(System(arm=arm, vehicle=vehicle), servo=held)
+    step = float(str(told.value).split("<= ")[1].split(" s")[0])
+    assert step < 1.25e-3
+    steps = math.ceil(12.5e-3 / step)
+    system = System(arm=arm, vehicle=vehicle, physics_dt=12.5e-3 / steps)
+    with pytest.raises(ParameterError, match="physics_dt"):
+        sim = Simulator(System(arm=arm, vehicle=vehicle))
+        sim.set_gains(held.kp, held.kd)
+    motion = Motion.straight(arm.home, np.add(arm.home, 0.02), 1.0)
+    log = vg.simulate(motion, system, servo=held, settle=1.0)
+    assert EnergyBalance.of(log).relative < 1e-2

@@ -121,7 +121,7 @@ def test_vehicles_that_cannot_be_are_refused():
     system = System(vehicle=stiff, effects=(effect,), physics_dt=12.5e-3)
     sim, plain = (Simulator(system, 3, backend="kernel") for _ in "ab")
     for errors, message in (
-        ([0.0, 3.0, 0.0], "physics_dt must be <= .* vehicle's fastest mode"),
+        ([0.0, 3.0, 0.0], "physics_dt must be <= .* fastest motion"),
         ([0.0, 0.0, -1.5], "base/stiffness.error must be one number in"),
     ):
         rows = EffectRows(system, {(0, "error"): np.array(errors)}, True)

@@ -38,9 +38,7 @@ def test_a_step_too_long_for_the_fastest_mode_is_refused(integrator):
     """The simulator states the longest step; just below runs, just above does not start."""
     vehicle = BENT_THESIS if integrator == "implicitfast" else BENT  # of what the kernel takes
     system = System(vehicle=vehicle, integrator=integrator, physics_dt=0.5, control_dt=0.5)
-    with pytest.raises(
-        ParameterError, match=r"physics_dt must be <= .* Hz, got 0.5 s"
-    ) as caught:
+    with pytest.raises(ParameterError, match=r"physics_dt must be <= .*, got 0.5 s") as caught:
         Simulator(system)
     longest = float(str(caught.value).split("<= ")[1].split(" s")[0])
     Simulator(system.replace(physics_dt=0.99 * longest, control_dt=0.99 * longest))

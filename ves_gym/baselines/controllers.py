@@ -146,12 +146,12 @@ class Hold:
         control, s, arm = env.task.control, env.batch.scene, env.task.system.arm
         servo = self.gains
         if servo is None or len(servo.kp) != arm.n:  # the thesis's, for three joints
-            servo = own_gains(arm)
+            servo = own_gains(arm, env.task.system.vehicle)
         kp, kd = np.array(servo.kp), np.array(servo.kd)
         if isinstance(control, Gains):
             return np.tile(gains_action(control, kp, kd), (env.num_envs, 1))
         if isinstance(control, Torque):
-            damping = np.array(control.servo_for(arm).kd)
+            damping = np.array(control.servo_for(env.task.system).kd)
             tau = kp * (self._place - s.q) - (kd - damping) * s.v
             return torque_action(env, control, tau)
         return np.zeros((env.num_envs, env.batch.width))  # the reference rests where it is
@@ -231,7 +231,7 @@ def joint_query(
     arm = system.arm
     at_start = {"start_rate": rate, "start_acceleration": acceleration}
     moving: Any = {k: tuple(v.tolist()) for k, v in at_start.items() if v is not None}
-    servo = OWN_GAINS if task.control.level == "torque" else task.control.servo_for(arm)
+    servo = OWN_GAINS if task.control.level == "torque" else task.control.servo_for(task.system)
     return Query(
         system=system,
         start=tuple(np.clip(start, arm.column("q_min"), arm.column("q_max")).tolist()),

@@ -23,7 +23,7 @@ from ves_gym._util.statistics import STATISTICS, Estimate, bootstrap, iqm, rate
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.controllers import Controller
 from ves_gym.envs.build import build_task
-from ves_gym.envs.control import for_arm
+from ves_gym.envs.control import for_system
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.system.effect import Effect
@@ -242,8 +242,9 @@ def with_deviations(
     if arm is not None:
         described = get_arm(arm)  # refused here, not in a worker
         if "control" in settings:
-            control = build_task(**{**spec_of(id).kwargs, **settings}).control
-            out["control"] = to_plain(for_arm(control, described))
+            task = build_task(**{**spec_of(id).kwargs, **settings})
+            system = task.system.replace(arm=described)
+            out["control"] = to_plain(for_system(task.control, system))
         out["arm"] = arm
     if effects:
         task = build_task(**{**spec_of(id).kwargs, **out})

@@ -208,7 +208,7 @@ def derivatives(model: VesVectorEnv, motion: ControlledMotion) -> tuple[Array, A
         motion: its states and actions.
     """
     system, n = model.task.system, model.task.system.arm.n
-    servo, N = model.task.control.servo_for(system.arm), len(motion.u)
+    servo, N = model.task.control.servo_for(system), len(motion.u)
     half = motion.x.shape[1] - 3 * n
     ref = motion.x[:, half:].reshape(-1, 3, n)
     # what the drives are sent, and how it follows the reference

@@ -57,7 +57,7 @@ class Regulator:
         remember(self, count, **dict.fromkeys(("_home", "_summed", "_tau"), (joints,)))
         remember(self, count, _state=(2 * n,), _A=(2 * n, 2 * n), _B=(2 * n, joints))
         remember(self, count, _L=(2 * n, outputs), _F=(joints, 2 * n + joints))
-        servo, dt = task.control.servo_for(system.arm), env.batch.dt
+        servo, dt = task.control.servo_for(system), env.batch.dt
         for i in ids.tolist():
             self._home[i] = s.q[i]
             A, B = linearise_ideal(system, s.q[i], servo=servo).discretise(dt)

@@ -24,7 +24,7 @@ from ves_gym.hardware.leg_response import bandwidth, gain_margin
 from ves_gym.hardware.leg_servo import LEG_SERVOS, leg_clock
 from ves_gym.mechanics.arm_library import arm_names, get_arm
 from ves_gym.mechanics.servo import own_gains
-from ves_gym.mechanics.vehicle import VEHICLES
+from ves_gym.mechanics.vehicle import BENT, VEHICLES
 from ves_gym.planners.case import Case
 from ves_gym.planners.coupling import modes
 from ves_gym.planners.registry import PLANNERS
@@ -69,7 +69,7 @@ def _arms() -> Rows:
             "joints": arm.n,
             "mass": f"{arm.mass:.4g} kg",
             "length": f"{sum(np.hypot(link.a, link.d) for link in arm.links):.3g} m",
-            "servo": own_gains(arm).source,
+            "servo": own_gains(arm, BENT).source,
             "source": arm.source,
         }
         for name, arm in ((name, get_arm(name)) for name in arm_names())

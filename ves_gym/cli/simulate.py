@@ -49,7 +49,7 @@ def _gains(text: str, place: Place) -> JointServo:
         zero = (0.0,) * n
         return JointServo(kp=zero, kd=zero, feedforward=False, source=FREE.source)
     if text in NAMED:
-        return NAMED[text].for_arm(place.arm)
+        return NAMED[text]
     try:
         kp, kd = (tuple(floats(part)) for part in text.split("/"))
     except ValueError:
@@ -134,7 +134,7 @@ def simulate(
             path.with_suffix(""): run_figure(recorded, case.system, motion.duration, space)
         },
         then=[["view", beside]],
-        negative=summary.stop is not None,
+        negative=summary.stop is not None or not summary.trusted,
     )
 
 

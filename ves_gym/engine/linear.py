@@ -110,7 +110,7 @@ def _on_motors(system: System, servo: JointServo) -> JointServo:
     """The servo with gains for the system's arm."""
     if system.drive != "motor":
         raise ParameterError(f"a servo needs drive motor, got drive {system.drive}")
-    return servo.for_arm(system.arm)
+    return servo.for_arm(system.arm, system.vehicle)
 
 
 @lru_cache(maxsize=16)

@@ -19,6 +19,7 @@ from ves_gym.engine.backends.kernel import KernelBackend
 from ves_gym.engine.kernel.maps import SceneMap, TorqueMap
 from ves_gym.envs.compiled import Shape, carry_rows, plain_command
 from ves_gym.envs.compiled_step import CompiledStep, release_still
+from ves_gym.envs.control import Gains
 from ves_gym.envs.episode import (
     AT_ONCE,
     Beginnings,
@@ -108,17 +109,19 @@ class Batch:
         self.sim = Simulator(
             self.system,
             n,
-            servo=control.servo_for(arm) if motor else None,
+            servo=control.servo_for(task.system) if motor else None,
             backend=backend,
             threads=threads,
             on_divergence="mark",
             warn_at=None,
         )
+        if isinstance(control, Gains):
+            self.sim.require_stable(control.kp[1], control.kd[1])
         if task.randomize and self.system.mode == "emulated":
             from ves_gym.envs.laboratories import warn_of_unstable_corners
 
             warn_of_unstable_corners(
-                task.system, task.randomize, control.servo_for(arm) if motor else None
+                task.system, task.randomize, control.servo_for(task.system) if motor else None
             )
         space = self.system.ideal()
         self._space = space  # effects have no part in it
@@ -139,7 +142,8 @@ class Batch:
         joints = arm.n
         table_values = task.lookup(np.zeros((1, goals)), np.zeros(1, np.intp)).shape[1]
         follows = motor and control.level != "torque"
-        hold = control.servo_for(arm) if follows else own_gains(arm)
+        vehicle = task.system.vehicle
+        hold = control.servo_for(task.system) if follows else own_gains(arm, vehicle)
         self._hold = np.asarray(hold.kp, float), np.asarray(hold.kd, float)
         self._sizes = {
             "q": joints, "v": joints, "y": 6, "yd": 6, "y_seen": 6, "yd_seen": 6, "tool": 3,

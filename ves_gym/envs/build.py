@@ -13,7 +13,7 @@ from typing import Any
 from ves_gym._util.params import ParameterError, from_plain
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.envs.base_control import BaseControl
-from ves_gym.envs.control import Control, for_arm, get_control
+from ves_gym.envs.control import Control, for_system, get_control
 from ves_gym.envs.randomize import ranges_of
 from ves_gym.envs.registration import IDS
 from ves_gym.envs.task import TASKS, Task
@@ -114,7 +114,7 @@ def build_task(
         values["control"] = _control(control)
     else:
         own: Any = defaults.control if defaults is not None else fields["control"].default
-        values["control"] = for_arm(own, values["system"].arm)
+        values["control"] = for_system(own, values["system"])
     if ranges is not None:
         values["randomize"] = ranges
     typed = _typed(cls, settings)

@@ -57,16 +57,16 @@ class Control:
         """Gains of the joint motors."""
         return OWN_GAINS
 
-    def servo_for(self, arm: Arm) -> JointServo:
-        """Return the gains of the motors of an arm.
+    def servo_for(self, system: System) -> JointServo:
+        """Return the gains of the motors of an arm on its base.
 
         Args:
-            arm: whose joints.
+            system: arm and vehicle.
 
         Raises:
             ParameterError: gains for another number of joints.
         """
-        return self.servo.for_arm(arm)
+        return self.servo.for_arm(system.arm, system.vehicle)
 
     def width(self, arm: Arm) -> int:
         """Numbers in an action."""
@@ -79,7 +79,7 @@ class Control:
             raise ParameterError(f"control {self.kind} needs drive {kinds}, got {system.drive}")
         if system.drive == "motor":
             try:
-                self.servo_for(system.arm)
+                self.servo_for(system)
             except ParameterError as error:
                 raise ParameterError(f"control {self.kind}: {error}") from None
 
@@ -388,10 +388,11 @@ class Torque(Control):
             return FREE
         return JointServo(kp=(0.0,) * len(self.damping), kd=self.damping, feedforward=False)
 
-    def servo_for(self, arm: Arm) -> JointServo:
+    def servo_for(self, system: System) -> JointServo:
         if self.damping is None:
-            return JointServo(kp=(0.0,) * arm.n, kd=(0.0,) * arm.n, feedforward=False)
-        return self.servo.for_arm(arm)
+            none = (0.0,) * system.arm.n
+            return JointServo(kp=none, kd=none, feedforward=False)
+        return self.servo.for_arm(system.arm, system.vehicle)
 
     def advance(self, s: Moving, action: Array, arm: Arm, dt: float, remaining: Array) -> None:
         s.tau = self.torque(action, arm)
@@ -449,19 +450,19 @@ def get_control(name: str) -> Control:
     return CONTROLS[name]()
 
 
-def for_arm(control: Control, arm: Arm) -> Control:
+def for_system(control: Control, system: System) -> Control:
     """Return a task's default control for an arm of another number of joints.
 
     Accelerations are then the arm's own, and damping is that of its own gains.
 
     Args:
         control: the default.
-        arm: whose joints.
+        system: arm and vehicle.
     """
     if isinstance(control, SmoothReference) and control.a_max is not None:
-        return control if len(control.a_max) == arm.n else replace(control, a_max=None)
+        return control if len(control.a_max) == system.arm.n else replace(control, a_max=None)
     if not isinstance(control, Torque) or control.damping is None:
         return control
-    if len(control.damping) == arm.n:
+    if len(control.damping) == system.arm.n:
         return control
-    return replace(control, damping=own_gains(arm).kd)
+    return replace(control, damping=own_gains(system.arm, system.vehicle).kd)

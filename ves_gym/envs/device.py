@@ -232,7 +232,7 @@ class DeviceRows:
         self._space = self.system.ideal()
         joints, control = shape.joints, self.task.control
         if self.system.drive == "motor":
-            servo = control.servo_for(self.system.arm)
+            servo = control.servo_for(self.system)
             kp, kd = (np.tile(k, (self.n, 1)) for k in (servo.kp, servo.kd))
             self.backend.set_gains(np.arange(self.n), kp, kd)
         gained = control.level == "gains"

@@ -108,7 +108,7 @@ class Lqr(ArmTask):
         """
         home = self._middle
         described = self.system.replace(effects=()).ideal()
-        linear = linearise_ideal(described, home, servo=self.control.servo_for(described.arm))
+        linear = linearise_ideal(described, home, servo=self.control.servo_for(described))
         return linear.discretise(self.system.control_dt)
 
     @cached_property

@@ -133,7 +133,7 @@ class Recorder:
         control = batch.task.control
         kp, kd = batch.scene.kp[i], batch.scene.kd[i]
         if control.level == "torque":
-            servo = control.servo_for(batch.system.arm)
+            servo = control.servo_for(batch.system)
             kp, kd = np.array(servo.kp), np.array(servo.kd)
         meta = {
             "format": "ves-run/1",

@@ -13,6 +13,7 @@ from ves_gym.mechanics.arm import BANDWIDTH, Arm
 from ves_gym.mechanics.dynamics import drawn_configurations, inertia, inverse_dynamics
 from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.motion import Samples
+from ves_gym.mechanics.vehicle import Vehicle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,14 +47,18 @@ class JointServo:
                 f"JointServo needs as many kp as kd, got {len(self.kp)} and {len(self.kd)}"
             )
 
-    def for_arm(self, arm: Arm) -> JointServo:
+    def for_arm(self, arm: Arm, vehicle: Vehicle) -> JointServo:
         """Return the servo with gains for every joint: `OWN_GAINS` with the arm's own.
+
+        Args:
+            arm: whose joints.
+            vehicle: that it stands on.
 
         Raises:
             ParameterError: gains for another number of joints.
         """
         if not self.kp:
-            return replace(own_gains(arm), feedforward=self.feedforward)
+            return replace(own_gains(arm, vehicle), feedforward=self.feedforward)
         if len(self.kp) != arm.n:
             raise ParameterError(
                 f"servo must have gains for {arm.n} joints, got {len(self.kp)}"
@@ -88,25 +93,34 @@ _FASTEST = 600.0  # 1/s of a decaying joint: rk4 at 1.25 ms is stable up to 2200
 
 
 @lru_cache(maxsize=64)
-def own_gains(arm: Arm) -> JointServo:
+def own_gains(arm: Arm, vehicle: Vehicle) -> JointServo:
     """Return the gains of a joint servo that nothing is said of.
 
     The thesis's high gains for three joints of an arm without a bandwidth. Else kp = J w^2 and
     kd = 2 zeta J w with w = 2 pi times the bandwidth and zeta = 0.7: J is the largest inertia
     about the joint, others at rest, over configurations within the limits. Where links far
-    out are so light that one of these gains would move some other way of the arm faster than
-    600/s, J of the joints that take part is lowered until none does; so where links bend.
+    out, or the base, are so light that one of these gains would move some other way of arm and
+    base faster than 600/s, J of the joints that take part is lowered until none does; so where
+    links bend.
+
+    Args:
+        arm: whose joints.
+        vehicle: that it stands on; its fastest response counts, that of its free mass.
     """
     if arm.bandwidth is None and arm.n == len(HIGH_GAINS.kp):
         return HIGH_GAINS
     bandwidth = BANDWIDTH if arm.bandwidth is None else arm.bandwidth
     w = 2 * math.pi * bandwidth
     drawn = drawn_configurations(arm)
-    H = inertia(arm, drawn)[:, 6:, 6:]
-    J = np.diagonal(H, axis1=1, axis2=2).max(axis=0).copy()
-    p = arm.bends  # a fast gain moves what is before a flexure, not what is beyond
-    loose = expand(arm).inertia(drawn, np.zeros((len(drawn), p)))[:, 6:, 6:] if p else H
-    inverse = np.linalg.inv(loose)[:, p:, p:]
+    J = np.diagonal(inertia(arm, drawn)[:, 6:, 6:], axis1=1, axis2=2).max(axis=0).copy()
+    # a fast gain moves what is before a flexure, not what is beyond; and the base
+    p, base = arm.bends, vehicle.base_model().full()[0]
+    loose = np.zeros((len(drawn), *(p + arm.n + len(base),) * 2))
+    arms, bases = slice(0, 6 + p + arm.n), np.r_[:6, 6 + p + arm.n : loose.shape[-1]]
+    loose[:, arms, arms] = expand(arm).inertia(drawn, np.zeros((len(drawn), p)))
+    loose[:, bases[:, None], bases] += base
+    motors = slice(6 + p, 6 + p + arm.n)
+    inverse = np.linalg.inv(loose)[:, motors, motors]
     most = _FASTEST / (2 * _RATIO * w)
     for _ in range(200):
         root = np.sqrt(J)

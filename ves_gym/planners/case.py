@@ -86,7 +86,8 @@ class Query:
         if self.base is not None:
             self.base.stacked(self.system.base)
         if self.system.drive == "motor":
-            object.__setattr__(self, "servo", self.servo.for_arm(arm))  # the class is frozen
+            servo = self.servo.for_arm(arm, self.system.vehicle)
+            object.__setattr__(self, "servo", servo)  # the class is frozen
 
     @property
     def straight(self) -> Motion:
@@ -156,8 +157,8 @@ class Case:
                 f"motion: {arm.name} has {arm.n} joints, got {self.motion.n} in the motion"
             )
         if self.system.drive == "motor":
-            # the class is frozen
-            object.__setattr__(self, "servo", self.servo.for_arm(arm))
+            servo = self.servo.for_arm(arm, self.system.vehicle)
+            object.__setattr__(self, "servo", servo)  # the class is frozen
         query = self.query
         if query is not None and (query.system != self.system or query.servo != self.servo):
             raise ParameterError("Case.query must be of the case's own system and servo")

@@ -129,7 +129,7 @@ class LinearBase:
         self.base_stiffness = self.K
         self.b = self.size = len(self.K)
         if servo is not None and system.drive == "motor":
-            servo = servo.for_arm(system.arm)
+            servo = servo.for_arm(system.arm, system.vehicle)
             self.size += system.arm.n
             self.D = scipy.linalg.block_diag(self.D, np.diag(servo.kd))
             self.K = scipy.linalg.block_diag(self.K, np.diag(servo.kp))

@@ -56,7 +56,7 @@ def low_energy_waypoint(query: Query) -> list[Array]:
         via = np.clip((start + goal) / 2 + np.array(sizes) @ first, low, high)
         motion = Motion.through([start, via, goal], query.duration)
         if any(sizes) and _possible(arm, motion):
-            energy = predict(system, motion, OWN_GAINS.for_arm(arm)).E_mean
+            energy = predict(system, motion, OWN_GAINS.for_arm(arm, system.vehicle)).E_mean
             energies.append((energy, via))
     return [min(energies, key=lambda pair: pair[0])[1]] if energies else []
 
@@ -99,7 +99,7 @@ def machine_data(system: System) -> dict[str, Any]:
     platform, system = platform_data(system), playable(system)
     arm, base = system.arm, system.base
     M, D, K = base.full()
-    servo = OWN_GAINS.for_arm(arm) if system.drive == "motor" else None
+    servo = OWN_GAINS.for_arm(arm, system.vehicle) if system.drive == "motor" else None
     return {
         "name": f"{arm.name} on {vehicle_name(system.vehicle)}",
         "hash": system.hash,

@@ -11,6 +11,7 @@ from ves_gym.engine.backends.compiled import CompiledBackend
 from ves_gym.engine.batch_parameters import bodies_of, require_alike, share_base
 from ves_gym.hardware.admittance import require_admittances
 from ves_gym.mechanics.base_model import BaseModel, semidefinite
+from ves_gym.mechanics.servo import JointServo
 from ves_gym.simulation.machines import Machines, Part, Source
 from ves_gym.simulation.stable_step import require_stable_step, steps_are_small
 from ves_gym.system.effect import BaseEffect, TorqueEffect
@@ -19,7 +20,11 @@ from ves_gym.system.system import System
 
 
 def assign(
-    machines: Machines, parts: Sequence[Part], systems: Sequence[System], index: Index
+    machines: Machines,
+    parts: Sequence[Part],
+    systems: Sequence[System],
+    index: Index,
+    servo: JointServo,
 ) -> None:
     """Give the simulations of `index` (k,) a system each, see `Simulator.assign`.
 
@@ -28,11 +33,12 @@ def assign(
         parts: of the simulator.
         systems: k of them.
         index: which.
+        servo: the highest gains that have been set.
     """
     if isinstance(systems, System) or len(systems) != len(index):
         got = "one System" if isinstance(systems, System) else f"{len(systems)}"
         raise ParameterError(f"systems must be a sequence of {len(index)}, got {got}")
-    _require_possible(machines.system, systems, index)
+    _require_possible(machines.system, systems, index, servo)
     if not len(index):
         return
     installs = [part.prepare(machines, index, systems) for part in parts]
@@ -42,7 +48,9 @@ def assign(
         install()
 
 
-def _require_possible(template: System, systems: Sequence[System], index: Index) -> None:
+def _require_possible(
+    template: System, systems: Sequence[System], index: Index, servo: JointServo
+) -> None:
     """Refuse systems that differ in more than numbers, or are too fast for the step."""
     stable = {bodies_of(template.actual)}
     for i, system in zip(index.tolist(), systems, strict=True):
@@ -50,19 +58,22 @@ def _require_possible(template: System, systems: Sequence[System], index: Index)
             raise ParameterError(f"systems must hold Systems, got {system!r}")
         share_base(template, system)
         require_alike(template, system, f"system of simulation {i}")
-        judged = system.mode == "ideal" or bool(system.actual.arm.geared)
-        if judged and bodies_of(system.actual) not in stable:
-            require_stable_step(system.actual)
+        if bodies_of(system.actual) not in stable:
+            require_stable_step(system.actual, servo)
             stable.add(bodies_of(system.actual))
 
 
 def assign_effects(
-    machines: Machines, parts: Sequence[Part], rows: EffectRows, index: Index
+    machines: Machines,
+    parts: Sequence[Part],
+    rows: EffectRows,
+    index: Index,
+    servo: JointServo,
 ) -> None:
     """Give the simulations of `index` (k,) effects, see `Simulator.assign_effects`.
 
     Args:
-        machines, parts, index: see `assign`.
+        machines, parts, index, servo: see `assign`.
         rows: k rows of the simulator's own system.
     """
     backend = machines.backend
@@ -76,12 +87,12 @@ def assign_effects(
     at_once = rows.at_once and all(map(rows.replaces, {id(k): k for k in before}.values()))
     bases = rows.bases() if at_once and rows.varied(BaseEffect) else None
     if not at_once or (bases is not None and not isinstance(backend, CompiledBackend)):
-        assign(machines, parts, [rows.system(row) for row in range(len(rows))], index)
+        assign(machines, parts, [rows.system(row) for row in range(len(rows))], index, servo)
         machines.note(index, sources)
         return
     installs = [part.prepare_effects(machines, index, rows, bases) for part in parts]
     if bases is not None and isinstance(backend, CompiledBackend):
-        _require_bases(rows, bases)
+        _require_bases(rows, bases, servo)
         backend.assign_bases(index, bases)
     if rows.varied(TorqueEffect):
         backend.assign_laws(index, rows)
@@ -90,7 +101,7 @@ def assign_effects(
     machines.note(index, sources)
 
 
-def _require_bases(rows: EffectRows, bases: BaseModel) -> None:
+def _require_bases(rows: EffectRows, bases: BaseModel, servo: JointServo) -> None:
     """Refuse vehicles (k, ...) that cannot be, or are too fast for the physics step."""
     system = rows.template
     for row in np.flatnonzero(~semidefinite(bases)).tolist():
@@ -98,5 +109,5 @@ def _require_bases(rows: EffectRows, bases: BaseModel) -> None:
     if system.mode == "emulated":
         require_admittances(bases, system.emulator_settings.admittance_form)
         return
-    for row in np.flatnonzero(~steps_are_small(system, bases)).tolist():
-        require_stable_step(rows.system(row).actual)
+    for row in np.flatnonzero(~steps_are_small(system, servo, bases)).tolist():
+        require_stable_step(rows.system(row).actual, servo)

@@ -78,7 +78,7 @@ def play_motions(
         _whole_multiple(interval, system.control_dt, "record_dt", "control periods")
     records = int(np.ceil((duration + settle) / (stride * dt) - 1e-9)) + 1
     if system.drive == "motor" or not servo.kp:
-        servo = servo.for_arm(system.arm)
+        servo = servo.for_arm(system.arm, system.vehicle)
     latched = _latched(system, latch, stride * dt, records)
     sim = Simulator(
         system, n, servo=servo, backend=backend, seed=seed, warn_at=motions[0].start

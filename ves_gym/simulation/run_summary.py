@@ -19,6 +19,7 @@ from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
 SCHEMA = "ves-simulate/1"
+TRUSTED = 0.01  # of the work through the base, that the energy account may be open by
 _MEANING = {
     "E_mean": "mean of the base energy over the motion and {tail:g} s after it (the score)",
     "E_res": "at the end of the motion",
@@ -53,9 +54,23 @@ class RunSummary:
         return Event(0, **stops[0]) if stops else None
 
     @property
+    def trusted(self) -> bool:
+        """False where energy came from nowhere; True too where records are too far apart."""
+        step = float(self.log.t[1] - self.log.t[0])
+        if self.ledger is None or step > 1.5 * self.system.physics_dt:
+            return True
+        return self.ledger < TRUSTED
+
+    @property
     def warnings(self) -> list[str]:
-        """A sentence per limit that is broken."""
-        return self.reference.sentences("reference") + self.simulated.sentences("simulated arm")
+        """A sentence per limit that is broken, and one where the result can't be trusted."""
+        out = self.reference.sentences("reference") + self.simulated.sentences("simulated arm")
+        if not self.trusted:
+            out.append(
+                f"the energy account is open by {self.ledger:.2g} of the work through the base,"
+                f" at most {TRUSTED:g}: do not trust this run; a smaller --physics-dt closes it"
+            )
+        return out
 
     @property
     def propellant(self) -> float | None:
@@ -73,6 +88,7 @@ class RunSummary:
             "tail": self.tail,
             "energies": _plain(self.energies),
             "ledger_residual": self.ledger,
+            "trusted": self.trusted,
             "propellant": self.propellant,
             "limits": {
                 "reference": self.reference.to_dict(),

@@ -79,8 +79,11 @@ class Simulator:
         self.system, self.n = system, whole(n, "n", 1)
         if on_divergence not in ("raise", "mark"):
             raise ParameterError(f"on_divergence must be raise or mark, got {on_divergence!r}")
-        if system.mode == "ideal" or system.actual.arm.geared:
-            require_stable_step(system.actual)
+        none = (0.0,) * system.arm.n
+        self._judged = JointServo(kp=none, kd=none)  # the highest gains so far
+        if servo is not None and system.drive == "motor":
+            servo = self._judged = servo.for_arm(system.arm, system.vehicle)
+        require_stable_step(system.actual, self._judged)
         if system.mode == "ideal" and admittance is not None:
             raise ParameterError("an admittance needs mode emulated, got mode ideal")
         self.joints, self.on_divergence = system.arm.n, on_divergence
@@ -113,7 +116,6 @@ class Simulator:
         self._by_period = any(part.periodic for part in self.parts)
         self._shares = np.arange(system.substeps + 1)[:, None] / system.substeps
         if servo is not None and system.drive == "motor":
-            servo = servo.for_arm(system.arm)
             self.set_gains(servo.kp, servo.kd)
         self.servo = servo if servo is not None else FREE
         if self.emulation_loop is not None and warn_at is not None and admittance is None:
@@ -340,7 +342,7 @@ class Simulator:
             ParameterError: a system differs in more than numbers, or in a structural zero;
                 nothing has been assigned then.
         """
-        assign(self.machines, self.parts, systems, simulation_ids(ids, self.n))
+        assign(self.machines, self.parts, systems, simulation_ids(ids, self.n), self._judged)
 
     def assign_effects(self, rows: EffectRows, ids: npt.ArrayLike | None = None) -> None:
         """Give simulations effects with parameters of their own, as `assign` does, but at once.
@@ -355,7 +357,9 @@ class Simulator:
         Raises:
             ParameterError: as `assign`.
         """
-        assign_effects(self.machines, self.parts, rows, simulation_ids(ids, self.n))
+        assign_effects(
+            self.machines, self.parts, rows, simulation_ids(ids, self.n), self._judged
+        )
 
     def set_gains(
         self, kp: npt.ArrayLike, kd: npt.ArrayLike, ids: npt.ArrayLike | None = None
@@ -371,7 +375,25 @@ class Simulator:
         index = simulation_ids(ids, self.n)
         shape = (len(index), self.joints)
         gains = broadcast(kp, "kp", shape), broadcast(kd, "kd", shape)
+        self.require_stable(*gains)
         self.machines.set_gains(index, *gains)
+
+    def require_stable(self, kp: npt.ArrayLike, kd: npt.ArrayLike) -> None:
+        """Refuse gains that are too fast for the physics step.
+
+        Args:
+            kp, kd: [N m/rad], [N m s/rad], broadcast to (k, joints).
+
+        Raises:
+            ParameterError: it names the step that they need.
+        """
+        before = self._judged.kp, self._judged.kd
+        rows = np.atleast_2d(kp), np.atleast_2d(kd)
+        top = [np.maximum(k.max(axis=0), b) for k, b in zip(rows, before, strict=True)]
+        if any((k > b).any() for k, b in zip(top, before, strict=True)):
+            highest = JointServo(kp=tuple(top[0].tolist()), kd=tuple(top[1].tolist()))
+            require_stable_step(self.system.actual, highest)
+            self._judged = highest
 
     # ----------------------------------------------------------------- payload
 

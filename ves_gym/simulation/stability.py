@@ -230,7 +230,7 @@ def in_space(
         part[at[:, None], at] += block
     joints = np.arange(6, 6 + m)
     if servo is not None and m:
-        servo = servo.for_arm(system.arm)
+        servo = servo.for_arm(system.arm, system.vehicle)
         D[joints, joints], K[joints, joints] = servo.kd, servo.kp
     return M, D, K
 

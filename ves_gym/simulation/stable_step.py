@@ -1,11 +1,16 @@
-"""Physics steps that an integrator can take, judged at q = 0 by what swings by itself."""
+"""Physics steps that an integrator can take: decided by the fastest rate of the closed loop.
+
+Base, joints with their servos, gears, flexures, internal modes and what the base carries, all
+free to move. A load in the hand makes everything slower, so the arm without it decides.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym.mechanics.base_model import BaseModel
@@ -14,22 +19,28 @@ from ves_gym.mechanics.dynamics import drawn_configurations, inertia
 from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.latch import tool_motion
 from ves_gym.mechanics.payload import Contact
+from ves_gym.mechanics.servo import JointServo
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
-_JUDGED = 8  # further configurations of an arm that bends
+_JUDGED = 9  # configurations: zero and others within the limits
 _SURE = 2.0  # |pole| times step: RK4 is stable in the left half of a disc of 2.6 around 0
 
 
-def require_stable_step(system: System) -> None:
-    """Refuse a physics step the integrator cannot take, judged at q = 0.
+def require_stable_step(system: System, servo: JointServo | None) -> None:
+    """Refuse a physics step that the integrator cannot take at some configuration.
 
-    Joints locked, or free where gears give way or links bend. An arm that bends is judged at
-    other angles within its limits as well: what swings with a long link depends on them.
+    Args:
+        system: as it really is.
+        servo: gains for every joint; None: motors without a servo.
+
+    Raises:
+        ParameterError: it names the step that is needed and what needs it.
     """
-    _require_stable_step(system, np.zeros(system.arm.n))
-    if system.arm.bends:
-        for q in drawn_configurations(system.arm)[1 : 1 + _JUDGED]:
-            _require_stable_step(system, q)
+    loop = _Loop.of(system, servo)
+    if loop.M.size:  # something is free to move
+        sure = system.integrator == "rk4" and loop.bound().max() * system.physics_dt <= _SURE
+        if not sure:
+            _require_stable_loop(system, loop)
     if system.contact is not None:
         _require_stable_contact(system, system.contact)
 
@@ -64,113 +75,140 @@ def _require_stable_contact(system: System, contact: Contact) -> None:
         )
 
 
-def _require_stable_step(system: System, q: Array) -> None:
-    M, damping, stiffness = _passive(system, q)
-    K, D = np.linalg.solve(M, stiffness), np.linalg.solve(M, damping)
-    eye, none = np.eye(len(M)), np.zeros(M.shape)
-    poles = np.linalg.eigvals(np.block([[none, eye], [-K, -D]]))
+@dataclass
+class _Loop:
+    """M x'' + D x' + K x = 0 at several configurations, (c, s, s) each.
 
+    x: pose of the base, rotors and flexures, deflections of the gears, internal modes, joints
+    of what the base carries; without what is held where it is told to be.
+    """
+
+    M: Array
+    D: Array
+    K: Array
+
+    @classmethod
+    def of(cls, system: System, servo: JointServo | None) -> _Loop:
+        base, chain = system.base, expand(system.arm)
+        arm, driven = chain.arm, 6 + np.array(chain.driven, int)
+        drawn = drawn_configurations(system.arm)[:_JUDGED]
+        H = inertia(arm, chain.angles(drawn))
+        n, g, m, k = arm.n, len(arm.geared), base.m, len(base.carried)
+        gears, modes, parts = np.split(np.arange(6 + n, 6 + n + g + m + k), [g, g + m])
+        size = 6 + n + g + m + k
+        # velocities of base and links from those of base, rotors and gears
+        link = np.zeros((6 + n, 6 + n + g))
+        link[:, : 6 + n] = np.eye(6 + n)
+        link[[6 + i for i in arm.geared], gears] = 1.0
+        rotors = np.diag(np.r_[np.zeros(6), arm.column("rotor_inertia")])
+        M, D, K = np.zeros((3, len(drawn), size, size))
+        M[:, : 6 + n + g, : 6 + n + g] = link.T @ (H - rotors) @ link
+        M[:, : 6 + n, : 6 + n] += rotors
+        at = np.r_[:6, modes]
+        for part, block in zip((M, D, K), base.full(), strict=True):
+            part[:, at[:, None], at] += block
+        _, across, joints = carried_inertia(base.carried, np.zeros(k))
+        M[:, :6, parts], M[:, parts, :6], M[:, parts, parts] = across, across.T, joints
+        for i, body in zip(parts, base.carried, strict=True):
+            if isinstance(body, Appendage):
+                D[:, i, i], K[:, i, i] = body.damping, body.stiffness
+            else:
+                D[:, i, i] = body.viscous
+        for i, joint in zip(gears, arm.geared, strict=True):
+            gear = arm.links[joint].gear
+            assert gear is not None
+            D[:, i, i], K[:, i, i] = gear.damping, gear.stiffness
+        bends = 6 + np.array(chain.passive, int)
+        D[:, bends, bends], K[:, bends, bends] = chain.damping, chain.stiffness
+        moves = np.ones(size, bool)
+        moves[:6] = system.mode == "ideal"  # a platform goes where it is told
+        moves[driven] = system.drive == "motor"
+        if servo is not None:
+            D[:, driven, driven], K[:, driven, driven] = servo.kd, servo.kp
+        free = np.flatnonzero(moves)
+        picked = slice(None), free[:, None], free
+        return cls(M[picked], D[picked], K[picked])
+
+    def bound(self) -> Array:
+        """Return what no rate exceeds, (c,) [1/s].
+
+        |s|^2 <= |s| |D| + |K| for every pole s, by the norms of L^-1 D L^-T and L^-1 K L^-T
+        with M = L L^T.
+        """
+        inverse = np.linalg.inv(np.linalg.cholesky(self.M))
+        damping, stiffness = (
+            np.linalg.eigvalsh(inverse @ part @ np.swapaxes(inverse, -1, -2))[..., -1]
+            for part in (self.D, self.K)
+        )
+        return np.asarray((damping + np.sqrt(damping**2 + 4 * stiffness)) / 2)
+
+    def poles(self) -> npt.NDArray[np.complex128]:
+        """Return the eigenvalues, (c, 2 s) [1/s]."""
+        size = self.M.shape[-1]
+        A = np.zeros((len(self.M), 2 * size, 2 * size))
+        A[:, :size, size:] = np.eye(size)
+        A[:, size:, :size] = -np.linalg.solve(self.M, self.K)
+        A[:, size:, size:] = -np.linalg.solve(self.M, self.D)
+        return np.linalg.eigvals(A).astype(complex)
+
+    def growth(self, integrator: str, dt: float) -> float:
+        """Return by how much a step multiplies what grows most, at worst."""
+        if integrator == "rk4":
+            z = self.poles() * dt
+            return float(np.abs(1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4)))).max())
+        # rates first, coordinates with the new rates
+        eye, implicit = np.eye(self.M.shape[-1]), integrator == "implicitfast"
+        K, D = np.linalg.solve(self.M, self.K), np.linalg.solve(self.M, self.D)
+        inverse = np.linalg.inv(eye + dt * D) if implicit else np.broadcast_to(eye, D.shape)
+        carry = inverse if implicit else eye - dt * D
+        rates = np.concatenate([-dt * inverse @ K, carry], axis=-1)
+        held = np.broadcast_to(np.hstack([eye, 0 * eye]), rates.shape)
+        step = np.concatenate([held + dt * rates, rates], axis=-2)
+        return float(np.abs(np.linalg.eigvals(step)).max())
+
+
+def _require_stable_loop(system: System, loop: _Loop) -> None:
     def stable(dt: float) -> bool:
-        """True if a step lets no mode grow."""
-        if system.integrator == "rk4":
-            z = poles * dt
-            growth = np.abs(1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4))))
-        else:  # rates first, coordinates with the new rates
-            implicit = system.integrator == "implicitfast"
-            inverse = np.linalg.inv(eye + dt * D) if implicit else eye
-            carry = inverse if implicit else eye - dt * D
-            rates = np.hstack([-dt * inverse @ K, carry])
-            step = np.vstack([np.hstack([eye, none]) + dt * rates, rates])
-            growth = np.abs(np.linalg.eigvals(step))
-        return bool(growth.max() <= 1 + 1e-7)  # rounding of a double eigenvalue 1
+        return loop.growth(system.integrator, dt) <= 1 + 1e-7  # a double eigenvalue 1, rounded
 
     if stable(system.physics_dt):
         return
+    fastest = float(np.abs(loop.poles()).max())
     low, high = 0.0, system.physics_dt
-    for _ in range(30):
+    for _ in range(20):
         middle = (low + high) / 2
         low, high = (middle, high) if stable(middle) else (low, middle)
-    passive = system.arm.geared or system.arm.bends
-    what = "arm's or vehicle's" if passive else "vehicle's"
     raise ParameterError(
-        f"physics_dt must be <= {low:.3g} s for the {what} fastest mode of"
-        f" {np.abs(poles).max() / 2 / np.pi:.3g} Hz, got {system.physics_dt:g} s"
+        f"physics_dt must be <= {low:.3g} s for the fastest motion of {system.arm.name} with"
+        f" its servos on {system.vehicle.kind}, {fastest:.4g}/s, got {system.physics_dt:g} s"
     )
 
 
-def steps_are_small(system: System, bases: BaseModel) -> Mask:
-    """(k,) vehicles whose poles, by a bound, are slow enough for the physics step.
+def steps_are_small(system: System, servo: JointServo | None, bases: BaseModel) -> Mask:
+    """(k,) vehicles on which a bound of all rates is slow enough for the physics step.
 
-    |s|^2 <= |s| |D| + |K| for every pole s, by the norms of L^-1 D L^-T and L^-1 K L^-T with
-    M = L L^T. Where it is False, `require_stable_step` knows.
+    Where it is False, `require_stable_step` knows.
 
     Args:
         system: arm and steps.
+        servo: gains for every joint.
         bases: M, D, K (k, 6, 6), positive semidefinite.
     """
     unsure = np.zeros(len(bases.M), bool)
-    if system.integrator != "rk4" or system.arm.geared or system.arm.bends:
+    if system.integrator != "rk4" or system.base.m or system.base.carried:
         return unsure
-    alone = replace(system, vehicle=system.vehicle, effects=())
-    locked, _, _ = _passive(alone, np.zeros(system.arm.n))
-    try:
-        root = np.linalg.cholesky(locked - system.base.M + bases.M)
-    except np.linalg.LinAlgError:
-        return unsure
-    inverse = np.linalg.inv(root)
-    damping, stiffness = (
-        np.linalg.norm(inverse @ part @ np.swapaxes(inverse, -1, -2), axis=(-2, -1))
-        for part in (bases.D, bases.K)
-    )
-    fastest = (damping + np.sqrt(damping**2 + 4 * stiffness)) / 2
-    return np.asarray(fastest * system.physics_dt <= _SURE)
-
-
-def _passive(system: System, q: Array) -> tuple[Array, Array, Array]:
-    """M, D, K of what swings by itself, with the joints at q (n,)."""
-    base, chain = system.base, expand(system.arm)
-    arm = chain.arm  # every joint, driven or passive
-    H = inertia(arm, chain.angles(q))
-    if base.carried and not (arm.geared or base.m or chain.passive):
-        return _with_carried(base, H[:6, :6])
-    if not (arm.geared or base.m or chain.passive):
-        return base.mass_matrix + H[:6, :6], base.D, base.K
-    n, g, m = arm.n, len(arm.geared), base.m
-    # coordinates: Y, rotors and flexures, deflections of the gears, internal modes
-    link = np.zeros((6 + n, 6 + n + g))  # velocities of base and links from theirs
-    link[:, : 6 + n] = np.eye(6 + n)
-    link[[6 + i for i in arm.geared], 6 + n + np.arange(g)] = 1.0
-    rotors = np.diag(np.r_[np.zeros(6), arm.column("rotor_inertia")])
-    M, D, K = np.zeros((3, 6 + n + g + m, 6 + n + g + m))
-    M[: 6 + n + g, : 6 + n + g] = link.T @ (H - rotors) @ link
-    M[: 6 + n, : 6 + n] += rotors
-    for k, i in enumerate(arm.geared, start=6 + n):
-        gear = arm.links[i].gear
-        assert gear is not None
-        D[k, k], K[k, k] = gear.damping, gear.stiffness
-    bends = 6 + np.array(chain.passive, int)
-    D[bends, bends], K[bends, bends] = chain.damping, chain.stiffness
-    free = np.arange(6, 6 + n + g)  # a platform goes where it is told
-    if system.mode == "ideal":
-        free = np.arange(len(M))
-        at = np.r_[:6, 6 + n + g : len(M)]
-        for part, block in zip((M, D, K), base.full(), strict=True):
-            part[at[:, None], at] += block
-    picked = free[:, None], free
-    return M[picked], D[picked], K[picked]
-
-
-def _with_carried(base: BaseModel, arm: Array) -> tuple[Array, Array, Array]:
-    """M, D, K over the base and the joints of what it carries, arm (6, 6) locked."""
-    k = len(base.carried)
-    _, across, joints = carried_inertia(base.carried, np.zeros(k))
-    M, D, K = np.zeros((3, 6 + k, 6 + k))
-    M[:6, :6] = base.mass_matrix + arm
-    M[:6, 6:], M[6:, :6], M[6:, 6:] = across, across.T, np.diag(joints)
-    D[:6, :6], K[:6, :6] = base.D, base.K
-    for i, part in enumerate(base.carried, start=6):
-        if isinstance(part, Appendage):
-            D[i, i], K[i, i] = part.damping, part.stiffness
-        else:
-            D[i, i] = part.viscous
-    return M, D, K
+    loop = _Loop.of(replace(system, effects=()), servo)
+    out = ~unsure
+    for M, D, K in zip(loop.M, loop.D, loop.K, strict=True):
+        one = _Loop(*(np.tile(part, (len(unsure), 1, 1)) for part in (M, D, K)))
+        for part, nominal, theirs in (
+            (one.M, system.base.M, bases.M),
+            (one.D, system.base.D, bases.D),
+            (one.K, system.base.K, bases.K),
+        ):
+            part[:, :6, :6] += theirs - nominal
+        try:
+            out &= one.bound() * system.physics_dt <= _SURE
+        except np.linalg.LinAlgError:
+            return unsure
+    return out

@@ -94,7 +94,7 @@ def rollout_gradients(
     if p.shape != (n, len(names)):
         raise ParameterError(f"values must have shape ({n}, {len(names)}), got {p.shape}")
     if servo is not None and values is None and system.drive == "motor":
-        servo = servo.for_arm(system.arm)
+        servo = servo.for_arm(system.arm, system.vehicle)
         for name, gains in (("kp", servo.kp), ("kd", servo.kd)):
             for i in range(joints):
                 p[:, names.index(f"{name}{i + 1}")] = gains[i]
