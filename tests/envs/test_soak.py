@@ -29,7 +29,7 @@ def random_effects(name, noise):
         for field in dataclasses.fields(cls):
             low, high = field.metadata["bounds"]
             null = field.metadata["null"]
-            any_size = 9 if kind == "gravity/moment" else 3  # of its regressor; joints
+            any_size = 9 if kind == "gravity/moment" else system.arm.n  # its regressor
             shape = [any_size if k is None else k for k in field.metadata["shape"]]
             if null is None:
                 value = noise.uniform(low, high, shape)

@@ -194,7 +194,7 @@ def test_the_command_writes_a_page_and_json_that_it_opens(browser, files, tmp_pa
     table = json.loads(result.read_text())
     assert table["schema"] == "ves-studio/1"
     assert table["opened"][0]["machine"]["name"] == "puma560 on bent"
-    assert main(["studio", "servicer", "--out", str(page)]) == 2
+    assert main(["studio", "--vehicle", "servicer-flexible", "--out", str(page)]) == 2
     assert "wheels or appendages" in capsys.readouterr().err
 
 

@@ -24,6 +24,7 @@ from ves_gym.mechanics.servo import OWN_GAINS
 from ves_gym.mechanics.vehicle import VEHICLES, get_vehicle
 from ves_gym.planners.case import Case, load_case
 from ves_gym.simulation.gravity_calibration import read_calibration
+from ves_gym.simulation.stable_step import with_stable_step
 from ves_gym.system.effect import EFFECTS, Effect
 from ves_gym.system.emulator_settings import OPERATIONS, EmulatorSettings
 from ves_gym.system.system import DRIVES, INTEGRATORS, MODES, System
@@ -182,6 +183,11 @@ def case_from(options: Mapping[str, Any], mode: str, seed: int | None) -> Case:
     if "case" in options and "system" in options:
         raise ParameterError("--case and --system both say what the machine is: leave one")
     system = _changed(options.get("system", case.system), options, mode)
+    if {"arm", "vehicle"} & set(options) and not {"physics_dt", "platform"} & set(options):
+        given, system = system, with_stable_step(system)
+        if system != given:
+            step = f"physics step {1e3 * system.physics_dt:.4g} ms"
+            say(f"{step}: what {given.arm.name} on its base needs", "note")
     if case.query is not None or case.motion is not None:
         if system == case.system:
             return case if seed is None else replace(case, seed=seed)

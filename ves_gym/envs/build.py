@@ -19,6 +19,7 @@ from ves_gym.envs.registration import IDS
 from ves_gym.envs.task import TASKS, Task
 from ves_gym.mechanics.arm_library import arm_from
 from ves_gym.mechanics.vehicle import get_vehicle, vehicle_from_plain
+from ves_gym.simulation.stable_step import with_stable_step
 from ves_gym.system.effect import Effect
 from ves_gym.system.system import System
 from ves_gym.system.system_library import get_system
@@ -173,7 +174,8 @@ def _system(
             start = start.ideal()
     if effects is not None:
         changes["effects"] = _effects(effects)
-    return start.replace(**changes)
+    out = start.replace(**changes)
+    return with_stable_step(out) if {"arm", "vehicle"} & set(changes) else out
 
 
 def _effects(effects: Any) -> tuple[Effect, ...]:

@@ -19,7 +19,7 @@ from ves_gym.mechanics.dynamics import drawn_configurations, inertia
 from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.latch import tool_motion
 from ves_gym.mechanics.payload import Contact
-from ves_gym.mechanics.servo import JointServo
+from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
 _JUDGED = 9  # configurations: zero and others within the limits
@@ -43,6 +43,23 @@ def require_stable_step(system: System, servo: JointServo | None) -> None:
             _require_stable_loop(system, loop)
     if system.contact is not None:
         _require_stable_contact(system, system.contact)
+
+
+def with_stable_step(system: System) -> System:
+    """Return a system with a physics step for its arm, with its own gains, on its vehicle.
+
+    Its own step, or the longest part of the control period that is no longer than the time
+    constant of the fastest motion.
+    """
+    servo = OWN_GAINS.for_arm(system.arm, system.vehicle) if system.drive == "motor" else None
+    loop = _Loop.of(system.actual, servo)
+    bound = float(loop.bound().max()) if loop.M.size else 0.0
+    if bound * system.physics_dt <= 1.0:
+        return system
+    steps = math.ceil(system.control_dt * float(np.abs(loop.poles()).max()))
+    if steps <= system.substeps:
+        return system
+    return system.replace(physics_dt=system.control_dt / steps)
 
 
 def _require_stable_contact(system: System, contact: Contact) -> None:
