@@ -38,11 +38,14 @@ def matlab_columns(path: Path) -> dict[str, Array]:
     """Numbers of a .mat file by name, for `read_apart`."""
     from scipy.io import loadmat
 
-    return {
+    columns = {
         name: np.ravel(np.asarray(value, float))
         for name, value in loadmat(path).items()
-        if not name.startswith("__") and np.asarray(value).dtype.kind in "fiu"
+        if name and not name.startswith("__") and np.asarray(value).dtype.kind in "fiu"
     }
+    if not columns:
+        raise ValueError("it holds no variable of numbers")
+    return columns
 
 
 def _csv(path: Path) -> dict[str, Array]:

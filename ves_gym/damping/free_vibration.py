@@ -16,6 +16,7 @@ from ves_gym.damping.plant import THESIS_DISPLACEMENT, GainMatrices, plant_at, r
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.planners.coupling import modes
 from ves_gym.simulation.simulator import Simulator
+from ves_gym.simulation.stable_step import with_stable_step
 from ves_gym.system.energy import SETTLED, base_energy
 from ves_gym.system.system import System
 
@@ -96,10 +97,13 @@ def simulate_free_vibration(
     Raises:
         ParameterError: a joint beyond its limits.
     """
-    arm, (t, stride) = system.arm, _clock(system, q, seconds)
+    arm = system.arm
     start = arm.require_within_limits(q)
     K, B = (np.stack([getattr(g, name) for g in gains]) for name in ("K", "B"))
     kp, kd = (np.diagonal(k, axis1=1, axis2=2) for k in (K, B))
+    stiff, damped = (tuple(np.maximum(k.max(axis=0), 0.0).tolist()) for k in (kp, kd))
+    system = with_stable_step(system, JointServo(kp=stiff, kd=damped))
+    t, stride = _clock(system, q, seconds)
     across_K, across_B = (k * (1 - np.eye(arm.n)) for k in (K, B))
     crossed = bool(across_K.any() or across_B.any())
     fine = system.replace(control_dt=system.physics_dt)

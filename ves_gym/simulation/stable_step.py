@@ -45,14 +45,19 @@ def require_stable_step(system: System, servo: JointServo | None) -> None:
         _require_stable_contact(system, system.contact)
 
 
-def with_stable_step(system: System) -> System:
-    """Return a system with a physics step for its arm, with its own gains, on its vehicle.
+def with_stable_step(system: System, servo: JointServo = OWN_GAINS) -> System:
+    """Return a system with a physics step for its arm, under its servos, on its vehicle.
 
     Its own step, or the longest part of the control period that is no longer than the time
     constant of the fastest motion.
+
+    Args:
+        system: with the longest step that will do.
+        servo: of motors.
     """
-    servo = OWN_GAINS.for_arm(system.arm, system.vehicle) if system.drive == "motor" else None
-    loop = _Loop.of(system.actual, servo)
+    motors = system.drive == "motor"
+    gains = servo.for_arm(system.arm, system.vehicle) if motors else None
+    loop = _Loop.of(system.actual, gains)
     bound = float(loop.bound().max()) if loop.M.size else 0.0
     if bound * system.physics_dt <= 1.0:
         return system

@@ -228,7 +228,8 @@ def _apply(operation: Callable[..., Any], *parts: Any) -> Any:
         value = operation(*map(_expression, args))
         return value if isinstance(value, float) else Term(value)
 
-    return np.frompyfunc(apply, len(parts), 1)(*parts)
+    with np.errstate(all="ignore"):  # NumPy 2.0 takes flags that CasADi leaves for its own
+        return np.frompyfunc(apply, len(parts), 1)(*parts)
 
 
 def _expression(item: Any) -> Any:
