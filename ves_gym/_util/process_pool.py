@@ -75,13 +75,17 @@ class Workers(Executor):
 def _begin(modules: tuple[str, ...]) -> None:
     os.environ.update(ONE_THREAD)
     threadpool_limits(1)  # of the libraries that are loaded already
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent()
     for module in modules:
         import_own(module)
 
 
+def end_with_parent() -> None:
+    """Let this process of `multiprocessing` end when its parent is killed: no orphan stays."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
 def _end_with_parent() -> None:
-    """Leave no orphan that computes for an hour when the parent is killed."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()

@@ -17,6 +17,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
+from multiprocessing.managers import SyncManager
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from pebble import ProcessExpired
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError, content_hash, write_text
-from ves_gym._util.process_pool import Workers
+from ves_gym._util.process_pool import Workers, end_with_parent
 from ves_gym._util.statistics import STATISTICS, bootstrap, rate
 from ves_gym._util.tables import table
 from ves_gym._util.threads import on_one_thread
@@ -342,10 +343,9 @@ def train_seeds(
             seed: _train_seed(config, seed, place, tensorboard, lambda words: progress(*words))
             for seed, place in places.items()
         }
-    with (
-        multiprocessing.get_context("spawn").Manager() as manager,
-        Workers(min(workers, len(places))) as pool,
-    ):
+    manager = SyncManager(ctx=multiprocessing.get_context("spawn"))
+    manager.start(end_with_parent)
+    with manager, Workers(min(workers, len(places))) as pool:
         notes = manager.Queue()
         jobs = {
             seed: pool.submit(_train_seed, config, seed, place, tensorboard, notes.put)
