@@ -53,6 +53,10 @@ class _Graph:
         self.nodes.append(helper.make_node(kind, list(inputs), [name], **attributes))
         return name
 
+    def cosine(self, angle: str) -> str:
+        """Add a cosine as a sine: of old engines only that has double precision."""
+        return self.add("Sin", self.add("Add", angle, self.number(math.pi / 2)))
+
     def angle(self, y: str, x: str) -> str:
         """Add the angle of a direction [rad], y and x columns of its sides.
 
@@ -70,7 +74,9 @@ class _Graph:
         turns = self.number(-math.pi), self.number(math.pi)
         straight = add("Where", add("Less", y, zero), *turns)
         rough = add("Where", add("Less", x, zero), add("Sub", straight, near), near)
-        missing = add("Sub", add("Mul", y, add("Cos", rough)), add("Mul", x, add("Sin", rough)))
+        missing = add(
+            "Sub", add("Mul", y, self.cosine(rough)), add("Mul", x, add("Sin", rough))
+        )
         return add("Add", rough, add("Div", missing, long))
 
 
@@ -136,10 +142,10 @@ _NODES: dict[str, Callable[[_Graph, str, str], str]] = {
     **{
         f"OP_{name}": lambda graph, a, b, kind=kind: graph.add(kind, a)  # type: ignore[misc]
         for name, kind in {
-            "NEG": "Neg", "SIN": "Sin", "COS": "Cos", "SQRT": "Sqrt", "FABS": "Abs",
-            "NOT": "Not",
+            "NEG": "Neg", "SIN": "Sin", "SQRT": "Sqrt", "FABS": "Abs", "NOT": "Not",
         }.items()
     },
+    "OP_COS": lambda graph, a, b: graph.cosine(a),
     "OP_SQ": lambda graph, a, b: graph.add("Mul", a, a),
     "OP_TWICE": lambda graph, a, b: graph.add("Add", a, a),
     "OP_INV": lambda graph, a, b: graph.add("Div", graph.number(1.0), a),
