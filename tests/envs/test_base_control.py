@@ -26,9 +26,7 @@ def test_actions_are_the_torques_and_wrenches_of_a_simulator(backend):
     env.reset(seed=0)
     task, start = env.task, env.batch.sim.last_state
     assert env.single_action_space.shape == (3 + 4 + 6,)
-    sim = Simulator(
-        task.system, 2, servo=task.control.servo_for(task.system.arm), backend=backend
-    )
+    sim = Simulator(task.system, 2, servo=task.control.servo_for(task.system), backend=backend)
     sim.reset(q=start.q, y=start.y)
     rng, full = np.random.default_rng(1), task.system.arm.column("tau_max")
     for _ in range(40):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import errno
 import json
 import math
 import os
@@ -445,11 +446,11 @@ def test_a_failed_save_leaves_the_folder_as_it_was(
         if (
             Path(target) == tmp_path / f"run.{suffix}"
         ):  # the last step, not the staging before it
-            raise OSError("no space left on device")
+            raise OSError(errno.ENOSPC, "no space left on device")
         real(source, target)
 
     def fsync_fails(handle: int) -> None:
-        raise OSError("no space left on device")
+        raise OSError(errno.ENOSPC, "no space left on device")
 
     monkeypatch.setattr(os, call, replace_fails if call == "replace" else fsync_fails)
     with pytest.raises(OSError, match="no space"):
