@@ -79,7 +79,7 @@ def test_a_window_is_driven_with_keys(tmp_path):
         run = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         try:
             type_keys("ves-gym teleop", "keydown q")
-            time.sleep(3.0)
+            time.sleep(5.0)  # a busy machine shows less than real time
             type_keys("ves-gym teleop", "keyup q", "key Escape")
             out, err = run.communicate(timeout=60)
         finally:
@@ -87,4 +87,4 @@ def test_a_window_is_driven_with_keys(tmp_path):
             run.wait()
     assert run.returncode == 0, err
     assert "joint 1 +" in out and "escape" in out  # the key map
-    assert RunLog.load(log).q[-1, 0] > 0.005  # rad; a busy machine shows less than real time
+    assert RunLog.load(log).q[-1, 0] > 0.05

@@ -366,7 +366,7 @@ def test_where_the_cache_is(monkeypatch, tmp_path):
     assert build.cache_folder() == tmp_path / "Library" / "Caches" / "ves_gym"
 
 
-def test_without_a_home_nothing_is_kept_and_all_compiles(monkeypatch):
+def test_without_a_home_nothing_is_kept(monkeypatch):
     def none(*_):
         raise RuntimeError("Could not determine home directory.")
 
