@@ -102,11 +102,23 @@ def test_a_file_cannot_name_what_to_build(tmp_path, name):
             load_state(path)
 
 
-@pytest.mark.parametrize("data", [b"", b"\x80\x04K\x01.", struct.pack("<Q", 2) + b"{}"])
+LONG = b'{"__metadata__": "' + b"long " * 1000 + b'"}'
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\x80\x04K\x01.",
+        struct.pack("<Q", 2) + b"{}",
+        struct.pack("<Q", len(LONG)) + LONG,  # quoted whole by its reader
+    ],
+)
 def test_other_files_are_refused(tmp_path, data):
     path = tmp_path / "x"
     path.write_bytes(data)
-    with pytest.raises(ParameterError, match="no checkpoint"):
+    with pytest.raises(ParameterError, match="no checkpoint") as refused:
         load_state(path)
+    assert len(str(refused.value)) < 500
     with pytest.raises(ParameterError, match="cannot be read"):
         load_state(tmp_path / "none")

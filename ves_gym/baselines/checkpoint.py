@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, write_bytes
-from ves_gym.baselines.policy import _safetensors
+from ves_gym.baselines.policy import _safetensors, load_arrays
 from ves_gym.system.system import System
 
 _TAG = "~"  # marks a dictionary that stands for something else
@@ -52,17 +52,15 @@ def load_state(
     Raises:
         ParameterError: no such file, or another kind of file.
     """
-    load = _safetensors().load
-    from safetensors import SafetensorError
-
     try:
         data = Path(path).read_bytes()
-        arrays = load(data)
-        size = int.from_bytes(data[:8], "little")
-        tree = json.loads(json.loads(data[8 : 8 + size])["__metadata__"][_ENTRY])
     except OSError as error:
         raise ParameterError(f"{path}: cannot be read: {error.strerror}") from None
-    except (SafetensorError, ValueError, KeyError) as error:
+    arrays = load_arrays(data, f"{path}: no checkpoint")
+    try:
+        size = int.from_bytes(data[:8], "little")
+        tree = json.loads(json.loads(data[8 : 8 + size])["__metadata__"][_ENTRY])
+    except (ValueError, KeyError) as error:
         raise ParameterError(f"{path}: no checkpoint: {error}") from None
     try:
         systems = [System.from_dict(plain, str(path)) for plain in tree["systems"]]

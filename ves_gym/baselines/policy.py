@@ -242,12 +242,7 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
         raise ParameterError(f"{file}: weights cannot be read: {error.strerror}") from None
     if hashlib.sha256(data).hexdigest() != plain["weights"]:
         raise ParameterError(f"{file}: these are not the weights that {path.name} names")
-    from safetensors import SafetensorError
-
-    try:
-        arrays = _safetensors().load(data)
-    except (SafetensorError, ValueError, KeyError) as error:
-        raise ParameterError(f"{file}: weights cannot be read: {error}") from None
+    arrays = load_arrays(data, f"{file}: weights cannot be read")
     layers = range(len(network.sizes) - 1)
     names = [f"layer{i}.{k}" for i in layers for k in ("weight", "bias")]
     if set(arrays) != set(names):
@@ -282,6 +277,20 @@ def _json(path: str | os.PathLike[str]) -> Path:
             f" {path.suffix!r}; pickles are not read (but see baselines.from_sb3)"
         )
     return path
+
+
+def load_arrays(data: bytes, complaint: str) -> dict[str, Array]:
+    """Arrays by name in the bytes of a safetensors file.
+
+    Raises:
+        ParameterError: `complaint` and why; the library quotes whole headers, which are cut.
+    """
+    from safetensors import SafetensorError
+
+    try:
+        return _safetensors().load(data)  # type: ignore[no-any-return]
+    except (SafetensorError, ValueError, KeyError) as error:
+        raise ParameterError(f"{complaint}: {str(error)[:200]}") from None
 
 
 def _safetensors() -> Any:
