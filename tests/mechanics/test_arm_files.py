@@ -345,7 +345,9 @@ ENDLESS = "<limits".join(two(kind="prismatic").rsplit("<limit", 1))
 BAD_URDF = {  # what is said of each
     "link 'fore' has a shape, but no <inert": two(second=f'<link name="fore">{BOX}</link>'),
     "nothing that joint 'elbow' moves has an inertia": two(second='<link name="fore"/>'),
-    "joint 'elbow' to link 'fore' mimics 'shoulder'": two(extra='<mimic joint="shoulder"/>'),
+    "joint 'elbow' mimics 'shoulder', and .* would move": two(
+        extra='<mimic joint="shoulder"/>'
+    ),
     "joint 'elbow' is prismatic and has no <limit": ENDLESS,
     "joint 'elbow' to link 'fore' is planar": two(kind="planar"),
     "joint 'elbow' to link 'fore' is floating": two(kind="floating"),
@@ -359,7 +361,7 @@ BAD_URDF = {  # what is said of each
     r"link 'fore' of 2 kg has an inertia of 1e\+05 .*kg mm\^2": fore(2, (1e5, 1e5, 1e5)),
     "link 'fore': its mesh 'package://x/f.stl' is not there": two(second=MESHED),
     "joint 'shoulder': its lower limit must": TWO.replace('lower="-2.5"', 'lower="3"'),
-    "joint 'shoulder' is revolute and has no <limit": TWO.replace(RANGE, ""),
+    "joint 'shoulder' has a range of 0 to 0": TWO.replace(RANGE, 'lower="0" upper="0"', 1),
     "joint 'elbow': its axis must not be zero": TWO.replace('xyz="0.0 1.0 0.0"', 'xyz="0 0 0"'),
     "is a xacro, not yet a URDF": '<robot xmlns:xacro="http://xacro"><xacro:a/></robot>',
     "expected <robot> or <mujoco> at the top, got <sdf>": "<sdf/>",
@@ -522,12 +524,12 @@ BAD_MJCF = [  # old text, new text, what is said
     (
         "</mujoco>",
         '<equality><joint joint1="elbow" joint2="lift"/></equality></mujoco>',
-        "joint 'elbow' is tied to 'lift' by <equality>",
+        "joint 'elbow' follows 'lift' by <equality>",
     ),
     (
         "</mujoco>",
         '<equality><connect body1="fore" body2="stand" anchor="0 0 0"/></equality></mujoco>',
-        "body 'fore' is held by <equality>: an arm is an open chain",
+        "bodies 'fore' and 'stand' are held together by <equality>, which closes a loop over",
     ),
     ('type="sphere" size="0.03"', 'type="mesh" mesh="m"', "MuJoCo cannot compile it: .*mesh"),
     ('pos="0.1 0.05 0.5"', 'pos="100 50 500"', "lengths must be in m, these look like mm"),

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
+from xml.parsers import expat
 
 import numpy as np
 
@@ -63,10 +64,10 @@ def read_xml(path: str | os.PathLike[str]) -> Element:
     Raises:
         ParameterError: no XML, in an unknown encoding, or deeper than `DEEPEST`.
     """
-    data = read_bytes(path)
+    data = read_bytes(path).lstrip(b" \t\r\n")
     try:
-        top = ElementTree.fromstring(data)
-    except (ElementTree.ParseError, LookupError, ValueError, MemoryError) as error:
+        top = _parsed(data)
+    except (expat.ExpatError, LookupError, ValueError, MemoryError) as error:
         raise ParameterError(f"cannot be read as XML: {error}") from None
     level, depth = [top], 0
     while level:
@@ -74,6 +75,30 @@ def read_xml(path: str | os.PathLike[str]) -> Element:
         if depth > DEEPEST:
             raise ParameterError(f"must have at most {DEEPEST} levels, got more")
         level = [child for element in level for child in element]
+    return top
+
+
+def _refuse_entity(name: str, _: bool) -> None:
+    raise ValueError(f"undefined entity &{name};")
+
+
+def _parsed(data: bytes) -> Element:
+    """The top element; names with a prefix stay as they are written, bound or not."""
+    encoding = None
+    if b"encoding" not in data[:200] and data[:2] not in (b"\xff\xfe", b"\xfe\xff"):
+        try:
+            data.decode()
+        except UnicodeDecodeError:  # it declares nothing: as other readers take it
+            encoding = "iso-8859-1"
+    builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate(encoding)
+    parser.buffer_text = True
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+    parser.ExternalEntityRefHandler = lambda *_: 0  # an error: files are not let in
+    parser.SkippedEntityHandler = _refuse_entity
+    parser.Parse(data, True)
+    top: Element = builder.close()
     return top
 
 

@@ -30,7 +30,7 @@ from ves_gym.cli.flags import (
     text,
     word_or,
 )
-from ves_gym.cli.machine import MACHINE, arm_flag
+from ves_gym.cli.machine import MACHINE, arm_flags
 from ves_gym.cli.simulate import GAINS
 from ves_gym.damping.gain_comparison import BOTH, compare_gains
 from ves_gym.damping.tuning import OBJECTIVES, Bounds
@@ -311,7 +311,7 @@ TABLE = {
              "nodes to draw the structure by, from the interface [m], in order", to="points",
              row=True),
         Flag("--diameter", "M", number("m"), "to draw it with [m]"),
-        arm_flag("puma560"),
+        *arm_flags("puma560"),
         Flag("--save", "FILE", path, "the vehicle, .toml or .json (default OUT/vehicle.toml)"),
         *PICTURES,
     )),

@@ -30,7 +30,7 @@ from ves_gym.cli.flags import (
     say,
     text,
 )
-from ves_gym.cli.machine import EFFECT, arm_flag
+from ves_gym.cli.machine import EFFECT, arm_flags
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.planners.case import Case
 from ves_gym.system.system import System
@@ -219,7 +219,7 @@ TABLE = {
              " --machine data files (.mat, .csv), or folders of .csv files of one run"),
         Flag("--system", "FILE", read(get_system),
              "the machine as described (default: that of the logs)"),
-        arm_flag("that of the system or the logs"),
+        *arm_flags("that of the system or the logs"),
         EFFECT,
         Flag("--machine", "FILE", text,
              "a machine in MJCF: mapping file that says which columns of the data are what",

@@ -32,6 +32,7 @@ class Place(NamedTuple):
     name: str  # --goal
     arm: Arm | None = None
     angles: str | None = None  # "degrees" or "radians", where the user says which
+    beside: Mapping[str, Any] = {}  # what the options say that belong to this one
 
 
 Read: TypeAlias = Callable[[str, Place], Any]
@@ -84,6 +85,7 @@ class Flag:
     required: bool = False  # an option that may not
     group: str = ""  # under which heading the help has it
     against: str = ""  # options with the same word here exclude each other
+    of: str = ""  # the option whose reader takes this one, in place of the command
 
     @property
     def parameter(self) -> str:
@@ -92,8 +94,8 @@ class Flag:
 
 
 def grouped(group: str, *flags: Flag) -> tuple[Flag, ...]:
-    """Put options under one heading of the help."""
-    return tuple(replace(flag, group=group) for flag in flags)
+    """Put options under one heading of the help; those that have one keep it."""
+    return tuple(replace(flag, group=flag.group or group) for flag in flags)
 
 
 def values(flags: Sequence[Flag], texts: Mapping[str, Any], arm: Arm | None) -> dict[str, Any]:
@@ -106,17 +108,22 @@ def values(flags: Sequence[Flag], texts: Mapping[str, Any], arm: Arm | None) -> 
     """
     out: dict[str, Any] = {}
     angles = "degrees" if texts.get("degrees") else "radians" if texts.get("radians") else None
-    for flag in flags:
+    beside: dict[str, dict[str, Any]] = {}
+    for flag in sorted(flags, key=lambda flag: not flag.of):
         value = texts.get(flag.parameter)
         if value is None or value is False or value == []:
+            if flag.name in beside:
+                first = next(k for k in flags if k.of and k.parameter in beside[flag.name])
+                raise ParameterError(f"{first.name} goes with {flag.name} FILE")
             continue
-        place = Place(flag.name, arm, angles)
+        place = Place(flag.name, arm, angles, beside.get(flag.name, {}))
+        taken = beside.setdefault(flag.of, {}) if flag.of else out
         if value is True:
-            out[flag.parameter] = True
+            taken[flag.parameter] = True
         elif flag.many or flag.row:
-            out[flag.parameter] = tuple(flag.read(part, place) for part in value)
+            taken[flag.parameter] = tuple(flag.read(part, place) for part in value)
         else:
-            out[flag.parameter] = flag.read(value, place)
+            taken[flag.parameter] = flag.read(value, place)
     return out
 
 

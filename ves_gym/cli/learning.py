@@ -26,7 +26,7 @@ from ves_gym.cli.flags import (
     say,
     text,
 )
-from ves_gym.cli.machine import EFFECT, arm_flag
+from ves_gym.cli.machine import EFFECT, arm_flags
 from ves_gym.system.effect import Effect
 
 # ------------------------------------------------------------------ learned and compared
@@ -228,7 +228,7 @@ def _report(rows: list[dict[str, Any]]) -> Answer:
 
 # -------------------------------------------------------------------------------- tables
 
-ARM = replace(arm_flag("that of the environment"), read=text)  # settings have it by name
+ARM = replace(arm_flags("that of the environment")[0], read=text)  # settings have it by name
 POLICY = Flag(
     "POLICY",
     many=True,

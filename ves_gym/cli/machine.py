@@ -6,6 +6,7 @@ An effect is written KIND:NAME=VALUE,NAME=VALUE.
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 import tomllib
 from collections.abc import Mapping
@@ -16,9 +17,10 @@ import numpy as np
 
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.cli.flags import Flag, grouped, number, read, say
+from ves_gym.cli.flags import Flag, Place, grouped, number, read, say
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo, leg_clock
 from ves_gym.hardware.platform import PoseServo
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import arm_names, get_arm
 from ves_gym.mechanics.servo import OWN_GAINS
 from ves_gym.mechanics.vehicle import VEHICLES, get_vehicle
@@ -31,10 +33,49 @@ from ves_gym.system.system import DRIVES, INTEGRATORS, MODES, System
 from ves_gym.system.system_library import SYSTEMS, get_system
 
 
-def arm_flag(default: str) -> Flag:
-    """Option --arm, by name or file; its default in words."""
+def _arm(text: str, place: Place) -> Arm:
+    """Read an arm as the options beside it say, and say what came of it."""
+    choice = dict(place.beside)
+    for name in ("lock", "rotor"):
+        pairs = choice.pop(name, ())
+        choice |= {"locked" if name == "lock" else "rotors": dict(pairs)} if pairs else {}
+    for flag, parameter in (("no_collision", "collision"), ("no_check", "check")):
+        choice |= {parameter: False} if choice.pop(flag, False) else {}
+    arm = get_arm(text, **choice, **({"degrees": True} if "locked" in choice else {}))
+    if choice:
+        say(arm.source, "note")
+    return arm
+
+
+def _pair(text: str) -> tuple[str, float]:
+    name, _, value = text.rpartition("=")
+    if not name or not math.isfinite(number := float(value)):
+        raise ValueError
+    return name, number
+
+
+def arm_flags(default: str) -> tuple[Flag, ...]:
+    """Option --arm, by name or file, and how a file is read; its default in words."""
     help = f"{', '.join(arm_names())}, or a URDF, MJCF or TOML file; FILE#LINK names the tool"
-    return Flag("--arm", "A", read(get_arm), f"{help} (default {default})")
+    file = (
+        Flag("--tip", "LINK", help="link, body or site that is the tool"),
+        Flag("--root", "LINK", help="link or body that stands on the platform"),
+        Flag("--lock", "JOINT=ANGLE", read(_pair, "JOINT=ANGLE, like elbow=90"),
+             "a joint that stands still [deg, m]; repeatable", many=True),
+        Flag("--massless", "LINK", help="a link with a shape and no mass of its own weighs"
+             " nothing; repeatable", many=True),
+        Flag("--rotor", "JOINT=INERTIA", read(_pair, "JOINT=INERTIA, like wrist=0.01"),
+             "of a rotor about its joint [kg m^2]; repeatable", many=True),
+        Flag("--repair", help="take the nearest of inertias and ranges that nothing has, and"
+             " say which"),
+        Flag("--no-collision", help="leave the file's shapes out"),
+        Flag("--no-check", help="take numbers that look like g, mm or kg mm^2"),
+        Flag("--allow-outside", help="read meshes outside the file's folder and package"),
+    )  # fmt: skip
+    beside = (
+        replace(flag, of="--arm") for flag in grouped("arm from a URDF or MJCF file", *file)
+    )
+    return (Flag("--arm", "A", _arm, f"{help} (default {default})"), *beside)
 
 
 _NEXT = re.compile(r",\s*(?=[A-Za-z_]\w*\s*=)")  # the comma before another NAME=
@@ -142,7 +183,7 @@ MACHINE = (
              " and whatever else of it the command takes"),
         Flag("--system", "S", read(get_system),
              f"{', '.join(SYSTEMS)}, or a System in TOML or JSON"),
-        arm_flag("puma560"),
+        *arm_flags("puma560"),
         Flag("--vehicle", "V", read(get_vehicle),
              f"{', '.join(VEHICLES)}, or a file (default bent)"),
         Flag("--mode", "M", help=f"{', '.join(MODES)} (default ideal)"),

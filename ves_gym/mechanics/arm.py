@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
@@ -104,6 +104,19 @@ class Inertial:
         out[3:, :3] = self.mass * c
         out[3:, 3:] = np.array(self.inertia) - self.mass * c @ c
         return out
+
+
+def rigid_moments(moments: Array) -> Array:
+    """Return the inertia of a rigid body (3, 3) nearest to one about its centre of mass.
+
+    The second moments of mass along the axes, half the trace less the inertia, are none below
+    zero (Wensing, Kim and Slotine, IEEE RA-L 3, 2018); those that are become zero.
+    """
+    symmetric = (moments + moments.T) / 2
+    value, axes = np.linalg.eigh(np.trace(symmetric) / 2 * np.eye(3) - symmetric)
+    second = (axes * np.maximum(value, 0.0)) @ axes.T
+    out: Array = np.trace(second) * np.eye(3) - second
+    return (out + out.T) / 2
 
 
 WEIGHTLESS = Inertial(mass=0.0, com=(0.0, 0.0, 0.0), inertia=diagonal(0.0, 0.0, 0.0))
@@ -438,6 +451,9 @@ class Arm:
         check: bool = True,
         rotors: Mapping[str, float] | None = None,
         allow_outside: bool = False,
+        massless: Sequence[str] = (),
+        repair: bool = False,
+        degrees: bool = False,
     ) -> Arm:
         """Read the chain of joints from root to tip of a URDF or MJCF file.
 
@@ -449,18 +465,25 @@ class Arm:
             tip: link, body or site that is the tool; default the site `tool`, else the last
                 one, where there is one.
             root: link or body that stands on the platform; default the file's, or the world.
-            locked: angles [rad] of joints that stand still, by name.
+            locked: angles [rad] of joints that stand still, by name; [m] of those that slide.
             collision: read shapes as capsules; False: capsules along the links.
             check: refuse numbers that look like g, mm or kg mm^2.
             rotors: inertia of rotors about their joints [kg m^2], by name, in place of the
                 file's: what a file of links that were identified or rounded lacks.
             allow_outside: read meshes that a URDF names outside its folder and its package.
+            massless: links that have a shape and no mass of their own, to weigh nothing.
+            repair: take the nearest inertia that a rigid body has, leave an inertia without
+                mass out, and 2 pi either way for a range of nothing; `source` lists each.
+            degrees: `locked` is in degrees, of joints that turn.
 
         Raises:
             ParameterError: names the link or the joint, and what is wrong with it.
         """
         files, held, added = _files(), dict(locked or {}), dict(rotors or {})
-        choice = files.ChainChoice(tip, root, held, collision, check, added, allow_outside)
+        choice = files.ChainChoice(
+            tip, root, held, collision, check, added, allow_outside, tuple(massless), repair,
+            degrees,
+        )  # fmt: skip
         arm: Arm = files.read_file(path, choice)
         return arm
 

@@ -29,22 +29,26 @@ def _named(name: str) -> Arm:
 PUMA_560 = _named(_FIRST)
 
 
-def get_arm(name: str | os.PathLike[str]) -> Arm:
+def get_arm(name: str | os.PathLike[str], **choice: Any) -> Arm:
     """Return an arm by name or from a file.
 
     Args:
         name: of an arm that comes with the package, or a file: .toml or .json that mirrors
             `Arm`, .urdf, .mjcf or .xml; FILE#LINK names the link (or site) that is the tool.
+        choice: how a URDF or MJCF file is read: `tip`, `root`, `locked`, `massless`, `repair`
+            and others of `Arm.from_file`.
 
     Raises:
         ParameterError: neither a known name nor a readable file; what is wrong with one names
             the link.
     """
     text = os.fspath(name)
-    if text in arm_names():
-        return _named(text)
     file, _, tip = text.partition("#")
     suffix = Path(file).suffix.lower()
+    if choice and suffix in ("", ".toml", ".json"):
+        raise ParameterError(f"{', '.join(choice)} goes with a URDF or MJCF file, got {text!r}")
+    if text in arm_names():
+        return _named(text)
     if suffix not in FILES:
         raise ParameterError(
             f"arm must be one of {', '.join(arm_names())}, or a {', '.join(FILES[:-1])} or"
@@ -56,7 +60,9 @@ def get_arm(name: str | os.PathLike[str]) -> Arm:
                 f"{text}: a {suffix} file says what is the tool, leave out #{tip}"
             )
         return read_arm(file)
-    return Arm.from_file(file, tip=tip or None)
+    if tip and choice.get("tip"):
+        raise ParameterError(f"{text} and tip={choice['tip']!r} both name the tool: leave one")
+    return Arm.from_file(file, **{"tip": tip or None, **choice})
 
 
 def arm_from(value: Any) -> Arm:

@@ -16,7 +16,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.arm import BANDWIDTH, Arm, Inertial, matrix
+from ves_gym.mechanics.arm import BANDWIDTH, Arm, Inertial, matrix, rigid_moments
 from ves_gym.mechanics.chain import Joint, LinkMass, Lump, Segment, arm_of
 
 # Numbers beyond these look like mm, g and kg mm^2 (this project).
@@ -35,6 +35,9 @@ class ChainChoice(NamedTuple):
     check: bool
     rotors: dict[str, float]  # name -> inertia about the joint [kg m^2], where not the file's
     allow_outside: bool = False  # meshes of a URDF may lie anywhere
+    massless: tuple[str, ...] = ()  # bodies that are taken to weigh nothing
+    repair: bool = False  # take the nearest of what no rigid body or joint has
+    degrees: bool = False  # `locked` is in degrees, of joints that turn
 
 
 @dataclass
@@ -45,6 +48,22 @@ class TreeJoint:
     body: str  # that it moves
     fixed: bool = False
     fault: str | None = None  # why no arm has it between root and tip
+    slides: bool = False
+
+
+class Tie(NamedTuple):
+    """Joints that a file couples: one follows another, or a tendon leads over all."""
+
+    what: str  # of a sentence, like "joint 'a' mimics 'b'"
+    joints: tuple[str, ...]
+    followers: tuple[str, ...]  # holding one of them undoes it
+    leader: str | None = None  # the one that the follower stands still with
+
+
+def held(*names: str) -> str:
+    """Return how joints are made to stand still, on the command line and in Python."""
+    flags = " ".join(f"--lock {name}=0" for name in names)
+    return f"{flags}, in Python locked={dict.fromkeys(names, 0.0)}"
 
 
 class Tree(ABC):
@@ -58,7 +77,10 @@ class Tree(ABC):
     bodies: list[str]
     parents: dict[str, str]  # body -> the one before it
     joints: dict[str, list[TreeJoint]]  # body -> those that move it, inner first
+    ties: list[Tie]
     bandwidth: float = BANDWIDTH
+    repair: bool = False
+    repairs: list[str]  # what was mended, for the arm's source
 
     def require(self, body: str, what: str) -> str:
         """Return a body's name, refused where there is none."""
@@ -74,7 +96,10 @@ class Tree(ABC):
         tops = [name for name in self.bodies if name not in self.parents]
         if len(tops) != 1:
             names = ", ".join(tops) or "none"
-            raise ParameterError(f"must have one root {self.noun}, got {names}")
+            raise ParameterError(
+                f"must have one root {self.noun}, got {names}: name the one that stands on the"
+                f" platform (--root {self.noun.upper()}, in Python root=)"
+            )
         return tops[0]
 
     def tip(self, tip: str | None, root: str) -> tuple[str, str]:
@@ -92,7 +117,8 @@ class Tree(ABC):
         if len(ends) > 1:
             raise ParameterError(
                 f"has {len(ends)} ends: {', '.join(ends)}; name the {self.tip_nouns} that is"
-                f" the tool (tip={ends[0]!r}, or {self.path.name}#{ends[0]})"
+                f" the tool (--tip {ends[0]}, in Python tip={ends[0]!r}, or"
+                f" {self.path.name}#{ends[0]})"
             )
         return ends[0], ends[0]
 
@@ -168,26 +194,24 @@ def arm_of_tree(tree: Tree, choice: ChainChoice) -> Arm:
     Raises:
         ParameterError: names the body or the joint, and what is wrong with it.
     """
-    locked = choice.locked
+    tree.repair, tree.repairs = choice.repair, []
     root = tree.root(choice.root)
     end, tip = tree.tip(choice.tip, root)
     chain = tree.chain(root, end)
-    names = [joint.name for joints in tree.joints.values() for joint in joints]
-    for name in locked:
-        if name not in names:
-            raise ParameterError(f"locked: no joint {name!r}; there are {', '.join(names)}")
-    on_chain = [joint for body in chain for joint in tree.joints[body]]
-    free = [joint for joint in on_chain if not joint.fixed and joint.name not in locked]
-    for joint in free:
-        if joint.fault:
-            raise ParameterError(joint.fault)
+    locked = _locked(tree, choice)
+    free = _free(tree, chain, locked)
     if not free:
         raise ParameterError(f"no {tree.moving} joint lies between {root!r} and {tip!r}")
     tree.place(root, chain, free, locked)
     joints = {joint.name: joint for joint in tree.chain_joints(free)}
     rotors = _with_rotors(joints, choice.rotors)
     movers = tree.movers(root, set(joints))
-    masses = {body: tree.mass(body, mover is not None) for body, mover in movers.items()}
+    for body in choice.massless:
+        tree.require(body, "massless")
+    masses = {
+        body: None if body in choice.massless else tree.mass(body, mover is not None)
+        for body, mover in movers.items()
+    }
     tool = tree.tool(end, tip)
     if choice.check:
         moving = [k for body, k in masses.items() if k is not None and movers[body] is not None]
@@ -207,6 +231,9 @@ def arm_of_tree(tree: Tree, choice: ChainChoice) -> Arm:
     notes = [f"read from {tree.path.name}, {root} to {tip}"]
     if still:
         notes.append(f"joints that stand still: {', '.join(still)}")
+    if choice.massless:
+        notes.append(f"taken to weigh nothing: {', '.join(choice.massless)}")
+    notes += tree.repairs
     return arm_of(
         tree.name,
         lumps[None],
@@ -216,6 +243,44 @@ def arm_of_tree(tree: Tree, choice: ChainChoice) -> Arm:
         collision=choice.collision,
         bandwidth=tree.bandwidth,
     )
+
+
+def _locked(tree: Tree, choice: ChainChoice) -> dict[str, float]:
+    """The joints that are asked to stand still, and where [rad, m]."""
+    every = {joint.name: joint for joints in tree.joints.values() for joint in joints}
+    out = {}
+    for name, value in choice.locked.items():
+        if name not in every:
+            raise ParameterError(f"locked: no joint {name!r}; there are {', '.join(every)}")
+        turns = choice.degrees and not every[name].slides
+        out[name] = math.radians(value) if turns else float(value)
+    return out
+
+
+def _free(tree: Tree, chain: list[str], locked: Mapping[str, float]) -> list[TreeJoint]:
+    """The joints of a chain that move; refuse those that no arm has, and couplings.
+
+    A follower stands still where its leader does.
+    """
+    on_chain = [joint for body in chain for joint in tree.joints[body]]
+    free = {k.name: k for k in on_chain if not k.fixed and k.name not in locked}
+    for _ in tree.ties:  # followers of followers
+        for tie in tree.ties:
+            if tie.leader is not None and tie.leader not in free:
+                free.pop(tie.followers[0], None)
+    for joint in free.values():
+        if joint.fault:
+            raise ParameterError(joint.fault)
+    for tie in tree.ties:
+        moving = [name for name in tie.joints if name in free]
+        if moving and not any(name in locked for name in tie.followers):
+            follower = tie.followers[0]
+            raise ParameterError(
+                f"{tie.what}, and {', '.join(map(repr, moving))} would move: joints of an arm"
+                f" are not coupled. Hold {follower!r} ({held(follower)}), or all of them"
+                f" ({held(*tie.joints)})"
+            )
+    return list(free.values())
 
 
 def _with_rotors(joints: Mapping[str, Joint], rotors: Mapping[str, float]) -> list[str]:
@@ -236,22 +301,42 @@ def _with_rotors(joints: Mapping[str, Joint], rotors: Mapping[str, float]) -> li
     return [f"rotor inertia given beside the file: {', '.join(values)}"]
 
 
-def body_mass(name: str, mass: float, com: Array, R: Array, moments: Array) -> LinkMass:
-    """Return a body's mass properties in the root's axes; refuse those that no body has.
+def body_mass(
+    tree: Tree, name: str, mass: float, com: Array, R: Array, moments: Array
+) -> LinkMass:
+    """Return a body's mass properties in the root's axes; refuse those that no body has, or
+    take the nearest where the tree is to be repaired.
 
     Args:
+        tree: that has the body.
         name: of the body.
         mass: [kg].
         com: (3,) centre of mass in the root's frame [m].
         R: (3, 3) from the axes of the moments to the root's.
         moments: (3, 3) about the centre of mass [kg m^2].
     """
+    remedy = "--repair, in Python repair=True"
+    if mass == 0 and moments.any():
+        if not tree.repair:
+            raise ParameterError(
+                f"link {name!r} has an inertia, but no mass: {remedy} leaves the inertia out"
+            )
+        tree.repairs.append(f"inertia without mass left out: {name}")
+        moments = np.zeros((3, 3))
     try:
         Inertial(mass=mass, com=(0.0, 0.0, 0.0), inertia=matrix(moments))
     except ParameterError as error:
-        raise ParameterError(f"link {name!r}: {error}") from None
-    if mass == 0 and moments.any():
-        raise ParameterError(f"link {name!r} has an inertia, but no mass")
+        if not tree.repair:
+            raise ParameterError(
+                f"link {name!r}: {error}: {remedy} takes the nearest that a body has"
+            ) from None
+        before = np.linalg.eigvalsh(moments)
+        moments = rigid_moments(moments)
+        was, now = (
+            ", ".join(f"{k:.4g}" for k in values)
+            for values in (before, np.linalg.eigvalsh(moments))
+        )
+        tree.repairs.append(f"principal moments of {name} {was} taken as {now} kg m^2")
     turned = R @ moments @ R.T
     return LinkMass(name, mass, com, (turned + turned.T) / 2)
 
@@ -265,7 +350,8 @@ def _require_plausible(joints: list[Joint], tool: Array, pieces: list[LinkMass])
         k = int(steps.argmax())
         raise ParameterError(
             f"what joint {joints[k].name!r} moves is {steps[k]:.4g} m long and the whole arm"
-            f" {reach:.4g} m: lengths must be in m, these look like mm (check=False takes them)"
+            f" {reach:.4g} m: lengths must be in m, these look like mm (--no-check,"
+            " in Python check=False, takes them)"
         )
     distances = [np.linalg.norm(k.com - points, axis=1).min() for k in pieces if k.mass]
     size = max([reach, 1e-3, *(2 * float(k) for k in distances)])
@@ -276,13 +362,13 @@ def _require_plausible(joints: list[Joint], tool: Array, pieces: list[LinkMass])
                 f"link {piece.link!r} of {piece.mass:.4g} kg has an inertia of {largest:.4g}"
                 f" kg m^2, a radius of gyration of {math.sqrt(largest / piece.mass):.3g} m on"
                 f" an arm of {size:.3g} m: inertias must be in kg m^2, these look like kg mm^2"
-                " (check=False takes them)"
+                " (--no-check, in Python check=False, takes them)"
             )
     total = sum(piece.mass for piece in pieces)
     if total > _DENSITY * size**3:
         heaviest = max(pieces, key=lambda piece: piece.mass)
         raise ParameterError(
             f"link {heaviest.link!r} has {heaviest.mass:.4g} kg and all that moves {total:.4g}"
-            f" kg on {size:.3g} m: masses must be in kg, these look like g (check=False takes"
-            " them)"
+            f" kg on {size:.3g} m: masses must be in kg, these look like g (--no-check,"
+            " in Python check=False, takes them)"
         )

@@ -23,6 +23,7 @@ from ves_gym.mechanics.arm import (
     Link,
     Mount,
     matrix,
+    rigid_moments,
     turned_about,
 )
 from ves_gym.mechanics.dynamics import drawn_configurations, inertia
@@ -96,6 +97,9 @@ class Lump:
         about = self.second - square
         if np.abs(about).max() <= _NOTHING * np.abs(square).max(initial=0.0):
             about = np.zeros((3, 3))  # of a point mass, what rounding leaves is no inertia
+        least = np.trace(about) / 2 - np.linalg.eigvalsh(about)[-1]
+        if -_NOTHING * np.abs(self.second).max() <= least < 0:
+            about = rigid_moments(about)  # of few point masses rounding leaves no body
         turned = R.T @ about @ R
         return Inertial(
             mass=self.mass,

@@ -113,8 +113,8 @@ def _centre(points: Array) -> Array:
 
 def _stl(data: bytes) -> Array:
     count = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
-    if len(data) == 84 + _STL.itemsize * count and count:
-        return np.frombuffer(data, _STL, offset=84)["points"].astype(float)
+    if len(data) >= 84 + _STL.itemsize * count and count:  # others read what follows, too
+        return np.frombuffer(data, _STL, count, offset=84)["points"].astype(float)
     return _numbers(re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", data))
 
 
@@ -129,7 +129,7 @@ def _numbers(rows: list[tuple[bytes, ...]]) -> Array:
 def _collada(tree: Element) -> Array:
     """Points of all geometries of the scene, in m, the file's z up."""
     for element in tree.iter():
-        element.tag = element.tag.rpartition("}")[2]
+        element.tag = element.tag.rpartition(":")[2]
     unit = tree.find("./asset/unit")
     scale = float(unit.get("meter", "1")) if unit is not None else 1.0
     shapes = {k.get("id"): _collada_points(k) for k in tree.iter("geometry")}

@@ -7,6 +7,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
+from urllib.parse import unquote
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -14,13 +15,14 @@ from scipy.spatial.transform import Rotation
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import read_xml
-from ves_gym.mechanics.arm_reader import Tree, TreeJoint, body_mass
+from ves_gym.mechanics.arm_reader import Tie, Tree, TreeJoint, body_mass, held
 from ves_gym.mechanics.chain import ENDLESS, Joint, LinkMass, Lump, Segment
 from ves_gym.mechanics.meshes import box_corners, capsule_around, mesh_points
 
 _DRIVEN = ("revolute", "continuous", "prismatic")
 _KINDS = ("fixed", *_DRIVEN, "floating", "planar")
 _NONE = Element("none")
+_NO_SHAPES = "--no-collision, in Python collision=False, leaves shapes out"
 
 
 class Pose(NamedTuple):
@@ -50,6 +52,7 @@ class UrdfTree(Tree):
         self.elements: dict[str, Element] = {}  # of the joints
         self.axes: dict[str, Array] = {}
         self.poses: dict[str, Pose] = {}  # of the links
+        self.ties = []
         for element in robot.findall("joint"):
             self._add(element)
 
@@ -77,15 +80,14 @@ class UrdfTree(Tree):
         if kind not in ("fixed", *_DRIVEN):
             fault = (
                 f"{where} to link {child!r} is {kind}: an arm has revolute and prismatic"
-                " joints, a root below it leaves it out (root=LINK)"
+                " joints, a root below it leaves it out (--root LINK, in Python root=)"
             )
         elif mimic is not None:
-            fault = (
-                f"{where} to link {child!r} mimics {mimic.get('joint')!r}: an arm has joints of"
-                f" their own; locked={{{name!r}: 0.0}} holds it"
-            )
+            leader = mimic.get("joint", "")
+            self.ties.append(Tie(f"{where} mimics {leader!r}", (name, leader), (name,), leader))
         self.parents[child] = parent
-        self.joints[child] = [TreeJoint(name, child, kind == "fixed", fault)]
+        slides = kind == "prismatic"
+        self.joints[child] = [TreeJoint(name, child, kind == "fixed", fault, slides)]
         self.elements[name], self.axes[name] = element, axis / (length or 1.0)
 
     def place(
@@ -144,13 +146,10 @@ class UrdfTree(Tree):
             _child(element, "limit"),
             _child(element, "dynamics"),
         )
-        low, high = -ENDLESS, ENDLESS
-        if kind != "continuous":
-            if limit.get("lower") is None and limit.get("upper") is None:
-                raise ParameterError(f"{where} is {kind} and has no <limit lower= upper=>")
-            low, high = (number(limit, key, where, 0.0) for key in ("lower", "upper"))
+        low, high = self._range(element, where)
         names = {"v_max": "velocity", "a_max": "acceleration", "tau_max": "effort"}
-        limits = {k: number(limit, v, where, 0.0, least=0.0) for k, v in names.items()}
+        limits = {k: number(limit, v, where, 0.0, 0.0, inf=True) for k, v in names.items()}
+        limits = {k: v if math.isfinite(v) else 0.0 for k, v in limits.items()}
         names = {"rotor_inertia": "armature", "damping": "damping", "friction": "friction"}
         losses = {k: number(dynamics, v, where, 0.0, least=0.0) for k, v in names.items()}
         return Joint(
@@ -165,6 +164,34 @@ class UrdfTree(Tree):
             **losses,
         )
 
+    def _range(self, element: Element, where: str) -> tuple[float, float]:
+        """Where a joint may go; 2 pi either way of one that turns and says nothing of it."""
+        kind, limit = element.get("type"), _child(element, "limit")
+        turns = kind != "prismatic"
+        if kind == "continuous" or (turns and limit.get("lower") is limit.get("upper") is None):
+            return -ENDLESS, ENDLESS
+        remedy = held(element.get("name", ""))
+        if limit.get("lower") is limit.get("upper") is None:
+            raise ParameterError(
+                f"{where} is prismatic and has no <limit lower= upper=>: hold it ({remedy})"
+            )
+        low, high = (number(limit, k, where, 0.0, inf=True) for k in ("lower", "upper"))
+        if turns:
+            low, high = (float(np.clip(k, -ENDLESS, ENDLESS)) if math.isinf(k) else k
+                         for k in (low, high))  # fmt: skip
+        elif math.isinf(low) or math.isinf(high):
+            raise ParameterError(f"{where} slides without end: hold it ({remedy})")
+        if turns and low == high == 0:
+            if not self.repair:
+                raise ParameterError(
+                    f"{where} has a range of 0 to 0: hold it ({remedy}), or --repair, in Python"
+                    " repair=True, takes 2 pi either way"
+                )
+            name = element.get("name")
+            self.repairs.append(f"range of {name} 0 to 0 taken as 2 pi either way")
+            return -ENDLESS, ENDLESS
+        return low, high
+
     def tool(self, body: str, name: str) -> tuple[Array, Array]:
         """Return the frame of the link that is the tool."""
         return self.poses[body]
@@ -176,7 +203,8 @@ class UrdfTree(Tree):
         if inertial is None:
             if moves and any(link.find(k) is not None for k in ("collision", "visual")):
                 raise ParameterError(
-                    f"{where} has a shape, but no <inertial>: its mass is unknown"
+                    f"{where} has a shape, but no <inertial>: its mass is unknown (--massless"
+                    f" {body}, in Python massless=[{body!r}], takes it to weigh nothing)"
                 )
             return None
         moments = inertial.find("inertia")
@@ -187,7 +215,7 @@ class UrdfTree(Tree):
         matrix = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
         at = self.poses[body] @ _origin(inertial, where)
         mass = number(inertial.find("mass"), "value", f"{where}: its mass", least=0.0)
-        return body_mass(body, mass, at.p, at.R, matrix)
+        return body_mass(self, body, mass, at.p, at.R, matrix)
 
     def capsules(self, body: str) -> list[Segment]:
         """Return the shapes of a link, but not the ends of a capsule written as three."""
@@ -221,9 +249,7 @@ def _capsule(path: Path, shape: Element, where: str, outside: bool) -> Segment:
         try:
             points = mesh_points(file)
         except ParameterError as error:
-            raise ParameterError(
-                f"{where}: {error} (collision=False leaves shapes out)"
-            ) from None
+            raise ParameterError(f"{where}: {error} ({_NO_SHAPES})") from None
         points = points * vector(kind, "scale", f"{where}: a mesh", (1.0, 1.0, 1.0))
     else:
         raise ParameterError(f"{where}: no such shape: <{tag}>")
@@ -247,8 +273,9 @@ def _mesh_file(path: Path, name: str, where: str, outside: bool) -> Path:
         tried += [(place, inner) for place in around]
     else:
         root = next((k for k in around if (k / "package.xml").is_file()), folder)
-        tried.append((root, os.path.relpath(folder / name.removeprefix("file://"), root)))
-    left_out = "collision=False leaves shapes out"
+        inner = name.removeprefix("file://").replace("\\", "/")
+        spaced = unquote(inner) if name.startswith("file://") else inner
+        tried += [(root, os.path.relpath(folder / k, root)) for k in (inner, spaced)]
     for root, inner in tried:
         file = (root / inner).resolve()
         if not file.is_file():
@@ -256,10 +283,10 @@ def _mesh_file(path: Path, name: str, where: str, outside: bool) -> Path:
         if outside or file.is_relative_to(root.resolve()):
             return file
         raise ParameterError(
-            f"{where}: its mesh {name!r} lies outside {root} (allow_outside=True reads it,"
-            f" {left_out})"
+            f"{where}: its mesh {name!r} lies outside {root} (--allow-outside, in Python"
+            f" allow_outside=True, reads it; {_NO_SHAPES})"
         )
-    raise ParameterError(f"{where}: its mesh {name!r} is not there ({left_out})")
+    raise ParameterError(f"{where}: its mesh {name!r} is not there ({_NO_SHAPES})")
 
 
 # -------------------------------------------------------------------- elements and numbers
@@ -313,6 +340,7 @@ def number(
     where: str,
     default: float | None = None,
     least: float | None = None,
+    inf: bool = False,
 ) -> float:
     """Return a number of an element.
 
@@ -322,6 +350,7 @@ def number(
         where: what it belongs to, for the message.
         default: taken where the attribute is missing.
         least: the smallest that it may be.
+        inf: it may be infinite.
 
     Raises:
         ParameterError: missing without a default, no finite number, or too small.
@@ -335,7 +364,8 @@ def number(
         value = float(text)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value) or (least is not None and value < least):
+    bad = math.isnan(value) or (math.isinf(value) and not inf)
+    if bad or (least is not None and value < least):
         kind = "a number" if least is None else f"a number >= {least:g}"
         raise ParameterError(f"{where}: {key} must be {kind}, got {text!r}")
     return value

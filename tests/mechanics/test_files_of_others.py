@@ -1,0 +1,278 @@
+"""Arms from files as others write them: couplings, gaps and habits, judged by other readers."""
+
+import numpy as np
+import pytest
+
+from ves_gym._util.params import ParameterError
+from ves_gym.cli.main import main
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.dynamics import inertia
+
+LIMIT = '<limit lower="-2" upper="2" effort="50" velocity="2"/>'
+
+
+def link(name, mass, x=0.2, moments=(0.01, 0.02, 0.02), shape=""):
+    xx, yy, zz = moments
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{x} 0 0"/><mass value="{mass}"/><inertia'
+        f' ixx="{xx}" iyy="{yy}" izz="{zz}" ixy="0" ixz="0" iyz="0"/></inertial>{shape}</link>'
+    )
+
+
+def joint(name, parent, child, x=0.4, axis="0 1 0", kind="revolute", limit=LIMIT, extra=""):
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{x} 0 0"/><axis xyz="{axis}"/>{limit}{extra}</joint>'
+    )
+
+
+CHAIN = (
+    '<link name="base"/>',
+    link("l1", 2.0),
+    link("l2", 1.5),
+    link("l3", 1.0),
+    joint("j1", "base", "l1", axis="0 0 1"),
+    joint("j2", "l1", "l2"),
+    joint("j3", "l2", "l3"),
+    '<link name="tool"/>',
+    joint("flange", "l3", "tool", 0.3, kind="fixed"),
+)
+BALANCED = (
+    *CHAIN,
+    link("counterweight", 20.0, -0.5, (0.1, 0.3, 0.3)),
+    joint("k_balance", "l1", "counterweight", 0.0, extra='<mimic joint="j2" multiplier="-1"/>'),
+)
+
+
+@pytest.fixture
+def urdf(tmp_path):
+    def write(parts, old="", new="", name="arm.urdf"):
+        text = f'<robot name="a">{"".join(parts)}</robot>'
+        assert old in text
+        (tmp_path / name).write_text(text.replace(old, new) if old else text)
+        return tmp_path / name
+
+    return write
+
+
+@pytest.fixture
+def mjcf(tmp_path):
+    def write(extra="", beside=""):
+        body = '<inertial pos="0.2 0 0" mass="1.5" diaginertia="0.01 0.02 0.02"/>'
+        hinge = '<joint name="j{}" axis="0 {} {}" range="-2 2"/>'
+        text = (
+            '<mujoco><compiler angle="radian"/><worldbody><body name="base"><body name="l1">'
+            f'{hinge.format(1, 0, 1)}{body}{beside}<body name="l2" pos="0.4 0 0">'
+            f'{hinge.format(2, 1, 0)}{body}<body name="l3" pos="0.4 0 0">'
+            f'{hinge.format(3, 1, 0)}{body}<site name="tcp" pos="0.3 0 0"/>'
+            f"</body></body></body></body></worldbody>{extra}</mujoco>"
+        )
+        (tmp_path / "arm.xml").write_text(text)
+        return tmp_path / "arm.xml"
+
+    return write
+
+
+# ------------------------------------------------------------------------ coupled joints
+
+
+def test_a_follower_is_not_frozen_in_silence(urdf):
+    """Pinocchio with mimic: the counterweight of 20 kg turns with joint 2. It is refused, by
+    name, and held by those who ask for it."""
+    pin = pytest.importorskip("pinocchio")
+    path = urdf(BALANCED)
+    with pytest.raises(ParameterError, match=r"'k_balance' mimics 'j2'.*--lock k_balance=0"):
+        Arm.from_file(path, tip="tool")
+    held = Arm.from_file(path, tip="tool", locked={"k_balance": 0.0})
+    model = pin.buildModelFromUrdf(str(path), mimic=True)
+    coupled = pin.crba(model, model.createData(), np.zeros(model.nq))
+    of_links = inertia(held, np.zeros(3))[6:, 6:]
+    assert coupled[1, 1] - of_links[1, 1] == pytest.approx(0.3 + 20 * 0.5**2)
+
+
+def test_a_follower_stands_still_with_its_leader(urdf):
+    """As Pinocchio has it at the leader's angle, also on the chain."""
+    pin = pytest.importorskip("pinocchio")
+    on_chain = [k.replace(LIMIT, '<mimic joint="j2" offset="0.1" multiplier="0.5"/>' + LIMIT)
+                if 'name="j3"' in k else k for k in BALANCED]  # fmt: skip
+    path = urdf(on_chain)
+    arm = Arm.from_file(path, tip="tool", locked={"j2": 0.6})
+    assert "j2 at 0.6, j3 at 0.4" in arm.source and "k_balance at -0.6" in arm.source
+    model = pin.buildModelFromUrdf(str(path), mimic=True)
+    coupled = pin.crba(model, model.createData(), np.array([0.0, 0.6]))
+    assert inertia(arm, np.zeros(1))[6, 6] == pytest.approx(coupled[0, 0], rel=1e-12)
+
+
+TENDONS = (
+    '<tendon><fixed name="a"><joint joint="j2" coef="2"/></fixed>'
+    '<fixed name="b"><joint joint="j3" coef="1"/></fixed></tendon>'
+)
+ROD = '<body name="rod"><joint name="jr"/><geom size="0.05" mass="1"/></body>'
+COUPLED = {  # what is said of it
+    r"ties tendon 'a' and 'b', and 'j2', 'j3' would move": (
+        f'{TENDONS}<equality><tendon tendon1="a" tendon2="b"/></equality>', ""),
+    r"joint 'j3' follows 'j2' by <equality>": (
+        '<equality><joint joint1="j3" joint2="j2"/></equality>', ""),
+    r"'l3' and 'rod' are held together .* loop over 'j2', 'j3'.*--lock j2=0 --lock j3=0": (
+        '<equality><connect body1="l3" body2="rod" anchor="0.3 0 0"/></equality>', ROD),
+    r"'l3' and 'rod' are held together": (
+        '<equality><weld site1="tcp" site2="end"/></equality>',
+        ROD.replace("</body>", '<site name="end"/></body>')),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("said", COUPLED)
+def test_what_ties_joints_is_refused_by_name(mjcf, said):
+    with pytest.raises(ParameterError, match=said):
+        Arm.from_file(mjcf(*COUPLED[said]), tip="tcp")
+
+
+def test_what_ties_bodies_that_do_not_move_against_each_other_is_no_loop(mjcf):
+    tie = '<equality><weld body1="l1" body2="rod"/></equality>'
+    assert Arm.from_file(mjcf(tie, ROD), tip="tcp").n == 3
+
+
+def test_an_equality_is_kept_where_its_leader_stands_still(mjcf):
+    """MuJoCo: q3 = 0.1 + 0.5 q2."""
+    tie = '<equality><joint joint1="j3" joint2="j2" polycoef="0.1 0.5 0 0 0"/></equality>'
+    arm = Arm.from_file(mjcf(tie), locked={"j2": 0.6})
+    assert "j2 at 0.6, j3 at 0.4" in arm.source
+
+
+def test_the_torque_of_a_tendons_motor_is_that_at_the_joint(mjcf):
+    """MuJoCo: an actuator's moment on a joint is the tendon's coefficient."""
+    import mujoco
+
+    path = mjcf(f'{TENDONS}<actuator><motor tendon="a" forcerange="-30 30"/></actuator>')
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 30.0
+    mujoco.mj_forward(model, data)
+    assert Arm.from_file(path).links[1].tau_max == data.qfrc_actuator[1] == 60.0
+
+
+# ------------------------------------------------------- what is unknown, and who decides
+
+
+def test_a_shape_without_mass_weighs_nothing_where_that_is_said(urdf):
+    shape = (
+        '<link name="tool"><visual><geometry><sphere radius="0.1"/></geometry></visual></link>'
+    )
+    path = urdf(CHAIN, '<link name="tool"/>', shape)
+    with pytest.raises(ParameterError, match=r"its mass is unknown \(--massless tool"):
+        Arm.from_file(path)
+    arm = Arm.from_file(path, massless=["tool"])
+    assert arm.links == Arm.from_file(urdf(CHAIN)).links
+    assert "taken to weigh nothing: tool" in arm.source
+    with pytest.raises(ParameterError, match="massless: no link 'hand'"):
+        Arm.from_file(path, massless=["hand"])
+
+
+REPAIRED = {  # what the source says of it
+    "principal moments of l2 0.01, 0.02, 0.05 taken as 0.02, 0.03, 0.05": (
+        CHAIN[2], link("l2", 1.5, moments=(0.01, 0.02, 0.05))),
+    "inertia without mass left out: base": (
+        CHAIN[0], link("base", 0.0, moments=(0.1, 0.1, 0.1))),
+    "range of j1 0 to 0 taken as 2 pi either way": (
+        LIMIT, '<limit lower="0" upper="0" effort="50" velocity="2"/>'),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("said", REPAIRED)
+def test_a_repair_is_asked_for_and_listed(urdf, said):
+    path = urdf(CHAIN, *REPAIRED[said])
+    with pytest.raises(ParameterError, match=r"--repair, in Python repair=True"):
+        Arm.from_file(path)
+    assert said in Arm.from_file(path, repair=True).source
+
+
+def test_options_of_a_file_are_those_of_python(urdf, capsys):
+    words = ["simulate", "--duration", "0.1", "--settle", "0", "--goal", "1,1,0"]
+    words += ["--arm", str(urdf(BALANCED))]
+    assert main([*words, "--tip", "tool"]) == 2
+    assert "--lock k_balance=0" in capsys.readouterr().err
+    assert main([*words, "--tip", "tool", "--lock", "k_balance=90"]) == 0
+    assert "k_balance at 1.5708" in capsys.readouterr().err  # degrees, as elsewhere there
+    for more, said in (
+        (["--lock", "k_balance"], "--lock must be JOINT=ANGLE"),
+        (["--lock", "rope=1"], "no joint 'rope'; there are j1"),
+        (["--root", "hand"], "root: no link 'hand'"),
+    ):
+        assert main([*words, "--tip", "tool", *more]) == 2
+        assert said in capsys.readouterr().err
+    assert main(["simulate", "--tip", "tool"]) == 2
+    assert "--tip goes with --arm FILE" in capsys.readouterr().err
+    assert main(["simulate", "--arm", "ur5e", "--repair"]) == 2
+    assert "goes with a URDF or MJCF file" in capsys.readouterr().err
+
+
+# -------------------------------------------------------------- as others read them, too
+
+
+def test_joints_without_an_end_turn_twice_either_way(urdf):
+    """MuJoCo reads all of these as joints without limits."""
+    plain = Arm.from_file(urdf(CHAIN))
+    for limit in (
+        '<limit effort="50" velocity="2"/>',
+        '<limit lower="-inf" upper="inf" effort="50" velocity="2"/>',
+    ):
+        arm = Arm.from_file(urdf(CHAIN, LIMIT, limit))
+        assert arm.column("q_max") == pytest.approx([2 * np.pi] * 3)
+        assert arm.column("tau_max").tolist() == plain.column("tau_max").tolist()
+    free = Arm.from_file(urdf(CHAIN, LIMIT, ""))
+    assert "tau_max not given" in free.source
+    endless = '<limit lower="-2" upper="2" effort="inf" velocity="2"/>'
+    assert "tau_max not given" in Arm.from_file(urdf(CHAIN, LIMIT, endless)).source
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("<robot name", '<robot xmlns="http://www.ros.org" name'),
+        ("</robot>", "<gazebo><sensor:camera name='rgb'/></gazebo></robot>"),
+        ("<robot name", '\n  <?xml version="1.0"?><robot name'),
+        ('<link name="tool"/>', '<link name="tool"/><!-- d\xe9j\xe0 -->'),
+    ],
+)
+def test_xml_as_it_is_written(tmp_path, urdf, old, new):
+    plain = Arm.from_file(urdf(CHAIN))
+    text = urdf(CHAIN).read_text().replace(old, new)
+    (tmp_path / "arm.urdf").write_bytes(text.encode("latin-1"))
+    assert Arm.from_file(tmp_path / "arm.urdf").links == plain.links
+
+
+def test_two_point_masses_are_a_body(urdf):
+    """Pinocchio's inertia; rounding once left -8.6e-16 kg m^2 about their line."""
+    pin = pytest.importorskip("pinocchio")
+    rng, none = np.random.default_rng(0), (0.0, 0.0, 0.0)
+    for _ in range(20):
+        x, y = rng.normal(size=2).round(7)
+        parts = [link("l1", 0.3, x, none), link("p", 0.7, y, none), *CHAIN[2:5], CHAIN[0],
+                 joint("f", "l1", "p", round(rng.normal(), 7), kind="fixed", limit=""),
+                 joint("j2", "p", "l2"), CHAIN[6]]  # fmt: skip
+        turn = ' rpy="2.8574 -0.9381 -0.1255"/>'
+        path = urdf(
+            parts, '0 0"/><axis xyz="0 0 1"/>', f'0.31 1.363393"{turn}<axis xyz="0 0 1"/>'
+        )
+        arm, model = Arm.from_file(path), pin.buildModelFromUrdf(str(path))
+        H = pin.crba(model, model.createData(), np.zeros(3))
+        np.testing.assert_allclose(inertia(arm, np.zeros(3))[6:, 6:], H, atol=1e-12)
+
+
+def test_a_mesh_is_found_and_read_as_others_do(tmp_path, urdf):
+    """An STL with bytes after its triangles; a name with %20; a name of another system."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], "<f4") / 10
+    faces = b"".join(bytes(12) + corners[list(k)].tobytes() + bytes(2)
+                     for k in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)))  # fmt: skip
+    (tmp_path / "meshes").mkdir()
+    data = bytes(80) + (4).to_bytes(4, "little") + faces
+    (tmp_path / "meshes" / "l 3.stl").write_bytes(data + b"made by a program")
+    capsules = []
+    for name in ("meshes/l 3.stl", "meshes\\l 3.stl", "file://meshes/l%203.stl"):
+        mesh = f'<collision><geometry><mesh filename="{name}"/></geometry></collision></link>'
+        path = urdf(CHAIN, "</link><joint", f"{mesh}<joint")
+        capsules.append(Arm.from_file(path).links[2].shape)
+    assert capsules[0] and capsules[0] == capsules[1] == capsules[2]
+    path = urdf(CHAIN, "</link><joint", mesh.replace("203", "204") + "<joint")
+    with pytest.raises(ParameterError, match=r"is not there \(--no-collision, in Python"):
+        Arm.from_file(path)
