@@ -11,7 +11,7 @@ PIP = $(BIN)/python -m pip --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv benchmark policies leaderboard figures notebooks site test test-all test-share test-ecosystem test-oldest check format bench constraints platforms clean
+.PHONY: help venv benchmark policies leaderboard figures notebooks site test test-all test-share test-ecosystem test-foreign test-oldest check format bench constraints platforms clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' Makefile
@@ -60,11 +60,11 @@ site: $(SITE) ## build the documentation site in out/site, warnings are errors
 	$(BIN)/python scripts/site.py $(ARGS)
 
 # One thread per worker: two workers share the cores, and results do not depend on a BLAS pool.
-test test-all test-share test-oldest: export OMP_NUM_THREADS = 1
-test test-all test-share test-oldest: export OPENBLAS_NUM_THREADS = 1
-test test-all test-share test-oldest: export MKL_NUM_THREADS = 1
+test test-all test-share test-foreign test-oldest: export OMP_NUM_THREADS = 1
+test test-all test-share test-foreign test-oldest: export OPENBLAS_NUM_THREADS = 1
+test test-all test-share test-foreign test-oldest: export MKL_NUM_THREADS = 1
 # Modules are compiled once: with this set, every process that a test starts would do it again.
-test test-all test-share test-oldest: export PYTHONDONTWRITEBYTECODE =
+test test-all test-share test-foreign test-oldest: export PYTHONDONTWRITEBYTECODE =
 
 test: $(DEV) ## run the tests
 	$(BIN)/python -m pytest -n 2 $(ARGS)
@@ -77,6 +77,16 @@ test-share: $(DEV) ## three minutes of the slow tests; others: make test-share D
 
 test-ecosystem: ## run other packages on the environments, each in an environment of its own
 	$(PYTHON) scripts/ecosystem.py $(ARGS)
+
+# Each judge has an environment of its own, with the versions that its file of tests/foreign pins.
+.venv-foreign/%/.installed: tests/foreign/%.txt
+	$(PYTHON) -m venv $(@D)
+	$(@D)/bin/python -m pip --quiet --disable-pip-version-check install -r $<
+	@touch $@
+
+test-foreign: export VES_GYM_FOREIGN = 1
+test-foreign: $(DEV) $(patsubst tests/foreign/%.txt,.venv-foreign/%/.installed,$(wildcard tests/foreign/*.txt)) ## compare with Drake, Basilisk and Exudyn, each in an environment of its own
+	$(BIN)/python -m pytest -m "" -s tests/foreign $(ARGS)
 
 check: $(DEV) ## format, lint and types, as CI runs them
 	$(BIN)/ruff format --check .
@@ -113,5 +123,5 @@ test-oldest: ## run the tests on the oldest versions that pyproject.toml admits
 	$(VENV)-oldest/bin/python -m pytest -n 2 $(ARGS)
 
 clean: ## remove the environment, caches and results
-	rm -rf $(VENV) $(VENV)-oldest .venv-ecosystem .mypy_cache .pytest_cache .ruff_cache .hypothesis build dist out
+	rm -rf $(VENV) $(VENV)-oldest .venv-ecosystem .venv-foreign .mypy_cache .pytest_cache .ruff_cache .hypothesis build dist out
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

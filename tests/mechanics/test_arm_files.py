@@ -1,7 +1,9 @@
 """Arms from URDF and MJCF and out again: Pinocchio, MuJoCo and both engines judge them."""
 
+import contextlib
 import dataclasses
 import math
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -11,7 +13,8 @@ import pytest
 from tests.urdf_arms import body, chain, joint, slider_urdf, vector
 from ves_gym._util.params import ParameterError
 from ves_gym.effects.joint_friction import JointCoulomb, JointViscous
-from ves_gym.mechanics.arm import Arm, Capsule, Gear
+from ves_gym.mechanics.arm import BANDWIDTH, Arm, Capsule, Gear
+from ves_gym.mechanics.arm_files import ExportWarning
 from ves_gym.mechanics.arm_library import PUMA_560, arm_names, get_arm
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.kinematics import frames, tool_frame, tool_twists
@@ -159,7 +162,10 @@ def test_an_arm_comes_back_from_the_file_it_is_written_to(write, tmp_path, form,
         text = write(slider_urdf(), "slider.urdf")
         arm = Arm.from_file(text) if name == "slider" else get_arm(name)
     path = tmp_path / f"again.{form}"
-    getattr(arm, f"to_{form}")(path)
+    told = arm.column("rotor_inertia").any() or arm.bandwidth not in (None, BANDWIDTH)
+    lost = form == "urdf" and told
+    with pytest.warns(ExportWarning) if lost else contextlib.nullcontext():
+        getattr(arm, f"to_{form}")(path)
     again = get_arm(path)
     assert again.sliding == arm.sliding
     assert worst(again, lambda q, v: account(arm, q, v)) < 1e-12
@@ -182,6 +188,24 @@ def require_same_shapes(one, other):
             ends = [np.array([k.start, k.end]) for k in (x, y)]
             assert min(np.abs(ends[0] - k).max() for k in (ends[1], ends[1][::-1])) < 1e-12
             assert x.radius == pytest.approx(y.radius, rel=1e-14)
+
+
+def test_what_urdf_has_no_words_for_is_named(tmp_path):
+    arm = dataclasses.replace(PUMA_560, bandwidth=3.0)
+    with pytest.warns(ExportWarning, match=r"rotors of q_1, q_2, q_3 .*bandwidth of 3 Hz"):
+        arm.to_urdf(tmp_path / "arm.urdf")
+    written = ElementTree.parse(tmp_path / "arm.urdf").getroot()
+    drive = written.find("transmission/[@name='q_2_drive']/actuator")
+    space = {"drake": "http://drake.mit.edu"}
+    assert drive.find("drake:rotor_inertia", space).get("value") == "4.71"
+    text = (
+        (tmp_path / "arm.urdf")
+        .read_text()
+        .replace('<drake:gear_ratio value="1"', '<drake:gear_ratio value="-10"')
+    )  # a rotor before its gear
+    (tmp_path / "geared.urdf").write_text(text)
+    again = Arm.from_file(tmp_path / "geared.urdf").column("rotor_inertia")
+    np.testing.assert_allclose(again, 100 * PUMA_560.column("rotor_inertia"), rtol=1e-15)
 
 
 def test_gears_have_no_words(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +15,7 @@ import numpy as np
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import named, read_xml
-from ves_gym.mechanics.arm import Arm, Capsule, Inertial
+from ves_gym.mechanics.arm import BANDWIDTH, Arm, Capsule, Inertial
 from ves_gym.mechanics.arm_reader import ChainChoice, arm_of_tree
 from ves_gym.mechanics.attitude import from_matrix
 from ves_gym.mechanics.chain import angles_of, upright
@@ -28,6 +29,10 @@ if TYPE_CHECKING:
     from ves_gym.mechanics.base_model import BaseModel
 
 _LEAST = 1e-13  # kg, kg m^2: what MuJoCo takes of a body that moves
+
+
+class ExportWarning(UserWarning):
+    """A file's format has no words for a part of the arm."""
 
 
 def read_file(path: str | os.PathLike[str], choice: ChainChoice) -> Arm:
@@ -87,14 +92,15 @@ def _bodies(arm: Arm) -> list[tuple[Inertial, tuple[Capsule, ...]]]:
 def urdf_text(arm: Arm) -> str:
     """Return an arm as URDF.
 
-    Rotor inertias are written as <dynamics armature=>, accelerations as <limit acceleration=>;
-    readers that do not know them leave them out.
+    Rotor inertias are written as Drake has them, in a <transmission> of each joint; an
+    `ExportWarning` names what other readers leave out.
 
     Args:
         arm: without gears.
     """
     _require_rigid(arm, "URDF")
-    robot = Element("robot", name=arm.name)
+    _warn_of_losses(arm)
+    robot = Element("robot", {"name": arm.name, "xmlns:drake": "http://drake.mit.edu"})
     names = ["base", *(f"link_{i}" for i in range(1, arm.n + 1))]
     for name, (inertial, shape) in zip(names, _bodies(arm), strict=True):
         _urdf_link(robot, name, inertial, shape)
@@ -121,15 +127,39 @@ def urdf_text(arm: Arm) -> str:
             effort=repr(link.tau_max),
             velocity=repr(link.v_max),
             acceleration=repr(link.a_max),
-        )
+        ).set("drake:acceleration", repr(link.a_max))
         SubElement(
             joint,
             "dynamics",
             damping=repr(link.damping or 0.0),
             friction=repr(link.friction or 0.0),
-            armature=repr(link.rotor_inertia),
         )
+        _transmission(robot, joints[i], link.rotor_inertia)
     return _written(robot)
+
+
+def _warn_of_losses(arm: Arm) -> None:
+    """Say what URDF itself has no words for."""
+    names = _joint_names(arm)
+    rotors = [k for k, link in zip(names, arm.links, strict=True) if link.rotor_inertia]
+    lost = [f"the rotors of {', '.join(rotors)} (read by Drake and ves_gym)"] if rotors else []
+    if arm.bandwidth not in (None, BANDWIDTH):
+        lost.append(f"the servos' bandwidth of {arm.bandwidth:g} Hz (read by none)")
+    if lost:
+        warnings.warn(f"{arm.name}: URDF itself has no words for {' and '.join(lost)}",
+                      ExportWarning, stacklevel=4)  # fmt: skip
+
+
+def _transmission(robot: Element, joint: str, rotor: float) -> None:
+    """A motor without a gear of its own: the rotor's inertia is that about the joint."""
+    drive = SubElement(robot, "transmission", name=f"{joint}_drive")
+    SubElement(drive, "type").text = "transmission_interface/SimpleTransmission"
+    interface = SubElement(SubElement(drive, "joint", name=joint), "hardwareInterface")
+    interface.text = "hardware_interface/EffortJointInterface"
+    motor = SubElement(drive, "actuator", name=joint)
+    SubElement(motor, "mechanicalReduction").text = "1"
+    SubElement(motor, "drake:gear_ratio", value="1")
+    SubElement(motor, "drake:rotor_inertia", value=repr(rotor))
 
 
 def _urdf_link(

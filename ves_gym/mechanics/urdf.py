@@ -55,6 +55,7 @@ class UrdfTree(Tree):
         self.ties = []
         for element in robot.findall("joint"):
             self._add(element)
+        self.rotors = dict(_rotor(k) for k in robot.findall("transmission"))
 
     def _add(self, element: Element) -> None:
         """Take a <joint> over."""
@@ -150,8 +151,9 @@ class UrdfTree(Tree):
         names = {"v_max": "velocity", "a_max": "acceleration", "tau_max": "effort"}
         limits = {k: number(limit, v, where, 0.0, 0.0, inf=True) for k, v in names.items()}
         limits = {k: v if math.isfinite(v) else 0.0 for k, v in limits.items()}
-        names = {"rotor_inertia": "armature", "damping": "damping", "friction": "friction"}
+        names = {"damping": "damping", "friction": "friction"}
         losses = {k: number(dynamics, v, where, 0.0, least=0.0) for k, v in names.items()}
+        rotor = self.rotors.get(joint.name, 0.0)
         return Joint(
             name=joint.name,
             origin=at.p,
@@ -160,6 +162,7 @@ class UrdfTree(Tree):
             q_max=high,
             body=Lump(),
             slides=kind == "prismatic",
+            rotor_inertia=number(dynamics, "armature", where, rotor, least=0.0),
             **limits,
             **losses,
         )
@@ -297,6 +300,19 @@ def _name(element: Element, what: str) -> str:
     if not name:
         raise ParameterError(f"a {what} has no name")
     return name
+
+
+def _rotor(transmission: Element) -> tuple[str, float]:
+    """Joint of a <transmission>, and what Drake's words say of its rotor [kg m^2, kg]."""
+    joint, motor = _child(transmission, "joint").get("name", ""), transmission.find("actuator")
+    if motor is None:
+        return joint, 0.0
+    words = {k.tag: k for k in motor}  # `find` would ask for the prefix's namespace
+    ratio, inertia = (
+        number(words.get(f"drake:{tag}"), "value", f"the drive of {joint!r}", default)
+        for tag, default in (("gear_ratio", 1.0), ("rotor_inertia", 0.0))
+    )
+    return joint, ratio**2 * inertia
 
 
 def _child(element: Element, tag: str) -> Element:
