@@ -55,6 +55,7 @@ def _alike(system: System) -> dict[str, Any]:
         "damping": any(k.damping for k in arm.links),
         "friction": any(k.friction for k in arm.links),
         "mount": arm.mount,
+        "the arms beside it": arm.beside,
         "joints whose gears give way": [i + 1 for i in actual.arm.geared] or "none",
         "the number of the vehicle's internal modes": actual.base.m,
         "the vehicle's kind": "a body" if system.base.body else "no body",

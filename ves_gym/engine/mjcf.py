@@ -228,6 +228,7 @@ def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
     """The arm's links, joints and drives on a body at the platform-top frame."""
     chain = expand(arm)
     body, bent = root, 0
+    firsts = {k.first for k in chain.arm.roots}
     *frames, (tool, tip) = chain.arm.placements
     for place, (link, (rotation, position)) in enumerate(
         zip(chain.arm.links, frames, strict=True)
@@ -235,7 +236,7 @@ def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
         driven = place in chain.driven
         bent += not driven
         i = place + 1 - bent
-        body = body.add_body(
+        body = (root if place in firsts else body).add_body(
             name=f"link_{i}" if driven else f"part_{bent}",
             pos=position.tolist(),
             quat=quaternion(rotation),

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -201,6 +202,20 @@ class Mount:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Limb:
+    """One of several arms on one base: which of an arm's links it has, and where it stands."""
+
+    name: str
+    joints: int  # number of its links, after those of the arms before it
+    mount: Mount | None = None  # of its first joint; None: at the platform-top frame
+    tool_angle: float | None = unit("rad", default=None)  # of its tool, as in `Arm`
+
+    def __post_init__(self) -> None:
+        if self.joints < 1:
+            raise ParameterError(f"Limb.joints must be >= 1, got {self.joints}")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Link:
     """One joint and the link it moves; the frame sits at the link's far end.
 
@@ -276,7 +291,9 @@ class Link:
 class Arm:
     """Joints and links one after the other, on a base link fixed to the platform top.
 
-    The tool is the last link's frame, turned by `tool_angle` about its z.
+    The tool is the last link's frame, turned by `tool_angle` about its z. Several arms side by
+    side are one `Arm` too (`side_by_side`): `links` has those of all, `beside` says which are
+    those of the arms before the last one, whose tool is the tool.
     """
 
     name: str
@@ -284,6 +301,7 @@ class Arm:
     base_shape: tuple[Capsule, ...] | None = None  # of the base link, in the same frame
     base_flexures: tuple[Flexure, ...] | None = None  # where the base link bends
     mount: Mount | None = None  # of the first joint; None: at the platform-top frame
+    beside: tuple[Limb, ...] | None = None  # the arms before the last one, in order of links
     links: tuple[Link, ...]
     tool_angle: float | None = unit("rad", default=None)
     bandwidth: float | None = unit("Hz", default=None)  # of the joint servos, see own_gains
@@ -294,6 +312,14 @@ class Arm:
         if not self.links:
             raise ParameterError("Arm.links must hold at least one link, got none")
         finite(self.tool_angle or 0.0, (), "Arm.tool_angle")
+        others = sum(limb.joints for limb in self.beside or ())
+        if others >= len(self.links):
+            raise ParameterError(
+                f"Arm.beside must leave the last arm a link, got {others} joints beside it of"
+                f" {len(self.links)}"
+            )
+        if self.beside:
+            self.require_rigid("an arm beside others")
         if self.links[-1].flexures:
             raise ParameterError(
                 "the last of Arm.links must not bend, for it carries the tool: got"
@@ -329,19 +355,27 @@ class Arm:
         )
 
     @cached_property
-    def start(self) -> tuple[Array, Array]:
-        """Rotation (3, 3) and position (3,) of the first joint's frame before it turns."""
-        if self.mount is None:
-            return np.eye(3), np.zeros(3)
-        return self.mount.rotation, np.array(self.mount.position)
+    def roots(self) -> tuple[Root, ...]:
+        """Where each arm begins, one without others."""
+        out, first = [], 0
+        for limb in self.beside or ():
+            out.append(Root.at(first, limb.mount))
+            first += limb.joints
+        return (*out, Root.at(first, self.mount))
+
+    @property
+    def spans(self) -> tuple[slice, ...]:
+        """Joints of each arm among all, one without others."""
+        return spans(self.roots, self.n)
 
     @property
     def placements(self) -> list[tuple[Array, Array]]:
         """Each joint's frame at zero in the one before, and last the tool's: n + 1 rotations
-        (3, 3) and positions (3,) [m], the first in the platform-top frame."""
-        out = []
-        R, p = self.start
-        for link in self.links:
+        (3, 3) and positions (3,) [m], the first of an arm in the platform-top frame."""
+        out, (R, p) = [], self.roots[0][1:]
+        begins = {root.first: root[1:] for root in self.roots}
+        for i, link in enumerate(self.links):
+            R, p = begins.get(i, (R, p))
             out.append((R @ turned_about(2, link.offset), p))
             R, p = link.far_end
         return [*out, (R @ self.tool_rotation, p)]
@@ -407,6 +441,39 @@ class Arm:
                 " the small arm on its braked boom as a vehicle (Boom.at), or simulate"
             )
 
+    def span_of(self, i: int) -> slice:
+        """Return the joints of the arm, of several, that joint i (from 0) belongs to."""
+        return next(span for span in self.spans if i < span.stop)
+
+    def require_alone(self, what: str) -> None:
+        """Refuse several arms on one base; `what` it is that takes one."""
+        if self.beside:
+            raise ParameterError(
+                f"{what} takes one arm, got {self.name}, {len(self.spans)} arms on one base:"
+                " give one of them (Arm.apart)"
+            )
+
+    @property
+    def apart(self) -> tuple[Arm, ...]:
+        """Each of several arms as one of its own; the base link stays with the last one."""
+        if not self.beside:
+            return (self,)
+        limbs = [*self.beside, Limb(name=self.name, joints=1, mount=self.mount)]
+        turns = [*(limb.tool_angle for limb in self.beside), self.tool_angle]
+        return tuple(
+            replace(
+                self,
+                name=limb.name,
+                base=self.base if span.stop == self.n else WEIGHTLESS,
+                base_shape=self.base_shape if span.stop == self.n else None,
+                mount=limb.mount,
+                beside=None,
+                links=self.links[span],
+                tool_angle=turn,
+            )
+            for limb, span, turn in zip(limbs, self.spans, turns, strict=True)
+        )
+
     def column(self, name: str) -> Array:
         """One number of every link, e.g. `column("tau_max")`: (n,)."""
         return np.array([getattr(link, name) for link in self.links])
@@ -439,6 +506,21 @@ class Arm:
                     f" {symbol}"
                 )
         return array
+
+    def at(self, position: Vector, angles: Vector = (0.0, 0.0, 0.0)) -> Arm:
+        """Return this arm, with its base link, elsewhere on the base.
+
+        Args:
+            position: (3,) of its platform-top frame in the base's [m].
+            angles: (3,) of it about x, then y, then z [rad].
+
+        Raises:
+            ParameterError: not finite; links that bend, or several arms.
+        """
+        arm: Arm = import_module("ves_gym.mechanics.side_by_side").placed(
+            self, position, angles
+        )
+        return arm
 
     @staticmethod
     def from_file(
@@ -550,11 +632,32 @@ class LinkBodies(NamedTuple):
     rotor: Array  # (..., n) kg m^2
 
 
+class Root(NamedTuple):
+    """Where an arm's first joint is in the platform-top frame, before it turns."""
+
+    first: int  # place of this joint among those of all arms
+    rotation: Array  # (3, 3)
+    position: Array  # (3,) m
+
+    @classmethod
+    def at(cls, first: int, mount: Mount | None) -> Root:
+        """Of a joint on its mount; None: at the platform-top frame."""
+        if mount is None:
+            return cls(first, np.eye(3), np.zeros(3))
+        return cls(first, mount.rotation, np.array(mount.position))
+
+
+def spans(roots: Sequence[Root], n: int) -> tuple[slice, ...]:
+    """Joints of each arm among the n of all."""
+    ends = [*(root.first for root in roots), n]
+    return tuple(slice(a, b) for a, b in pairwise(ends))
+
+
 class Chain(NamedTuple):
-    """What `dynamics` asks of an arm: joints, the first one's frame, and masses."""
+    """What `dynamics` asks of an arm: joints, where each arm begins, and masses."""
 
     joints: tuple[JointFrame, ...]
-    start: tuple[Array, Array]  # rotation and position of the first, in the platform-top frame
+    roots: tuple[Root, ...]  # one, of a single arm
     bodies: LinkBodies
 
 

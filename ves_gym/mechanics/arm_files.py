@@ -58,6 +58,7 @@ def _require_rigid(arm: Arm, what: str) -> None:
     if arm.geared:
         names = ", ".join(_joint_names(arm)[i] for i in arm.geared)
         raise ParameterError(f"{what} has no words for the gears of {names}, which give way")
+    arm.require_alone(what)
 
 
 def _text(values: Iterable[float]) -> str:
@@ -305,13 +306,15 @@ def pinocchio_model(arm: Arm, base: BaseModel | None = None) -> pinocchio.Model:
         if base.body is not None:
             append(base.body)
     append(chain.arm.base)
+    foot, firsts = joint, {root.first for root in chain.arm.roots}
     *places, tool = (pin.SE3(R, p) for R, p in chain.arm.placements)
     names = dict(zip(chain.driven, _joint_names(arm), strict=True))
     names |= {place: f"f_{k}" for k, place in enumerate(chain.passive, start=1)}
     for i, (link, place) in enumerate(zip(chain.arm.links, places, strict=True)):
         limits = [np.array([k]) for k in (link.tau_max, link.v_max, link.q_min, link.q_max)]
         moves = pin.JointModelPZ() if link.slides else pin.JointModelRZ()
-        joint = model.addJoint(joint, moves, place, names[i], *limits)
+        parent = foot if i in firsts else joint
+        joint = model.addJoint(parent, moves, place, names[i], *limits)
         append(link.inertial_at_joint)
     model.armature[model.nv - chain.arm.n :] = chain.arm.column("rotor_inertia")
     model.addFrame(pin.Frame("tool", joint, tool, pin.FrameType.OP_FRAME))

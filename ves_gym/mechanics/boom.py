@@ -238,6 +238,7 @@ class Boom:
         Raises:
             ParameterError: the boom has no joints (`braked` needs none).
         """
+        arm.require_alone("a boom that is driven")
         if not self.joints:
             raise ParameterError(f"boom {self.name} has no joints to drive: use Boom.braked")
         events, flange, _ = self._pose(np.zeros(len(self.joints)))
@@ -433,7 +434,7 @@ def _joint(event: _Hinge, number: int) -> Joint:
 
 def _mounted(arm: Arm, flange: Flange) -> tuple[Array, Array]:
     """Rotation and position of an arm's first joint on a flange."""
-    R, p = arm.start
+    _, R, p = arm.roots[0]
     return flange.rotation @ R, flange.position + flange.rotation @ p
 
 

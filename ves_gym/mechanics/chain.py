@@ -362,7 +362,8 @@ def flexures_as_links(arm: Arm) -> tuple[Arm, list[int], list[int], list[Flexure
         first = arm.base_flexures[0]
         start = upright(np.array(first.axis))
         mount = Mount(position=first.origin, angles=angles_of(start))
-        chain, turn = _hops(arm.base_flexures, _Frame(start, np.array(first.origin)), arm.start)
+        foot = _Frame(start, np.array(first.origin))
+        chain, turn = _hops(arm.base_flexures, foot, arm.roots[0][1:])
         passive += range(len(chain))
         springs += arm.base_flexures
         links += chain

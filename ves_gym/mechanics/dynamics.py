@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.arm import Arm, Mechanism
+from ves_gym.mechanics.arm import Arm, Mechanism, Root, spans
 from ves_gym.mechanics.kinematics import frames, joint_values, twists
 from ves_gym.mechanics.spatial import cross, room
 
@@ -138,20 +138,32 @@ def body_loads(
     return force, spun + cross(com, force)
 
 
-def _from_the_tip(x: Array) -> Array:
+def _from_the_tips(roots: Sequence[Root], x: Array) -> Array:
     """Add to each joint's row of x (..., n, k) those beyond it, in place."""
+    firsts = {root.first for root in roots}
     for i in reversed(range(x.shape[-2] - 1)):
-        x[..., i, :] += x[..., i + 1, :]
+        if i + 1 not in firsts:
+            x[..., i, :] += x[..., i + 1, :]
     return x
 
 
-def _from_the_base(first: Array, x: Array) -> Array:
-    """(..., n + 1, 3): the first (..., 3), then the rows of x (..., n, 3) added in turn."""
-    batch = np.broadcast_shapes(first.shape[:-1], x.shape[:-2])
-    out = room(x, *batch, x.shape[-2] + 1, 3)
-    out[..., 0, :] = first
-    for i in range(x.shape[-2]):
-        np.add(out[..., i, :], x[..., i, :], out=out[..., i + 1, :])
+def _from_the_base(roots: Sequence[Root], starts: Sequence[Array], x: Array) -> Array:
+    """(..., n + r, 3): of each arm its start (..., 3), then its rows of x (..., n, 3) added in
+    turn."""
+    batch = np.broadcast_shapes(starts[0].shape[:-1], x.shape[:-2])
+    out = room(x, *batch, x.shape[-2] + len(roots), 3)
+    for k, (start, span) in enumerate(zip(starts, spans(roots, x.shape[-2]), strict=True)):
+        out[..., span.start + k, :] = start
+        for i in range(span.start, span.stop):
+            np.add(out[..., i + k, :], x[..., i, :], out=out[..., i + k + 1, :])
+    return out
+
+
+def _of_all(roots: Sequence[Root], x: Array) -> Array:
+    """Sum over the arms of what their first joints' rows of x (..., n, k) have: (..., k)."""
+    out = x[..., roots[0].first, :]
+    for root in roots[1:]:
+        out = out + x[..., root.first, :]
     return out
 
 
@@ -168,12 +180,14 @@ class InertiaParts(NamedTuple):
 
 def inertia_parts(arm: Mechanism, q: npt.ArrayLike) -> InertiaParts:
     """Return the parts of `inertia`, at joint angles q (..., n) [rad]."""
-    at, bodies, n = frames(arm, q), arm.bodies, len(arm.joints)
+    at, bodies, n, roots = frames(arm, q), arm.bodies, len(arm.joints), arm.roots
     rotation = at.rotation
     com = at.position + (rotation * bodies.com[..., 1:, None, :]).sum(axis=-1)
     turned = turned_inertia(rotation, bodies.inertia[..., 1:, :, :])
-    first, second = map(_from_the_tip, moments(bodies.mass[..., 1:], com, turned))
-    mass = np.cumsum(bodies.mass[..., :0:-1], axis=-1)[..., ::-1]
+    first, second = (
+        _from_the_tips(roots, x) for x in moments(bodies.mass[..., 1:], com, turned)
+    )
+    mass = _from_the_tips(roots, bodies.mass[..., 1:, None].copy())[..., 0]
     # unit rate of a joint: linear and angular momentum (about the origin) of what it moves
     moving, turning = twists(arm, at)
     across = room(com, *com.shape[:-1], 6)
@@ -183,14 +197,16 @@ def inertia_parts(arm: Mechanism, q: npt.ArrayLike) -> InertiaParts:
     pairs = (moving[..., :, None, :] * linear[..., None, :, :]).sum(axis=-1)
     pairs += (turning[..., :, None, :] * angular[..., None, :, :]).sum(axis=-1)
     joints = np.where(np.tri(n, dtype=bool), np.swapaxes(pairs, -1, -2), pairs)
+    for span in spans(roots, n)[: len(roots) - 1]:  # arms meet in the base alone
+        joints[..., span, span.stop :] = joints[..., span.stop :, span] = 0.0
     joints[..., range(n), range(n)] += bodies.rotor
     base_turned = moments(
         bodies.mass[..., 0], bodies.com[..., 0, :], packed(bodies.inertia[..., 0, :, :])
     )
     base = spatial_inertia(
-        mass[..., 0] + bodies.mass[..., 0],
-        first[..., 0, :] + base_turned[0],
-        second[..., 0, :] + base_turned[1],
+        _of_all(roots, mass[..., None])[..., 0] + bodies.mass[..., 0],
+        _of_all(roots, first) + base_turned[0],
+        _of_all(roots, second) + base_turned[1],
     )
     return InertiaParts(base, across, joints)
 
@@ -255,33 +271,36 @@ def newton_euler(
         tau (..., n) [N m], rotors included, and the wrench (..., 6) [N, N m] on the base link
         at the platform-top origin, platform axes. What the arm exerts is its negative.
     """
-    at, bodies = frames(arm, q), arm.bodies
+    at, bodies, roots = frames(arm, q), arm.bodies, arm.roots
     rotation, slides = at.rotation, [joint.slides for joint in arm.joints]
     rates, pushes = v[..., None] * at.axis, a[..., None] * at.axis
     turns = np.array([[float(not k)] for k in slides]) if any(slides) else 1.0
     # angular velocities and accelerations, of the base and of each link
-    spins = _from_the_base(spin, turns * rates)
-    w, gyration = spins[..., 1:, :], cross(spins[..., :-1, :], rates)
-    dw = _from_the_base(turn, turns * (pushes + gyration))[..., 1:, :]
+    spins = _from_the_base(roots, [spin] * len(roots), turns * rates)
+    w, gyration = spins[..., at.links, :], cross(spins[..., at.joints, :], rates)
+    turned = _from_the_base(roots, [turn] * len(roots), turns * (pushes + gyration))
+    dw = turned[..., at.links, :]
     # acceleration of where the joint is, as its link moves
     gain = swing(w, dw, at.ways)
     slid = (1.0 - turns) * (pushes + 2.0 * gyration) if any(slides) else 0.0
-    places = _from_the_base(accel + swing(spin, turn, arm.start[1]), gain + slid)
+    feet = [accel + swing(spin, turn, root.position) for root in roots]
+    places = _from_the_base(roots, feet, gain + slid)
     # forces and moments about the origin, of each body, then of all from it outwards
     reach = at.ways + (rotation * bodies.com[..., 1:, None, :]).sum(axis=-1)
     turned = turned_inertia(rotation, bodies.inertia[..., 1:, :, :])
-    moved = places[..., :-1, :] + slid + swing(w, dw, reach)
+    moved = places[..., at.joints, :] + slid + swing(w, dw, reach)
     com = at.origin + reach
-    force, moment = map(
-        _from_the_tip, body_loads(bodies.mass[..., 1:], com, turned, w, dw, moved)
-    )
+    loads = body_loads(bodies.mass[..., 1:], com, turned, w, dw, moved)
+    force, moment = (_from_the_tips(roots, x) for x in loads)
     moving, turning = twists(arm, at)
     tau = (moving * force).sum(axis=-1) + (turning * moment).sum(axis=-1) + bodies.rotor * a
     com, base_turned = bodies.com[..., 0, :], packed(bodies.inertia[..., 0, :, :])
     moved = accel + swing(spin, turn, com)
     base = body_loads(bodies.mass[..., 0], com, base_turned, spin, turn, moved)
     wrench = room(force, *force.shape[:-2], 6)
-    wrench[..., :3], wrench[..., 3:] = force[..., 0, :] + base[0], moment[..., 0, :] + base[1]
+    wrench[..., :3], wrench[..., 3:] = (
+        _of_all(roots, x) + own for x, own in zip((force, moment), base, strict=True)
+    )
     return tau, wrench
 
 

@@ -5,6 +5,7 @@ Plain NumPy, also traced, as `dynamics` is. Frame: the platform-top frame.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,53 +20,73 @@ from ves_gym._util.params import (
     freeze_arrays,
     unit,
 )
-from ves_gym.mechanics.arm import Arm, JointFrame, Mechanism, Turn, turn_by
+from ves_gym.mechanics.arm import Arm, JointFrame, Mechanism, Root, Turn, spans, turn_by
 from ves_gym.mechanics.spatial import cross, numbers, room, rotation
+
+Rows = slice | list[int]  # of an axis
 
 
 class Frames(NamedTuple):
     """Poses of the joint frames: frame 0 the first joint's before it turns, then the links'.
 
-    Joint i turns about z of frame i - 1, or slides along it, and carries frame i.
+    Joint i turns about z of frame i - 1, or slides along it, and carries frame i. Of r arms
+    side by side each has its own frame 0, before its links'.
     """
 
-    rotations: Array  # (..., n + 1, 3, 3) from the frame's axes to the platform's
-    positions: Array  # (..., n + 1, 3) m
+    rotations: Array  # (..., n + r, 3, 3) from the frame's axes to the platform's
+    positions: Array  # (..., n + r, 3) m
     ways: Array  # (..., n, 3) from each frame to the next [m]
+    joints: Rows  # of the frames in which the joints turn
+    links: Rows  # of the frames that they carry
 
     @property
     def rotation(self) -> Array:
         """(..., n, 3, 3) of the links' frames."""
-        return self.rotations[..., 1:, :, :]
+        return self.rotations[..., self.links, :, :]
 
     @property
     def position(self) -> Array:
         """(..., n, 3) of the links' frames [m]."""
-        return self.positions[..., 1:, :]
+        return self.positions[..., self.links, :]
 
     @property
     def axis(self) -> Array:
         """(..., n, 3) of the joints, unit vectors."""
-        return self.rotations[..., :-1, :, 2]
+        return self.rotations[..., self.joints, :, :][..., 2]
 
     @property
     def origin(self) -> Array:
         """(..., n, 3) points on the joints' axes [m]."""
-        return self.positions[..., :-1, :]
+        return self.positions[..., self.joints, :]
+
+
+def frame_rows(roots: Sequence[Root], n: int) -> tuple[Rows, Rows]:
+    """Return the rows of n joints' frames, and of their links', each arm's frame 0 among them.
+
+    Of one arm slices: its arrays are views.
+    """
+    if len(roots) == 1:
+        return slice(None, -1), slice(1, None)
+    joints = [i + k for k, span in enumerate(spans(roots, n)) for i in range(n)[span]]
+    return joints, [row + 1 for row in joints]
 
 
 def frames(arm: Mechanism, q: npt.ArrayLike) -> Frames:
     """Return the pose of every joint frame in the platform-top frame (thesis B.3), at joint
     angles q (..., n) [rad].
     """
-    angles, (foot, place) = np.asanyarray(numbers(q), order="F"), arm.start
+    angles, roots = np.asanyarray(numbers(q), order="F"), arm.roots
     batch, n = angles.shape[:-1], len(arm.joints)
+    rows, r = frame_rows(roots, n), len(roots)
+    at, beyond = (range(n + r)[k] if isinstance(k, slice) else k for k in rows)
     same, other = _swings(arm.joints, angles)
-    rotations, positions = room(angles, *batch, n + 1, 3, 3), room(angles, *batch, n + 1, 3)
+    rotations, positions = room(angles, *batch, n + r, 3, 3), room(angles, *batch, n + r, 3)
     ways = room(angles, *batch, n, 3)
-    rotations[..., 0, :, :], positions[..., 0, :] = foot, place
+    for first, foot, place in roots:
+        rotations[..., at[first], :, :], positions[..., at[first], :] = foot, place
     for i, joint in enumerate(arm.joints):
-        before, R, way = rotations[..., i, :, :], rotations[..., i + 1, :, :], ways[..., i, :]
+        before, R = rotations[..., at[i], :, :], rotations[..., beyond[i], :, :]
+        way = ways[..., i, :]
         z, (cosine, sine) = before[..., 2], joint.alpha
         swung = R[..., ::2] if cosine == 0.0 else R[..., :2]
         np.multiply(same[..., i, None, :], before[..., :2], out=swung)
@@ -84,8 +105,8 @@ def frames(arm: Mechanism, q: npt.ArrayLike) -> Frames:
             way += joint.d * z
         if joint.beta is not None:  # z towards x
             R[..., ::-2] = _turned(R[..., ::-2], joint.beta)
-        np.add(positions[..., i, :], way, out=positions[..., i + 1, :])
-    return Frames(rotations, positions, ways)
+        np.add(positions[..., at[i], :], way, out=positions[..., beyond[i], :])
+    return Frames(rotations, positions, ways, *rows)
 
 
 def _swings(joints: tuple[JointFrame, ...], q: Array) -> tuple[Array, Array]:
@@ -136,7 +157,10 @@ def joint_positions(arm: Arm, q: npt.ArrayLike) -> Array:
     Returns:
         (..., n + 1, 3) points [m]; the last is the tool (the far end of the last link).
     """
-    out = np.ascontiguousarray(frames(arm, joint_values(arm, q)).positions)
+    at = frames(arm, joint_values(arm, q))
+    out = np.ascontiguousarray(at.positions)
+    if arm.beside:
+        out = out[..., [0, *np.arange(arm.n + len(arm.roots))[at.links]], :]
     out[..., 0, :] = 0.0
     return out
 
@@ -190,6 +214,7 @@ def tool_motions(arm: Mechanism, at: Frames) -> Array:
     for i, joint in enumerate(arm.joints):
         if joint.slides:
             out[..., i, :3], out[..., i, 3:] = at.axis[..., i, :], 0.0
+    out[..., : arm.roots[-1].first, :] = 0.0  # other arms do not move this one's tool
     return out
 
 

@@ -125,7 +125,7 @@ def _every(arm: Arm, shape: _Shape, place: Array, turn: Array) -> Iterator[_Turn
     """Yield the eight configurations, angles (..., 6) of the DH table, with the tool at `place`
     (..., 3) [m] and `turn` (..., 3, 3) in the platform-top frame."""
     links = arm.links
-    ground, foot = arm.start
+    _, ground, foot = arm.roots[0]
     # axes of the last link, and the point where the last three meet, in the first joint's
     hand = ground.T @ turn @ arm.tool_rotation.T
     end, side, ahead = (hand[..., k] for k in range(3))

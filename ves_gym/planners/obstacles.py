@@ -95,8 +95,10 @@ def read_surroundings(path: str | os.PathLike[str]) -> Surroundings:
 
 def link_radius(arm: Arm, i: int) -> float:
     """Radius of link i's capsule, from 0: nominal, this project [m]."""
-    size = float(sum(math.hypot(k.a, k.d) for k in arm.links))
-    return _THICKNESS * size * (1 - _TAPER * i / arm.n)
+    span = arm.span_of(i)
+    links = arm.links[span]
+    size = float(sum(math.hypot(k.a, k.d) for k in links))
+    return _THICKNESS * size * (1 - _TAPER * (i - span.start) / len(links))
 
 
 class Proximity(NamedTuple):
@@ -259,11 +261,12 @@ def _add_arm(spec: Any, arm: Arm) -> None:
     """Capsules along every link, and the tool."""
     if arm.n >= _AROUND:
         raise ParameterError(f"collisions know {_AROUND - 1} links, got {arm.n}")
+    firsts = {root.first for root in arm.roots}
     for i, link in enumerate(arm.links):
         body, r = spec.body(f"link_{i + 1}"), link_radius(arm, i)
         # meets what surrounds it and every link before it but its neighbour
-        affinity = (1 << _AROUND) | ((1 << (_AROUND + 1)) if i else 0)
-        affinity |= sum(1 << j for j in range(i - 1))
+        affinity = (1 << _AROUND) | ((1 << (_AROUND + 1)) if i not in firsts else 0)
+        affinity |= sum(1 << j for j in range(i if i in firsts else i - 1))
         if link.shape is not None:
             R, p = link.far_end
             for k, capsule in enumerate(link.shape):
@@ -297,6 +300,7 @@ def _too_close(arm: Arm) -> list[tuple[int, int]]:
         (i, j)
         for i, j in itertools.combinations(slim, 2)
         if j > i + 1
+        and arm.span_of(i) == arm.span_of(j)
         and sum(math.hypot(k.a, k.d) for k in arm.links[i + 1 : j])
         <= link_radius(arm, i) + link_radius(arm, j)
     ]

@@ -186,7 +186,9 @@ class Drawing:
         return max((k.radius for shape in shapes for k in shape or ()), default=0.1)
 
     def _radius(self, i: int) -> float:
-        links = self.system.arm.links
+        arm = self.system.arm
+        span = arm.span_of(min(i, arm.n - 1))
+        links, i = arm.links[span], i - span.start
         boom = max((k + 1 for k, link in enumerate(links) if link.flexures), default=0)
         if i < boom:  # as thick as the members between its joints
             return self._boom_radius

@@ -135,9 +135,13 @@ class Stage:
 
     def _fit(self, arm: mujoco.MjrRect, overview: mujoco.MjrRect) -> None:
         """One camera on all places the arm can reach, one on the whole structure."""
-        links, ways = self.settings.system.arm.links, np.vstack([np.eye(3), -np.eye(3)])
-        shoulder, below = np.array([0.0, 0.0, links[0].d]), np.array([0.0, 0.0, -_ARROW])
-        reach = sum(math.hypot(k.a, k.d) for k in links[1:])
+        whole, ways = self.settings.system.arm, np.vstack([np.eye(3), -np.eye(3)])
+        shoulder, below = np.array([0.0, 0.0, whole.links[0].d]), np.array([0.0, 0.0, -_ARROW])
+        reach = 0.0
+        for root, span in zip(whole.roots, whole.spans, strict=True):
+            away = math.dist(root.position, whole.roots[0].position)
+            length = sum(math.hypot(k.a, k.d) for k in whole.links[span][1:])
+            reach = max(reach, away + length)
         payload = self.settings.system.payload
         if payload is not None:
             reach += float(payload.edges.max())

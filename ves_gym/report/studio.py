@@ -71,6 +71,7 @@ def playable(system: System) -> System:
     arm, base = system.arm, system.base
     arm.require_rigid("the studio")
     arm.require_turning("the studio")
+    arm.require_alone("the studio")
     for what, there in (
         ("gears that give way", arm.geared),
         ("wheels or appendages on its base", base.carried),

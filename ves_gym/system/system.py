@@ -8,7 +8,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import InitVar, dataclass
 from functools import cached_property
 from typing import Any
 
@@ -24,8 +25,9 @@ from ves_gym._util.params import (
     write_table,
 )
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.arm_library import PUMA_560, get_arm
+from ves_gym.mechanics.arm_library import PUMA_560, arm_from, get_arm
 from ves_gym.mechanics.payload import Contact, Payload
+from ves_gym.mechanics.side_by_side import side_by_side
 from ves_gym.mechanics.vehicle import (
     BENT,
     BaseModel,
@@ -57,6 +59,8 @@ class System:
     `contact` gives the tool, and what it meets, surfaces that push on each other.
     `drive` motor gives the joints torque-limited motors with servo gains; prescribed
     makes them follow their command exactly, whatever the base does (a perfect servo).
+    `arms` are several arms on one base, each where it stands (`Arm.at`): `arm` is then all of
+    them, their joints in this order, and the last one's tool is the tool.
     The control period must be a whole number of physics steps.
     """
 
@@ -71,8 +75,13 @@ class System:
     control_dt: float = unit("s", default=12.5e-3)  # 80 Hz, thesis 2.4.2
     payload: Payload | None = None
     contact: Contact | None = None
+    arms: InitVar[Sequence[Arm] | None] = None  # instead of `arm`: several on one base
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, arms: Sequence[Arm] | None) -> None:
+        if arms is not None:
+            if self.arm is not PUMA_560:
+                raise ParameterError("System takes arm or arms, got both")
+            object.__setattr__(self, "arm", side_by_side(arms))
         require_choice(self, "mode", MODES)
         require_choice(self, "drive", DRIVES)
         require_choice(self, "integrator", INTEGRATORS)
@@ -97,6 +106,7 @@ class System:
             )
         if self.mode == "emulated":
             self.arm.require_turning("mode emulated")
+            self.arm.require_alone("mode emulated")
         if self.mode == "emulated" and isinstance(self.vehicle, Satellite):
             self._require_a_body_alone(self.vehicle)
         if self.contact is not None:
@@ -231,6 +241,9 @@ class System:
         """
         if isinstance(plain, dict) and isinstance(plain.get("vehicle"), str):
             plain = {**plain, "vehicle": to_plain(get_vehicle(plain["vehicle"]))}
+        if isinstance(plain, dict) and isinstance(plain.get("arms"), list):
+            several = side_by_side([arm_from(k) for k in plain["arms"]])
+            plain = {k: v for k, v in plain.items() if k != "arms"} | {"arm": to_plain(several)}
         if isinstance(plain, dict) and isinstance(plain.get("arm"), str):
             plain = {**plain, "arm": to_plain(get_arm(plain["arm"]))}
         system: System = from_plain(System, plain, where)

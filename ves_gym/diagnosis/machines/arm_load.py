@@ -163,7 +163,8 @@ def bodies_of(arm: Arm) -> Hashable:
 
 def _lengths(arm: Arm) -> Hashable:
     """What the numbers of bodies are multiplied by, beside the motion."""
-    return arm.mount, tuple((k.d, k.a, k.alpha, k.beta, k.offset, k.slides) for k in arm.links)
+    lengths = tuple((k.d, k.a, k.alpha, k.beta, k.offset, k.slides) for k in arm.links)
+    return arm.mount, arm.beside, lengths
 
 
 def _columns(x: Array) -> Any:

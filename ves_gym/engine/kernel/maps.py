@@ -112,7 +112,7 @@ def motion_loads(
         mass, com, moments, rotors = np.split(numbers, np.cumsum([1, 3, 6]) * (n + 1))
         square = moments.reshape(n + 1, 6)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
         bodies = LinkBodies(mass, com.reshape(n + 1, 3), square, rotors)
-        chain = Chain(arm.joints, arm.start, bodies)
+        chain = Chain(arm.joints, arm.roots, bodies)
         q, v, a, spin, turn, accel = motion
         return newton_euler(chain, q, v, a, spin=spin, turn=turn, accel=accel)
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.engine.kernel.symbolic import Traced, column, expressions, symbols, traced
-from ves_gym.mechanics.arm import STILL, Chain, JointFrame, LinkBodies
+from ves_gym.mechanics.arm import STILL, Chain, JointFrame, LinkBodies, Root
 from ves_gym.mechanics.carried import ReactionWheel
 from ves_gym.mechanics.dynamics import merged
 from ves_gym.mechanics.equations import InnerModes, Model, Springs
@@ -182,7 +182,7 @@ def _read(system: System, read: _Reader) -> Model:
         for i, part in enumerate(base.carried if ideal else (), start=1)
     )
     jets = ideal and has_jets(system.vehicle)
-    rigid = _Joints(arm.joints, arm.start, host, links, rotors, list(range(n)))
+    rigid = _Joints(arm.joints, arm.roots, host, links, rotors, list(range(n)))
     places = rigid if flexible is None else flexible
     chain, driven, passive = places.unfolded(set(arm.geared))
     return Model(
@@ -222,7 +222,7 @@ class _Joints:
     """The joints of an arm and what they carry, from which a chain is made."""
 
     joints: Sequence[JointFrame]
-    start: tuple[Array, Array]
+    roots: Sequence[Root]
     base: Body
     links: Sequence[Body]
     rotors: Sequence[Array]
@@ -233,7 +233,7 @@ class _Joints:
         bodies = [self.base, *self.links]
         mass, com, inertia = (np.stack([body[k] for body in bodies]) for k in range(3))
         numbers = LinkBodies(mass, com, inertia, np.stack(self.rotors))
-        return Chain(tuple(self.joints), self.start, numbers)
+        return Chain(tuple(self.joints), tuple(self.roots), numbers)
 
     def unfolded(self, geared: set[int]) -> tuple[Chain, list[int], list[int]]:
         """The chain with a joint for each gear, after its rotor; places of the n joints, and
@@ -243,9 +243,11 @@ class _Joints:
         driven: list[int] = []
         gears: list[int] = []
         flexures: list[int] = []
+        places: list[int] = []
         for place, (joint, link, rotor) in enumerate(
             zip(self.joints, self.links, self.rotors, strict=True)
         ):
+            places.append(len(rows))
             if place not in self.driven:
                 flexures.append(len(rows))
             elif len(driven) in geared:
@@ -257,7 +259,8 @@ class _Joints:
                 driven.append(len(rows))
             rows.append((joint, link, rotor))
         joints, links, rotors = zip(*rows, strict=True)
-        expanded = replace(self, joints=joints, links=links, rotors=rotors)
+        roots = [root._replace(first=places[root.first]) for root in self.roots]
+        expanded = replace(self, joints=joints, roots=roots, links=links, rotors=rotors)
         return expanded.chain(), driven, [*gears, *flexures]
 
 
@@ -282,7 +285,7 @@ def _flexible(
     ]
     by_place = dict(zip(expanded.driven, rotors, strict=True))
     behind = [by_place.get(k, np.zeros(())) for k in range(expanded.arm.n)]
-    joints = expanded.arm.joints, expanded.arm.start
+    joints = expanded.arm.joints, expanded.arm.roots
     return _Joints(*joints, base, links, behind, list(expanded.driven)), numbers
 
 
@@ -388,6 +391,8 @@ def geometry(arm: Arm) -> str:
     lengths: list[Any] = [(k.d, k.a, k.alpha, k.beta, k.offset) for k in arm.links]
     if arm.sliding:
         lengths.append(arm.sliding)
+    if arm.beside:
+        lengths.append([(limb.joints, limb.mount) for limb in arm.beside])
     if arm.bends:
         chain = expand(arm)
         lengths += [(k.d, k.a, k.alpha, k.beta, k.offset) for k in chain.arm.links]
