@@ -113,9 +113,9 @@ def wheels_of(given, hub):
     factory = simIncludeRW.rwFactory()
     for row, speed in zip(given["wheels"], given["wheel_speed"], strict=True):
         factory.create(
-            "custom", row[:3], Omega=float(speed / macros.RPM), Js=float(row[3]), useRWfriction=True,
-            useMaxTorque=False, useMinTorque=False, cViscous=float(row[4]),
-            fCoulomb=float(row[5]), RWModel=messaging.BalancedWheels,
+            "custom", row[:3], Omega=float(speed / macros.RPM), Js=float(row[3]),
+            cViscous=float(row[4]), fCoulomb=float(row[5]), RWModel=messaging.BalancedWheels,
+            useRWfriction=True, useMaxTorque=False, useMinTorque=False,
         )  # fmt: skip
     effector = reactionWheelStateEffector.ReactionWheelStateEffector()
     factory.addToSpacecraft("wheels", effector, hub)
