@@ -3,7 +3,8 @@
 Impacts last and rebound as the closed form of the linear spring and damper says, whatever the
 masses; friction follows Coulomb's closed forms; momentum stays, and the energy that contact
 takes is accounted for. Plain MuJoCo, on a model written by hand, gives the same trajectory
-through contact, capture and after it.
+through contact, capture and after it: by its own contact without friction, and by forces that
+its own distances give, applied at its own points, with it.
 """
 
 from dataclasses import replace
@@ -16,10 +17,11 @@ from tests.free_bodies import NO_ARM, rebound
 from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.attitude import conjugate, from_angles, rotate
+from ves_gym.mechanics.contact import Contact, ContactShape
 from ves_gym.mechanics.kinematics import tool_frame, tool_jacobian
 from ves_gym.mechanics.latch import momentum_of, tool_motion
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.payload import Contact, ContactShape, Payload
+from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.spatial import twist
 from ves_gym.mechanics.vehicle import FREE_FLOATING, Satellite
 from ves_gym.simulation.playback import play_motions
@@ -96,7 +98,8 @@ def test_an_impact_lasts_and_rebounds_as_the_closed_form_says(mass, ratio):
 )
 def test_friction_slides_and_rolls_as_coulomb_says(speed, friction, closed):
     mass, stiffness, damping, dt = 2.0, 1e5, 100.0, 2.5e-4
-    law = {"stiffness": stiffness, "damping": damping, "friction": friction, "slip_time": 2e-3}
+    law = {"stiffness": stiffness, "damping": damping, "friction": friction}
+    law["tangential_damping"] = 250.0
     sim = wall(mass, (0.3, speed), law, dt)
     through(sim, GAP / 0.3 + 0.03)
     _, restitution = rebound(mass, stiffness, damping)
@@ -122,7 +125,7 @@ def meeting(shape: ContactShape, tool: ContactShape = PAD, **law) -> System:
         spin=(0.1, 0.2, 0.3),
         latch_distance=1.0,
     )
-    said = {"stiffness": 2e4, "damping": 60.0, "friction": 0.2, **law}
+    said = {**contact_mjcf.LAW, **law}
     contact = Contact(tool=(tool,), target=(shape,), **said)
     return System(vehicle=FREE_FLOATING, payload=payload, contact=contact)
 
@@ -130,15 +133,18 @@ def meeting(shape: ContactShape, tool: ContactShape = PAD, **law) -> System:
 BALL = ContactShape(form="sphere", size=(contact_mjcf.BALL["radius"],))
 
 
-def test_plain_mujoco_gives_the_same_trajectory_through_contact_and_capture():
-    sim = Simulator(meeting(BALL))
-    assert sim.backend_name == "mujoco"
+@pytest.mark.parametrize("friction", [0.0, 0.2])
+def test_plain_mujoco_gives_the_same_trajectory_through_contact_and_capture(friction):
+    law = {} if friction else {"friction": 0.0, "tangential_damping": 0.0}
+    sim = Simulator(meeting(BALL, **law))
+    assert sim.backend_name == "kernel"
     rates = np.array([0.2, -0.1, 0.15])
     sim.reset(q=HOME, v=rates)
     payload, kp, kd = sim.system.payload, np.array(sim.servo.kp), np.array(sim.servo.kd)
     origin = np.array(payload.velocity) - np.cross(payload.spin, payload.inertial.com)
     start = np.array(payload.position), np.array([1.0, 0, 0, 0]), origin, np.array(payload.spin)
-    theirs, force = contact_mjcf.run(kp, kd, HOME, rates, start, HOME, (80, 120))
+    push = contact_mjcf.push if friction else None
+    theirs, force = contact_mjcf.run(kp, kd, HOME, rates, start, HOME, (80, 120), push)
     hold = sim.servo_command(HOME[None], np.zeros((1, 3)))
     mine, wrench = [], []
     for period in range(21):
@@ -152,23 +158,51 @@ def test_plain_mujoco_gives_the_same_trajectory_through_contact_and_capture():
     error = np.abs(np.array(mine) - theirs[::10]).max()
     off = np.abs(np.array(wrench)[:8] + force[:80:10]).max()
     print(f"trajectory {error:.1e} m, rad; force {off:.1e} of {np.abs(force).max():.3g} N")
-    assert error <= 1e-7
-    assert off <= 1e-5 * np.abs(force).max()
+    # MuJoCo states its own contact as a constraint, which is off by its least impedance, 1e-4
+    assert error <= (1e-11 if friction else 1e-7)
+    assert off <= (1e-9 if friction else 1e-4) * np.abs(force).max()
     assert np.abs(theirs[-1] - theirs[0]).max() > 0.01
+
+
+def test_plain_mujoco_gives_the_same_trajectory_of_a_pin_into_a_funnel():
+    across, length, radii = np.array([0.0, 0.0, 1.0]), 0.1, (0.12, 0.055)
+    centre = TOOL + (length / 2 - 0.043) * TOWARDS + 0.03 * across
+    tilt, heading = np.arccos(TOWARDS[2]), np.arctan2(TOWARDS[1], TOWARDS[0])
+    place = Mount(position=tuple(centre), angles=(0.0, tilt, heading))
+    cone = ContactShape(form="cone", size=(*radii, length), place=place)
+    contact = replace(meeting(BALL).contact, on="space", target=(cone,))
+    sim = Simulator(System(vehicle=FREE_FLOATING, contact=contact))
+    # near enough for no motor to reach its limit, which the judge has not
+    hold = HOME + np.linalg.solve(tool_jacobian(PUMA_560, HOME), 0.012 * TOWARDS)
+    sim.reset(q=HOME)
+    far = np.array([9.0, 0, 0]), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3)
+    push = contact_mjcf.funnel(centre, TOWARDS, *radii, length)
+    gains = np.array(sim.servo.kp), np.array(sim.servo.kd)
+    theirs, _ = contact_mjcf.run(*gains, HOME, np.zeros(3), far, hold, (400, 0), push)
+    command, mine, touched = sim.servo_command(hold[None], np.zeros((1, 3))), [], 0
+    for _ in range(41):
+        s = sim.state
+        mine.append(np.r_[s.q[0], s.y[0, :3], s.attitude[0]])
+        touched += bool(sim.contact.measured()[0].any())
+        sim.step(command)
+    error = np.abs(np.array(mine) - theirs[::10, :10]).max()
+    print(f"{error:.1e} m, rad over {touched} of 41 periods in contact")
+    assert touched > 5
+    assert error <= 1e-12
 
 
 SHAPES = [
     ContactShape(form="sphere", size=(0.2,)),
     ContactShape(form="box", size=(0.4, 0.3, 0.3), place=Mount(angles=(0.1, 0.0, 0.2))),
-    ContactShape(form="cylinder", size=(0.2, 0.3)),
+    ContactShape(form="cone", size=(0.17, 0.05, 0.4), place=Mount(angles=(0.0, -1.4, 0.2))),
     ContactShape(form="capsule", size=(0.1, 0.2), place=Mount(angles=(0.0, 1.5, 0.2))),
 ]
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=[k.form for k in SHAPES])
 def test_momentum_stays_and_the_ledger_closes(shape):
-    pad = ContactShape(form="box", size=(0.1, 0.1, 0.1)) if shape.form == "box" else PAD
-    system = meeting(shape, pad)
+    bar = ContactShape(form="capsule", size=(0.05, 0.2), place=Mount(angles=(0.4, 0.0, 0.0)))
+    system = meeting(shape, bar if shape.form == "capsule" else PAD)
     motion = Motion.straight(HOME, HOME + 0.05, 0.25)
     log = play_motions(system, [motion], settle=0.2, record_dt=system.physics_dt).log(0)
     body = system.payload.inertial
@@ -184,7 +218,7 @@ def test_momentum_stays_and_the_ledger_closes(shape):
     assert np.abs(impulse - gained).max() <= 0.01 * np.linalg.norm(gained)
     balance = EnergyBalance.of(log)
     print(f"{shape.form}: {balance}, lost {balance.dissipated[-1]:.3g} J")
-    assert balance.relative <= 2e-3
+    assert balance.relative <= 2e-4
     assert balance.dissipated[-1] > 0.02
     assert np.diff(balance.dissipated).min() >= -1e-4
     wrong = EnergyBalance.of(replace(log, contact=0.0 * log.contact))

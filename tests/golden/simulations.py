@@ -191,7 +191,7 @@ def touched(on: str) -> dict[str, Any]:
         payload = {"inertial": body, "position": place}
     else:
         payload, ball = None, {**ball, "place": {"position": place}}
-    law = {"stiffness": 2e4, "damping": 80.0, "friction": 0.2, "slip_time": 0.01}
+    law = {"stiffness": 2e4, "damping": 80.0, "friction": 0.2, "tangential_damping": 200.0}
     contact = {"tool": [{"form": "sphere", "size": [0.05]}], "target": [ball], "on": on, **law}
     table = {"vehicle": "free-floating", "contact": contact}
     described = system(**table) if payload is None else system(**table, payload=payload)

@@ -10,9 +10,10 @@ from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.boom import get_boom
+from ves_gym.mechanics.contact import Contact, ContactShape
 from ves_gym.mechanics.kinematics import tool_frame
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.payload import Contact, ContactShape, Payload
+from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
@@ -36,7 +37,9 @@ CONTACT = Contact(
     stiffness=2e4,
     damping=60.0,
     friction=0.2,
+    tangential_damping=200.0,
 )
+BOX = ContactShape(form="box", size=(0.1, 0.1, 0.1))
 SYSTEM = System(vehicle=FREE_FLOATING, payload=PAYLOAD, contact=CONTACT, physics_dt=2.5e-3)
 
 
@@ -127,9 +130,9 @@ def test_a_flexible_base_takes_its_part():
 
 
 def test_other_engines_name_the_one_that_can():
-    with pytest.raises(ParameterError, match=r"backend kernel has no contact .* use mujoco"):
-        Simulator(SYSTEM, backend="kernel")
-    assert Simulator(SYSTEM).backend_name == "mujoco"
+    with pytest.raises(ParameterError, match=r"backend mujoco has no contact .* use kernel"):
+        Simulator(SYSTEM, backend="mujoco")
+    assert Simulator(SYSTEM).backend_name == "kernel"
 
 
 @pytest.mark.parametrize(
@@ -144,11 +147,16 @@ def test_other_engines_name_the_one_that_can():
         (lambda: replace(CONTACT, stiffness=0.0), "stiffness must be > 0"),
         (lambda: replace(CONTACT, on="moon"), "on must be one of"),
         (lambda: replace(CONTACT, tool=()), "tool must be one shape"),
-        (lambda: ContactShape(form="cone", size=(1.0,)), "form must be one of"),
-        (lambda: ContactShape(form="box", size=(1.0, 1.0)), "size of a box"),
+        (lambda: ContactShape(form="torus", size=(1.0,)), "form must be one of"),
         (
-            lambda: SYSTEM.replace(contact=replace(CONTACT, slip_time=1e-3)),
-            "slip_time must be >= 2 physics steps",
+            lambda: replace(CONTACT, tool=(BOX,), target=(BOX,)),
+            "no law for a box that meets a box: one of two",
+        ),
+        (lambda: ContactShape(form="box", size=(1.0, 1.0)), "size of a box"),
+        (lambda: replace(CONTACT, friction=0.0), "friction and tangential_damping must be > 0"),
+        (
+            lambda: Simulator(SYSTEM.replace(contact=replace(CONTACT, tangential_damping=1e5))),
+            r"physics_dt must be <= .* s for a contact of 20000 N/m and 100000 N s/m",
         ),
         (
             lambda: Simulator(SYSTEM.replace(contact=replace(CONTACT, stiffness=1e8))),

@@ -16,6 +16,7 @@ import numpy as np
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Chain
 from ves_gym.mechanics.carried import inertia_of, load_of, passive_effort
+from ves_gym.mechanics.contact import ContactLoad, ContactModel, contact_load
 from ves_gym.mechanics.dynamics import inertia_parts, newton_euler
 from ves_gym.mechanics.gravity import GRAVITY
 from ves_gym.mechanics.spatial import (
@@ -72,6 +73,7 @@ class Model:
     jets: Array | None  # (6,) their wrench, platform axes
     emulated: bool  # on a platform that goes where it is told, under gravity
     balanced: bool  # the links' weight is carried outside the motors
+    contact: ContactModel | None  # of the tool
 
     @property
     def n(self) -> int:
@@ -84,6 +86,11 @@ class Model:
         modes = 0 if self.modes is None else self.modes.stiffness.shape[-1]
         return len(self.passive) + len(self.carried) + modes
 
+    @property
+    def floating(self) -> int:
+        """Coordinates behind these: a payload that is touched."""
+        return 0 if self.contact is None else self.contact.floating
+
     def along(self, driven: Array, passive: Array) -> Array:
         """(..., joints of the chain) from what the n joints and the springs have."""
         if not self.passive:
@@ -95,7 +102,7 @@ class Model:
     def parted(self, hidden: Array) -> tuple[Array, Array, Array]:
         """Coordinates of springs, of what the base carries and of its modes."""
         p, k = len(self.passive), len(self.passive) + len(self.carried)
-        return hidden[..., :p], hidden[..., p:k], hidden[..., k:]
+        return hidden[..., :p], hidden[..., p:k], hidden[..., k : self.hidden]
 
 
 class StateRate(NamedTuple):
@@ -111,7 +118,8 @@ def motion(model: Model, x: Array, u: Array, step: float | None = None) -> State
     """Return the rate of a state.
 
     Args:
-        x: (..., 2 (6 + n + h)): z, what is hidden, and the rates of both.
+        x: (..., 2 (6 + n + h)): z, what is hidden, and the rates of both; a payload that is
+            touched is the last that is hidden.
         u: (..., 6 + n) force on Y or, emulated, acceleration of the platform; joint commands.
         step: of an integrator that takes what resists motion implicitly, as MuJoCo's
             implicitfast [s]; None: none.
@@ -120,6 +128,7 @@ def motion(model: Model, x: Array, u: Array, step: float | None = None) -> State
     z, zd = x[..., :size], x[..., half : half + size]
     (d, c, s), (dd, cd, sd) = map(model.parted, (x[..., size:half], x[..., half + size :]))
     base = body_fixed(model, z, u[..., :6])
+    load = touch(model, x)
     ask, drive = drive_torque(model, z, zd, u[..., 6:])
     joints = model.along(driven_torque(model, z, zd, drive), spring_torque(model, d, dd))
     pose, moving = along_the_chain(model, z, d), along_the_chain(model, zd, dd)
@@ -129,6 +138,8 @@ def motion(model: Model, x: Array, u: Array, step: float | None = None) -> State
         zdd, wrench = on_platform(model, pose, moving, base, joints, implicit)
     else:
         push, sdd = mode_forces(model, z, zd, s, sd)
+        if load is not None:
+            push, joints = push + load.base, joints + load.joints
         mass, loads = balance_of_forces(model, pose, moving, base + push, joints)
         if implicit is not None:
             mass = mass + implicit
@@ -141,8 +152,22 @@ def motion(model: Model, x: Array, u: Array, step: float | None = None) -> State
         np.concatenate([zdd[..., :6], joint[..., model.driven]], axis=-1),
         joint[..., model.passive],
     )
-    rate = np.concatenate([x[..., half:], zdd, ddd, cdd, sdd], axis=-1)
+    floats = z[..., :0] if load is None else load.floating
+    rate = np.concatenate([x[..., half:], zdd, ddd, cdd, sdd, floats], axis=-1)
     return StateRate(rate, zdd, drive, wrench)
+
+
+def touch(model: Model, x: Array) -> ContactLoad | None:
+    """Return what contact at the tool does in a state, as `motion` takes it; None without."""
+    if model.contact is None:
+        return None
+    half, size = x.shape[-1] // 2, 6 + model.n
+    pose, moving = (
+        along_the_chain(model, k[..., :size], model.parted(k[..., size:])[0])
+        for k in (x[..., :half], x[..., half:])
+    )
+    b, bd = (k[..., size + model.hidden :] for k in (x[..., :half], x[..., half:]))
+    return contact_load(model.contact, model.chain, pose, moving, b, bd)
 
 
 def along_the_chain(model: Model, z: Array, d: Array) -> Array:

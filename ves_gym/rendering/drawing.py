@@ -16,12 +16,12 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.engine.mjcf import LEAST, TO_Y, add_carried, build_spec, places
-from ves_gym.engine.mjcf_contact import add_shape, geom_of, tool_in_link
 from ves_gym.mechanics.arm import Inertial
 from ves_gym.mechanics.attitude import to_matrix
 from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import Appendage, Beam, FlexibleBase, beam_line
+from ves_gym.rendering.surfaces import add_surface, solids
 from ves_gym.system.system import System
 
 BACKGROUND = (0.075, 0.090, 0.125)
@@ -161,16 +161,17 @@ class Drawing:
 
     def _add_surfaces(self, spec: Any) -> None:
         """What the tool touches with, and what it meets on the base or in space."""
-        contact, n = self.system.contact, self.system.arm.n
+        contact, arm = self.system.contact, self.system.arm
         if contact is None:
             return
+        turn, place = arm.links[-1].far_end
         for shape in contact.tool:
-            place = tool_in_link(self.system.arm)
-            add_shape(spec.body(f"link_{n}"), shape, *place, rgba=_SURFACE)
+            link = spec.body(f"link_{arm.n}")
+            add_surface(link, shape, place, turn @ arm.tool_rotation, _SURFACE)
         if contact.on != "payload":
             body = spec.body("platform") if contact.on == "base" else spec.worldbody
             for shape in contact.target:
-                add_shape(body, shape, np.zeros(3), np.eye(3), rgba=_SURFACE)
+                add_surface(body, shape, np.zeros(3), np.eye(3), _SURFACE)
 
     @property
     def _rim(self) -> Array:
@@ -280,8 +281,8 @@ class Drawing:
         place, turn = pose[:3], to_matrix(pose[3:])
         if contact is not None and contact.on == "payload":
             for shape in contact.target:
-                at = place + turn @ np.array(shape.place.position)
-                self._show(*geom_of(shape), at, turn @ shape.place.rotation, _PAYLOAD)
+                for solid in solids(shape, place, turn):
+                    self._show(*solid, _PAYLOAD)
         else:
             middle = place + turn @ np.array(payload.inertial.com)
             self._show(mujoco.mjtGeom.mjGEOM_BOX, payload.edges / 2, middle, turn, _PAYLOAD)

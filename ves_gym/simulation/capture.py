@@ -158,8 +158,7 @@ class PayloadHandler(NotingPart):
         self.grip = np.array([k.grip.position for k in self.described])
         self.grip_axes = np.array([k.grip.rotation for k in self.described])
         self._refit(ids[self.carried[ids]])
-        self._describe()
-        self._note_motion(ids)
+        self._put(ids)
 
     def reset(self, machines: Machines, ids: Index, start: State) -> None:
         """See `Part`. Payloads are free at their described starts, with described numbers."""

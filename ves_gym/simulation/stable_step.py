@@ -15,10 +15,10 @@ import numpy.typing as npt
 from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.carried import Appendage, carried_inertia
+from ves_gym.mechanics.contact import Contact
 from ves_gym.mechanics.dynamics import drawn_configurations, inertia
 from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.latch import tool_motion
-from ves_gym.mechanics.payload import Contact
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
@@ -68,31 +68,34 @@ def with_stable_step(system: System, servo: JointServo = OWN_GAINS) -> System:
 
 
 def _require_stable_contact(system: System, contact: Contact) -> None:
-    """Refuse a step too long for the contact's spring between the lightest it can push, q = 0.
+    """Refuse a step too long for the contact's springs between the lightest they can push.
 
     The inverse mass at a point of a body grows with its distance r from where the body's
     inverse inertia is taken: at most (sqrt(linear) + r sqrt(angular))^2.
     """
     arm, base = system.arm, system.base
-    hidden = np.zeros(len(arm.geared) + len(base.carried))
+    q = drawn_configurations(arm)[:_JUDGED]
+    hidden = np.zeros((len(q), len(arm.geared) + len(base.carried)))
     inertia = PRESCRIBED_INERTIA if system.drive == "prescribed" else 0.0
-    tool = tool_motion(arm, base, np.zeros(6), np.zeros(arm.n), hidden, inertia)
-    inverse = tool.J @ np.linalg.solve(tool.mass, tool.J.T)
-    linear, angular = (np.linalg.eigvalsh(inverse[k : k + 3, k : k + 3])[-1] for k in (0, 3))
+    tool = tool_motion(arm, base, np.zeros((len(q), 6)), q, hidden, inertia)
+    inverse = tool.J @ np.linalg.solve(tool.mass, np.swapaxes(tool.J, -1, -2))
+    linear, angular = (
+        np.linalg.eigvalsh(inverse[:, k : k + 3, k : k + 3])[:, -1] for k in (0, 3)
+    )
     lever = max(shape.lever for shape in contact.tool)
-    lightness = (math.sqrt(linear) + lever * math.sqrt(angular)) ** 2
+    lightness = float((np.sqrt(linear) + lever * np.sqrt(np.maximum(angular, 0))).max() ** 2)
     if contact.on == "payload" and system.payload is not None:
         body = system.payload.inertial
         lever = max(shape.lever for shape in contact.target) + float(np.linalg.norm(body.com))
         turning = 1 / float(np.linalg.eigvalsh(np.array(body.inertia))[0])
         lightness += (math.sqrt(1 / body.mass) + lever * math.sqrt(turning)) ** 2
-    stiffness, damping = (contact.points * k for k in (contact.stiffness, contact.damping))
-    poles = np.roots([1.0, damping * lightness, stiffness * lightness])
-    fastest = float(np.abs(poles).max())
+    damping = max(contact.damping, contact.tangential_damping)
+    share = contact.points * lightness
+    fastest = float(np.abs(np.roots([1.0, damping * share, contact.stiffness * share])).max())
     if fastest * system.physics_dt > _SURE:
         raise ParameterError(
             f"physics_dt must be <= {_SURE / fastest:.3g} s for a contact of"
-            f" {contact.stiffness:g} N/m and {contact.damping:g} N s/m (up to {contact.points}"
+            f" {contact.stiffness:g} N/m and {damping:g} N s/m (up to {contact.points}"
             f" points on {1 / lightness:.3g} kg), got {system.physics_dt:g} s"
         )
 

@@ -12,7 +12,7 @@ from ves_gym.simulation.machines import ControlPeriod, Machines, Part
 from ves_gym.simulation.state import State
 
 if TYPE_CHECKING:
-    from ves_gym.engine.backends.mujoco_contact import ContactBatch
+    from ves_gym.engine.backends.compiled import EngineContact
 
 
 class PayloadState(NamedTuple):
@@ -40,8 +40,8 @@ class ToolContact(Part):
         self.machines = machines
 
     @property
-    def engine(self) -> ContactBatch:
-        """The engine's contact of now: another one once systems have been assigned."""
+    def engine(self) -> EngineContact:
+        """The engine's contact."""
         contact = self.machines.backend.contact
         assert contact is not None
         return contact
@@ -49,7 +49,7 @@ class ToolContact(Part):
     def measured(self) -> tuple[Array, Array]:
         """Return the wrench on the tools (n, 6), and the energy in the contacts (n,) [J].
 
-        At this instant, under the command of now; inertial axes, at the tool.
+        At this instant; inertial axes, at the tool.
         """
         wrench, energy = self.engine.measured()
         turn = self.machines.charts.turn
@@ -70,18 +70,18 @@ class ToolContact(Part):
         """Give the engine the state in space of bodies `ids`, centres of mass `com` (k, 3)."""
         charts = self.machines.charts
         place, back = charts.place[ids], conjugate(charts.turn[ids])
-        self.engine.set_target(
-            ids,
+        moved = (
             rotate(back, bodies.position - place),
             product(back, bodies.attitude),
             rotate(back, bodies.velocity),
             bodies.spin,
-            com,
         )
+        self.engine.put(ids, np.concatenate(moved, axis=1), com)
 
     def bodies(self, ids: Index, com: Array) -> PayloadState:
         """State in space of bodies `ids`, from the engine; `com` (n, 3) of all bodies."""
-        at, attitude, velocity, spin = (part[ids] for part in self.engine.target(com))
+        rows = self.engine.bodies(com)[ids]
+        at, attitude, velocity, spin = np.split(rows, [3, 7, 10], axis=1)
         charts = self.machines.charts
         place, turn = charts.place[ids], charts.turn[ids]
         return PayloadState(

@@ -26,7 +26,8 @@ from ves_gym._util.params import (
 )
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import PUMA_560, arm_from, get_arm
-from ves_gym.mechanics.payload import Contact, Payload
+from ves_gym.mechanics.contact import Contact
+from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.side_by_side import side_by_side
 from ves_gym.mechanics.vehicle import (
     BENT,
@@ -139,11 +140,6 @@ class System:
             raise ParameterError(
                 "System.contact is on the payload, of which there is none: give"
                 " System(payload=...), or Contact(on='base') or 'space'"
-            )
-        if contact.friction and contact.slip_time < 2 * self.physics_dt:
-            raise ParameterError(
-                f"Contact.slip_time must be >= 2 physics steps = {2 * self.physics_dt:g} s, got"
-                f" {contact.slip_time:g} s"
             )
 
     def __repr__(self) -> str:

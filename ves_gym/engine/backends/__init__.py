@@ -19,25 +19,18 @@ BACKENDS = ("auto", "kernel", "mujoco", "gpu-kernel", "gpu-kernel-float32")
 def make_backend(name: str, system: System, n: int, threads: int) -> Backend:
     """Build a backend by name; unknown names are an error that lists the known ones.
 
-    `auto` is the compiled kernel, MuJoCo where the system has contact, and MuJoCo with a
-    `BackendWarning` where a kernel cannot be compiled on this machine.
+    `auto` is the compiled kernel, and MuJoCo with a `BackendWarning` where a kernel cannot be
+    compiled on this machine.
 
     Raises:
-        ParameterError: unknown name, `kernel` where it cannot be compiled, or an engine that
-            has no contact for a system that has one.
+        ParameterError: unknown name, `kernel` where it cannot be compiled, or MuJoCo for a
+            system with contact.
     """
     if name not in BACKENDS:
         raise ParameterError(
             f"backend must be one of {', '.join(BACKENDS)}, got {name!r}"
             f"{did_you_mean(name, BACKENDS)}"
         )
-    if system.contact is not None:
-        if name not in ("auto", "mujoco"):
-            raise ParameterError(
-                f"backend {name} has no contact at the tool: use mujoco (or auto), or a system"
-                " without contact"
-            )
-        name = "mujoco"
     if name not in ("auto", "kernel", "mujoco"):
         require(f"backend {name}", "warp")
         from ves_gym.engine.backends.gpu_kernel import KINDS
@@ -50,9 +43,14 @@ def make_backend(name: str, system: System, n: int, threads: int) -> Backend:
             return KernelBackend(system, n, threads)
         except (ImportError, RuntimeError, OSError) as error:
             reason = f"the kernel cannot be compiled here ({type(error).__name__}: {error})"
-            if name == "kernel":
+            if name == "kernel" or system.contact is not None:
                 raise ParameterError(f"backend kernel: {reason}") from error
             warnings.warn(f"{reason}; MuJoCo runs instead", BackendWarning, stacklevel=3)
+    if system.contact is not None:
+        raise ParameterError(
+            "backend mujoco has no contact at the tool: use kernel (or auto), or a system"
+            " without contact"
+        )
     from ves_gym.engine.backends.mujoco import MujocoBackend
 
     return MujocoBackend(system, n, threads)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 from ves_gym._util.params import Array, Index, Mask
 
 if TYPE_CHECKING:
-    from ves_gym.engine.backends.mujoco_contact import ContactBatch
+    from ves_gym.engine.backends.compiled import EngineContact
     from ves_gym.system.effect_rows import EffectRows
     from ves_gym.system.system import System
 
@@ -26,7 +26,7 @@ class Backend(Protocol):
 
     name: str  # as in `BACKENDS`
     n: int
-    contact: ContactBatch | None  # of the tool, where the system and the engine have it
+    contact: EngineContact | None  # of the tool, where the system and the engine have it
 
     def read(self) -> tuple[Array, Array, Array]:
         """Time (n,) [s], z (n, 6 + joints), zd (n, 6 + joints)."""

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from ves_gym._util.params import Array, Index, Mask
 from ves_gym.engine.batch_parameters import ParameterRows, bodies_of
+from ves_gym.engine.kernel.compiled_function import CompiledFunction
+from ves_gym.engine.kernel.maps import contact_function
+from ves_gym.mechanics.attitude import conjugate, rotate, to_matrix
 from ves_gym.mechanics.base_model import BaseModel
+from ves_gym.mechanics.contact import FLOATING, payload_coordinates, payload_of
 from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
-
-if TYPE_CHECKING:
-    from ves_gym.engine.backends.mujoco_contact import ContactBatch
 
 
 class CompiledBackend(ABC):
@@ -25,7 +26,7 @@ class CompiledBackend(ABC):
     vehicle) and the rates of both; see `trace.Equations`.
     """
 
-    contact: ContactBatch | None = None
+    contact: EngineContact | None
     state_names: ClassVar[tuple[str, ...]]  # the arrays that a simulation's state lies in
     _start: Array  # (n,) s
     _ticks: Index  # (n,) physics steps since
@@ -38,7 +39,8 @@ class CompiledBackend(ABC):
         self.dt = system.physics_dt
         self.rows = ParameterRows(system)
         self.names = self.rows.names
-        by_controllers = ("kp", "kd", "jet", "motor")  # set by a controller, not by a system
+        # set by a controller or by who handles payloads, not by a system
+        by_controllers = ("kp", "kd", "jet", "motor", "frame", "payload", "touching")
         self._gains = np.array([name.startswith(by_controllers) for name in self.names])
         self._systems = [system] * n
         self._own_bases: set[int] = set()  # simulations with another than their system's
@@ -46,14 +48,21 @@ class CompiledBackend(ABC):
         self._extras = 0 if self.emulated else system.base.m
         self._carried = 0 if self.emulated else len(system.base.carried)
         self._gears = len(system.arm.geared) + system.arm.bends  # passive joints
-        # coordinates: (Y, q), then what is hidden
-        self._order = size + self._gears + self._carried + self._extras
+        floats = system.contact is not None and system.contact.on == "payload"
+        self.floating = FLOATING if floats else 0
+        # coordinates: (Y, q), then what is hidden, a payload that is touched the last
+        self._order = size + self._gears + self._carried + self._extras + self.floating
         self._nx, self._nu = 2 * self._order, size
         self._ny = size + self.joints + (6 if self.emulated else 0)
+        self.contact = None if system.contact is None else EngineContact(self, system)
 
     @abstractmethod
     def _row(self, i: int) -> Array:
         """Parameters of a simulation, in place."""
+
+    @abstractmethod
+    def _parameters(self) -> Array:
+        """(n, np) a copy."""
 
     @abstractmethod
     def _set_parameter(self, at: int, ids: Index, values: Array) -> None:
@@ -81,7 +90,8 @@ class CompiledBackend(ABC):
     def internal_state(self) -> tuple[Array, Array]:
         """See `Backend`."""
         x, first, order = self._states(), 6 + self.joints, self._order
-        return x[:, first:order], x[:, order + first :]
+        end = order - self.floating
+        return x[:, first:end], x[:, order + first : order + end]
 
     def set_gear_state(self, d: Array, rate: Array) -> None:
         """See `Backend`."""
@@ -118,16 +128,17 @@ class CompiledBackend(ABC):
         if self._order == 6 + self.joints:
             return np.hstack([z, zd])
         parts = []
+        first = self._gears + self._carried
+        modes = slice(first, first + self._extras)
         for part in (z, zd):
-            modes = self._gears + self._carried
-            hidden = np.zeros((len(ids), modes + self._extras))
+            hidden = np.zeros((len(ids), self._order - 6 - self.joints))
             if self._extras:
                 systems = [self._systems[i] for i in ids.tolist()]
                 if all(system is systems[0] for system in systems):
-                    hidden[:, modes:] = systems[0].base.attached(part[:, :6])
+                    hidden[:, modes] = systems[0].base.attached(part[:, :6])
                 else:
                     attached = zip(systems, part[:, :6], strict=True)
-                    hidden[:, modes:] = [k.base.attached(y) for k, y in attached]
+                    hidden[:, modes] = [k.base.attached(y) for k, y in attached]
             parts += [part, hidden]
         return np.hstack(parts)
 
@@ -139,11 +150,14 @@ class CompiledBackend(ABC):
 
     def set_last_link(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
         """See `Backend`."""
-        link = f"link{self.joints}"
-        numbers = {f"{link}.mass": mass}
-        numbers |= {f"{link}.com{k + 1}": com[:, k] for k in range(3)}
+        self.set_mass(f"link{self.joints}", ids, mass, com, inertia)
+
+    def set_mass(self, body: str, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
+        """Change mass properties (k,), (k, 3), (k, 3, 3) of a body by its name in p."""
+        numbers = {f"{body}.mass": mass}
+        numbers |= {f"{body}.com{k + 1}": com[:, k] for k in range(3)}
         for i, j in zip(*np.triu_indices(3), strict=True):
-            numbers[f"{link}.I{i + 1}{j + 1}"] = inertia[:, i, j]
+            numbers[f"{body}.I{i + 1}{j + 1}"] = inertia[:, i, j]
         for name, values in numbers.items():
             self._set_parameter(self.names.index(name), ids, values)
 
@@ -209,3 +223,61 @@ class CompiledBackend(ABC):
         """See `Backend`."""
         for name in self.state_names:
             getattr(self, name)[:] = state[name.strip("_")]
+
+
+class EngineContact:
+    """What the tool touches in n simulations. Poses in the engine's frame of space.
+
+    Args:
+        engine: that integrates it.
+        system: with the contact.
+    """
+
+    def __init__(self, engine: CompiledBackend, system: System) -> None:
+        assert system.contact is not None
+        self._engine, self._on = engine, system.contact.on
+        self.function: CompiledFunction = contact_function(system)
+
+    def bodies(self, com: Array) -> Array:
+        """Free payloads (n, `latch.BODY`), with centres of mass (n, 3) in own axes."""
+        x, engine = self._engine._states(), self._engine
+        order, k = engine._order, engine.floating
+        return payload_of(x[:, order - k : order], x[:, -k:], com)
+
+    def put(self, ids: Index, bodies: Array, com: Array) -> None:
+        """Put free payloads there.
+
+        Args:
+            ids: (k,) which.
+            bodies: (k, `latch.BODY`).
+            com: (k, 3) centres of mass in own axes [m].
+        """
+        engine = self._engine
+        first = engine._order - engine.floating
+        engine._put_both(ids, first, *payload_coordinates(bodies, com))
+
+    def set_frame(self, ids: Index, place: Array, turn: Array) -> None:
+        """Put shapes that are fixed in space where the engine's frame, at `place` (k, 3) [m]
+        and `turn` (k, 4), has them."""
+        if self._on == "space":
+            back = conjugate(turn)
+            self._set("frame.place", ids, rotate(back, -place))
+            self._set("frame.turn", ids, to_matrix(back).reshape(-1, 9))
+
+    def set_body(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
+        """Change mass properties (k,), (k, 3), (k, 3, 3) of free payloads, in own axes."""
+        self._engine.set_mass("payload", ids, mass, com, inertia)
+
+    def set_touching(self, ids: Index, touching: Mask) -> None:
+        """Let the shapes of simulations (k,) touch, or pass through each other."""
+        self._set("touching", ids, touching[:, None].astype(float))
+
+    def _set(self, name: str, ids: Index, values: Array) -> None:
+        first = self._engine.names.index(f"{name}1")
+        for i, column in enumerate(values.T):
+            self._engine._set_parameter(first + i, ids, column)
+
+    def measured(self) -> tuple[Array, Array]:
+        """Wrench on the tool (n, 6), engine's axes, at the tool, and energy stored (n,) [J]."""
+        out = self.function(self._engine._states(), self._engine._parameters())
+        return out[:, :6], out[:, 6]

@@ -152,6 +152,9 @@ class GpuKernelBackend(CompiledBackend):
         self._p[at, ids] = values
         self._loaded = False
 
+    def _parameters(self) -> Array:
+        return self._p.T.copy()
+
     def _row(self, i: int) -> Array:
         return self._p[:, i]
 

@@ -1,6 +1,6 @@
 """The compiled engine: the system's own equations, many simulations a vector wide.
 
-Contact-free. The same answers as MuJoCo's (docs/claims.md), some fifty times faster.
+The same answers as MuJoCo's (docs/claims.md), some fifty times faster; and contact.
 """
 
 from __future__ import annotations
@@ -111,7 +111,17 @@ class KernelBackend(CompiledBackend):
     def rows_of_modes(self) -> tuple[Array, Array]:
         """Coordinates and rates of the base's internal modes in memory, in place."""
         first, order = 6 + self.joints + self._gears, self._order
-        return self._x[:, first:order], self._x[:, order + first :]
+        end = order - self.floating
+        return self._x[:, first:end], self._x[:, order + first : order + end]
+
+    def rows_of_payload(self) -> tuple[Array, Array]:
+        """Coordinates and rates of a payload that is touched in memory, in place."""
+        k, order = self.floating, self._order
+        return self._x[:, order - k : order], self._x[:, 2 * order - k :]
+
+    def rows_of_parameters(self) -> Array:
+        """Parameters in memory, in place."""
+        return self._p
 
     @property
     def outputs(self) -> int:
@@ -261,6 +271,9 @@ class KernelBackend(CompiledBackend):
 
     def _set_parameter(self, at: int, ids: Index, values: Array) -> None:
         self._p[ids // LANES, at, ids % LANES] = values
+
+    def _parameters(self) -> Array:
+        return unlane(self._p, self.n)
 
     def _row(self, i: int) -> Array:
         return self._p[i // LANES, :, i % LANES]

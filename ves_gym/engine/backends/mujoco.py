@@ -6,7 +6,7 @@ import ctypes
 import os
 import weakref
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,9 +16,9 @@ from ves_gym._util.mujoco_loader import mujoco  # before its submodules
 from mujoco.batch import MODEL_FIELDS, Batch
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError
-from ves_gym.engine.backends.mujoco_contact import ContactBatch, set_body
 from ves_gym.engine.batch_parameters import Laws, bodies_of
 from ves_gym.engine.mjcf import (
+    LEAST,
     TO_Y,
     add_carried,
     add_hidden,
@@ -27,12 +27,15 @@ from ves_gym.engine.mjcf import (
     build_spec,
     places,
 )
-from ves_gym.engine.mjcf_contact import add_contact
+from ves_gym.mechanics.attitude import from_matrix
 from ves_gym.mechanics.gravity import GRAVITY
 from ves_gym.mechanics.vehicle import ReactionWheel, has_jets
 from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
+
+if TYPE_CHECKING:
+    from ves_gym.engine.backends.compiled import EngineContact
 
 _BAD = [
     int(w)
@@ -105,8 +108,6 @@ def model_spec(system: System, full: bool = False, acting: bool = False) -> mujo
             drive = spec.actuator(f"drive_{i + 1}")
             drive.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
             drive.gainprm[0] = PRESCRIBED_INERTIA  # the command is an acceleration
-    if acting and system.contact is not None:
-        add_contact(spec, system.arm, system.contact, system.payload)
     return spec
 
 
@@ -127,10 +128,35 @@ def _changes(reference: mujoco.MjModel, model: mujoco.MjModel, which: str) -> di
     return out
 
 
+def _set_body(
+    batch: Batch, ids: Index, body: int, mass: Array, com: Array, inertia: Array
+) -> None:
+    """Change mass properties of a body in simulations (k,).
+
+    Args:
+        batch: the simulations.
+        ids: (k,) which.
+        body: its number in the model.
+        mass, com, inertia: (k,), (k, 3), (k, 3, 3) in the body's frame.
+    """
+    moments, axes = np.linalg.eigh(inertia)
+    axes = axes * np.where(np.linalg.det(axes) < 0, -1.0, 1.0)[:, None, None]
+    values = {
+        "body_mass": mass,
+        "body_ipos": com,
+        "body_iquat": from_matrix(axes),
+        "body_inertia": np.maximum(moments, LEAST),
+        "body_sameframe": np.zeros(len(ids)),  # its axes are no longer the body's
+    }
+    for name, numbers in values.items():
+        batch.expand(name)[ids, body] = numbers
+
+
 class MujocoBackend:
     """`Backend` on `mujoco.batch.Batch`; see `Backend` for what each method does."""
 
     name = "mujoco"
+    contact: EngineContact | None = None
 
     def __init__(self, system: System, n: int, threads: int) -> None:
         self.n = n
@@ -175,8 +201,6 @@ class MujocoBackend:
         self._drives = slice(first, first + self.joints)
         self._bias: Array | None = None
         self._sensed = self.batch.bind("sensordata") if emulated else None
-        contact = self.system.contact
-        self.contact = None if contact is None else ContactBatch(contact, model, self.batch)
 
     def read(self) -> tuple[Array, Array, Array]:
         return self._time.copy(), self._qpos[:, self._order], self._qvel[:, self._order]
@@ -202,7 +226,7 @@ class MujocoBackend:
         turn, place = self.system.arm.links[-1].far_end  # the engine's frame is at the joint
         gained = mass - self.batch.expand("body_mass")[ids, last]
         moments = turn @ inertia @ turn.T
-        set_body(self.batch, ids, last, mass, place + com @ turn.T, moments)
+        _set_body(self.batch, ids, last, mass, place + com @ turn.T, moments)
         above = last
         while above:  # and what stands on the bodies below it
             self.batch.expand("body_subtreemass")[ids, above] += gained

@@ -69,6 +69,12 @@ def inertia_function(system: System) -> CompiledFunction:
     return CompiledFunction(f"inertia {structure(system)}", _traced("inertia_matrix", system))
 
 
+@lru_cache(maxsize=64)
+def contact_function(system: System) -> CompiledFunction:
+    """(x, p) -> wrench of contact on the tool and energy in its springs (`trace.contact`)."""
+    return CompiledFunction(f"contact {structure(system)}", _traced("contact", system))
+
+
 class InertiaMap:
     """H(q) of at most n configurations, over and over (`dynamics.inertia`)."""
 

@@ -20,6 +20,7 @@ from ves_gym._util.params import Array
 from ves_gym.engine.kernel.symbolic import Traced, column, expressions, symbols, traced
 from ves_gym.mechanics.arm import STILL, Chain, JointFrame, LinkBodies, Root
 from ves_gym.mechanics.carried import ReactionWheel
+from ves_gym.mechanics.contact import ContactModel, Law
 from ves_gym.mechanics.dynamics import merged
 from ves_gym.mechanics.equations import InnerModes, Model, Springs
 from ves_gym.mechanics.flexure import expand
@@ -211,7 +212,26 @@ def _read(system: System, read: _Reader) -> Model:
         jets=read.always("jet", [0.0] * 6) if jets else None,
         emulated=not ideal,
         balanced=not ideal and system.emulator_settings.joint_balance,
+        contact=_contact(system, read),
     )
+
+
+def _contact(system: System, read: _Reader) -> ContactModel | None:
+    """Law of the contact, and what is touched; shapes are structure."""
+    contact, frame, body = system.contact, None, None
+    touching: Array | float = 1.0
+    if contact is None:
+        return None
+    names = ("stiffness", "damping", "friction", "tangential_damping")
+    law = Law(*(read.number(f"contact.{k}", getattr(contact, k)) for k in names))
+    if contact.on == "space":
+        turn = read.always("frame.turn", np.eye(3).ravel().tolist()).reshape(3, 3)
+        frame = read.always("frame.place", [0.0] * 3), turn
+    if contact.on == "payload":
+        assert system.payload is not None
+        body = read.body("payload", system.payload.inertial, changing=True)
+        touching = read.always("touching", [1.0])[0]
+    return ContactModel(contact, law, system.arm.tool_rotation, frame, body, touching)
 
 
 _SPRING = ("stiffness", "damping", "gap")
@@ -377,6 +397,9 @@ def _described(system: System) -> str:
     what: tuple[Any, ...] = (names, kinds, system.mode, system.integrator, step, balance)
     if system.base.carried:
         what = (*what, [replaced(part) for part in system.base.carried])
+    if system.contact is not None:
+        shapes = system.contact.on, system.contact.tool, system.contact.target
+        what = (*what, system.arm.tool_rotation.tolist(), shapes)
     return f"{geometry(system.arm)} {what!r}"
 
 

@@ -27,6 +27,7 @@ from ves_gym.mechanics.equations import (
     motion,
     residual,
     spring_torque,
+    touch,
 )
 from ves_gym.mechanics.spatial import solve_symmetric
 
@@ -61,11 +62,12 @@ def equations(system: System) -> Equations:
     import casadi as ca
 
     model, names, p = symbolic_model(system)
-    h, size, implicit = model.hidden, 6 + model.n, system.integrator == "implicitfast"
+    h, size = model.hidden + model.floating, 6 + model.n
+    implicit = system.integrator == "implicitfast"
     if h and implicit:
         raise ParameterError(
-            "backend kernel integrates gears, flexures, wheels, appendages and internal modes"
-            " by rk4 or euler, got implicitfast: use backend mujoco"
+            "backend kernel integrates gears, flexures, wheels, appendages, internal modes and"
+            " payloads that are touched by rk4 or euler, got implicitfast: use another"
         )
     x, u = symbols("x", (2 * (size + h),)), symbols("u", (size,))
     observed = motion(model, x, u)  # what is observed
@@ -82,6 +84,18 @@ def equations(system: System) -> Equations:
         ca.Function("observe", arguments, ca.cse([slope, out])),
         h,
     )
+
+
+def contact(system: System) -> casadi.Function:
+    """(x, p) -> wrench of contact on the tool, about it, engine's axes; energy stored."""
+    import casadi as ca
+
+    model, _, p = symbolic_model(system)
+    x = symbols("x", (2 * (6 + model.n + model.hidden + model.floating),))
+    load = touch(model, x)
+    assert load is not None
+    out = column(load.wrench, load.energy)
+    return ca.Function("contact", [column(x), column(p)], [ca.cse(out)])
 
 
 @dataclass(frozen=True)
@@ -172,6 +186,10 @@ def tangents(system: System, wrt: tuple[str, ...], controls: int) -> Equations:
         wrt: names of parameters.
         controls: number of directions of the command.
     """
+    if system.contact is not None:
+        raise ParameterError(
+            "derivatives know no contact at the tool: use differences of Simulator runs"
+        )
     by_column, at_once = (_tangents(system, wrt, controls, k) for k in (False, True))
     return min(by_column, at_once, key=lambda graphs: int(graphs.motion.n_instructions()))
 
