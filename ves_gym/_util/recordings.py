@@ -1,24 +1,57 @@
-"""Columns of measured data in the files people have: MATLAB, CSV, a folder of CSV."""
+"""Columns of measured data in the files people have: MATLAB, HDF5, tables in text, folders.
+
+Nothing is lost in silence: what was understood of a file beside its plain columns is in
+`Recording.notes`.
+"""
 
 from __future__ import annotations
 
 import csv
-import io
 import os
-from collections.abc import Mapping
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import named, read_apart, read_bytes
 
+TEXT = (".csv", ".txt", ".tsv", ".dat", ".log")
+ARRAYS = (".mat", ".h5", ".hdf5")
+_MARKS = (";", "\t", ",", "|", " ")  # between cells; where two do, the first
+_SAMPLE = 50  # rows that tell how a table is written
+_EMPTY = ("", "nan", "na", "n/a", "null", "none", "-", "--")  # a cell without a number
+_COMMENT = ("#", "%", "//")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?inf(inity)?", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Columns of a file, and how it was understood."""
+
+    columns: dict[str, Array]  # (T,) by name; NaN where a cell has no number
+    units: dict[str, str] = field(default_factory=dict)  # by name, where a row of the file says
+    notes: tuple[str, ...] = ()  # what is not plain: names that stand twice, missing numbers
+
 
 def read_columns(path: str | os.PathLike[str]) -> dict[str, Array]:
-    """Return all columns (T,) by name of a .mat or .csv file, or of all .csv files of a folder.
+    """Return the columns (T,) by name of a file or folder, see `read_recording`."""
+    return read_recording(path).columns
 
-    Columns of a folder have the name "file:name", too, and only that where several files give
-    one name to different columns. Single numbers of a .mat file are columns of length 1.
+
+def read_recording(path: str | os.PathLike[str]) -> Recording:
+    """Read all columns of a table in text, a .mat or HDF5 file, or a folder of .csv files.
+
+    Tables may have any delimiter, decimal commas, comments and a row of units; without a line
+    of names, columns are called column_1, column_2 and so on. Matrices of a .mat file are a
+    column per signal (q_1, q_2), fields of a structure go by "structure.field", single numbers
+    are columns of length 1. Columns of a folder have the name "file:name", too, and only that
+    where several files give one name to different columns.
 
     Raises:
         ParameterError: not there, of another format, or not numbers.
@@ -26,77 +59,20 @@ def read_columns(path: str | os.PathLike[str]) -> dict[str, Array]:
     path = Path(path)
     if path.is_dir():
         return _folder(path)
-    if path.suffix == ".mat":
-        with named(path):
-            return read_apart("ves_gym._util.recordings:matlab_columns", path)
-    if path.suffix == ".csv":
-        return _csv(path)
-    raise ParameterError(f"{path}: expected .mat, .csv or a folder of .csv files")
-
-
-def matlab_columns(path: Path) -> dict[str, Array]:
-    """Numbers of a .mat file by name, for `read_apart`."""
-    from scipy.io import loadmat
-
-    columns = {
-        name: np.ravel(np.asarray(value, float))
-        for name, value in loadmat(path).items()
-        if name and not name.startswith("__") and np.asarray(value).dtype.kind in "fiu"
-    }
-    if not columns:
-        raise ValueError("it holds no variable of numbers")
-    return columns
-
-
-def _csv(path: Path) -> dict[str, Array]:
+    suffix = path.suffix.lower()
     with named(path):
-        data = read_bytes(path)
-    try:
-        text = data.decode()
-        rows = list(csv.reader(io.StringIO(text, newline="")))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ParameterError(f"{path}: cannot be read: {error}") from None
-    if len(rows) < 2:
-        raise ParameterError(f"{path}: expected a line of names and rows of numbers")
-    names = [name.strip() for name in rows[0]]
-    values = np.empty((len(rows) - 1, len(names)))
-    for k, row in enumerate(rows[1:]):
-        try:
-            values[k] = [float(x) for x in row]
-        except ValueError:
-            raise ParameterError(
-                f"{path}: row {k + 2}: expected {len(names)} numbers, got {row}"
-            ) from None
-    return dict(zip(names, values.T, strict=True))
+        if suffix in ARRAYS:
+            return _as_columns(read_apart("ves_gym._util.recordings:arrays_of", path))
+        if suffix in TEXT:
+            return _table(read_bytes(path))
+    names = ", ".join((*TEXT, *ARRAYS))
+    raise ParameterError(f"{path}: expected one of {names}, or a folder of .csv files")
 
 
-def _folder(path: Path) -> dict[str, Array]:
-    """Columns under their names, and under "file:name"; a name that means two things under the
-    latter alone. Files that hold no table of numbers are left out if others do."""
-    files = sorted(path.glob("*.csv"))
-    if not files:
-        raise ParameterError(f"{path}: no .csv file in this folder")
-    out: dict[str, Array] = {}
-    ambiguous: set[str] = set()
-    refused: ParameterError | None = None
-    for file in files:
-        try:
-            table = _csv(file)
-        except ParameterError as error:
-            refused = refused or error
-            continue
-        for name, column in table.items():
-            if name in out and not np.array_equal(out[name], column):
-                ambiguous.add(name)
-            out.setdefault(name, column)
-            out[f"{file.stem}:{name}"] = column
-    if refused is not None and not out:
-        raise refused
-    return {name: column for name, column in out.items() if name not in ambiguous}
-
-
-def column_of(columns: Mapping[str, Array], name: str, where: str) -> Array:
-    """Return a column (T,), finite.
+def column_of(
+    columns: Mapping[str, Array], name: str, where: str, missing: bool = False
+) -> Array:
+    """Return a column (T,), finite; NaN where `missing` lets it.
 
     Raises:
         ParameterError: not there, or not finite.
@@ -104,7 +80,268 @@ def column_of(columns: Mapping[str, Array], name: str, where: str) -> Array:
     if name not in columns:
         raise ParameterError(f"{where}: no column {name!r}; it has {', '.join(columns)}")
     column = columns[name]
-    bad = np.flatnonzero(~np.isfinite(column))
+    bad = np.flatnonzero(np.isinf(column) if missing else ~np.isfinite(column))
     if len(bad):
         raise ParameterError(f"{where}: column {name!r} is not finite in row {bad[0] + 1}")
     return column
+
+
+# -------------------------------------------------------------------------- text tables
+
+
+def _table(data: bytes) -> Recording:
+    text, notes = _decoded(data)
+    lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
+    body = [(k, line) for k, line in lines if not line.lstrip().startswith(_COMMENT)]
+    mark = _mark([line for _, line in body[:_SAMPLE]])
+    sample = [_cells(line, mark) for _, line in body[:_SAMPLE]]
+    heads = _heads(sample)
+    rows = body[heads:]
+    if not rows:
+        raise ParameterError("expected a line of names and rows of numbers")
+    titles = [_trimmed(row) for row in sample[:heads]]
+    if not titles:  # names may stand in the last comment before the numbers
+        before = [line.lstrip().lstrip("#%/ ") for k, line in lines if k < rows[0][0]]
+        titles = [_cells(line, mark) for line in before[-1:]]
+    width = Counter(len(_trimmed(row)) for row in sample[heads:]).most_common(1)[0][0]
+    fitting = [row for row in titles if len(row) == width]
+    if heads and not fitting:
+        raise ParameterError(
+            f"row {body[0][0]}: the line of names has {len(titles[0])} cells, the rows of"
+            f" numbers have {width}"
+        )
+    names = [f"column_{k}" for k in range(1, width + 1)]
+    if fitting:
+        names = [name or place for name, place in zip(fitting[0], names, strict=True)]
+    else:
+        notes.append(f"no line of names: columns are called column_1 to column_{width}")
+    comma = mark != "," and any(re.search(r"\d,\d", c) for row in sample[heads:] for c in row)
+    values, kept = _numbers(rows, mark, comma, names)
+    lost = [name for name, keep in zip(names, kept, strict=True) if not keep]
+    notes += [f"columns of words left out: {', '.join(lost)}"] if lost else []
+    units = dict(zip(names, fitting[1], strict=True)) if len(fitting) > 1 else {}
+    named = [name for name, keep in zip(names, kept, strict=True) if keep]
+    columns = _distinct(named, values, notes)
+    return Recording(columns, units, (*notes, *_missing(columns)))
+
+
+def _decoded(data: bytes) -> tuple[str, list[str]]:
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data.decode("utf-16", errors="replace"), []
+    try:
+        return data.decode("utf-8-sig"), []
+    except UnicodeDecodeError:
+        if b"\0" in data:
+            raise ParameterError("cannot be read: it is no text") from None
+        return data.decode("latin-1"), ["not UTF-8: read as Latin-1"]
+
+
+def _cells(line: str, mark: str) -> list[str]:
+    if '"' in line and mark != " ":
+        try:
+            parts = next(csv.reader([line], delimiter=mark, skipinitialspace=True))
+        except csv.Error as error:
+            raise ParameterError(f"cannot be read: {error}") from None
+    else:
+        parts = line.split() if mark == " " else line.split(mark)
+    return [part.strip().strip('"') for part in parts]
+
+
+def _trimmed(row: list[str]) -> list[str]:
+    """Cells without the empty one that a mark at the end of a line makes."""
+    return row[:-1] if len(row) > 1 and not row[-1] else row
+
+
+def _is_number(cell: str, mark: str) -> bool:
+    return bool(_NUMBER.fullmatch(cell if mark == "," else cell.replace(",", ".", 1)))
+
+
+def _mark(lines: Sequence[str]) -> str:
+    """What stands between cells: that which makes most of them, and most cells, numbers."""
+
+    def score(mark: str) -> tuple[float, int]:
+        cells = [cell for line in lines[1:] or lines for cell in _cells(line, mark) if cell]
+        count = sum(_is_number(cell, mark) for cell in cells)
+        return count / max(len(cells), 1), count
+
+    return max(_MARKS, key=score)
+
+
+def _heads(sample: Sequence[list[str]]) -> int:
+    """How many rows stand before those of numbers: names, which may be numbers in part, and
+    rows without a number."""
+    if not sample or all(_is_cell(cell) for cell in sample[0]):
+        return 0
+    heads = 1
+    while heads < len(sample) and not any(map(_is_any_number, sample[heads])):
+        heads += 1
+    return heads
+
+
+def _is_any_number(cell: str) -> bool:
+    return _is_number(cell, ";")
+
+
+def _is_cell(cell: str) -> bool:
+    return _is_any_number(cell) or cell.lower() in _EMPTY
+
+
+def _numbers(
+    rows: Sequence[tuple[int, str]], mark: str, comma: bool, names: Sequence[str]
+) -> tuple[Array, list[bool]]:
+    """Numbers (T, c) of the columns that have any, and which columns these are."""
+    lines = [line.replace(",", ".") for _, line in rows] if comma else [k for _, k in rows]
+    every = [True] * len(names)
+    try:
+        plain = np.loadtxt(
+            lines, delimiter=None if mark == " " else mark, comments=None, ndmin=2
+        )
+        if plain.shape[1] == len(names):
+            return plain, every
+    except ValueError:
+        pass
+    table = []
+    for (k, _), line in zip(rows, lines, strict=True):
+        cells = _cells(line, mark)
+        cells = cells if len(cells) == len(names) else _trimmed(cells)
+        if len(cells) != len(names):
+            raise ParameterError(
+                f"row {k}: expected {len(names)} numbers, got {len(cells)}: {cells}"
+            )
+        table.append(cells)
+    kept = [any(_is_cell(row[i]) for row in table[:_SAMPLE]) for i in range(len(names))]
+    columns = [i for i, keep in enumerate(kept) if keep]
+    out = np.full((len(table), len(columns)), np.nan)
+    for (k, _), cells, row in zip(rows, table, out, strict=True):
+        for j, i in enumerate(columns):
+            if cells[i].lower() in _EMPTY:
+                continue
+            if not _is_number(cells[i], ","):
+                raise ParameterError(f"row {k}: {names[i]} must be a number, got {cells[i]!r}")
+            row[j] = float(cells[i])
+    return out, kept
+
+
+def _distinct(names: Sequence[str], values: Array, notes: list[str]) -> dict[str, Array]:
+    """Columns by name; of a name that stands again the later is called name@place."""
+    out: dict[str, Array] = {}
+    for k, (name, column) in enumerate(zip(names, values.T, strict=True), 1):
+        if name not in out:
+            out[name] = column
+            continue
+        if np.array_equal(out[name], column, equal_nan=True):
+            notes.append(f"{name} stands again in column {k}, with the same numbers")
+            continue
+        out[f"{name}@{k}"] = column
+        text = f"{name} stands again in column {k}, with other numbers: there it is {name}@{k}"
+        notes.append(text)
+    return out
+
+
+def _missing(columns: Mapping[str, Array]) -> list[str]:
+    counts = {name: int(np.isnan(column).sum()) for name, column in columns.items()}
+    return [f"{k}: no number in {n} of {len(columns[k])} rows" for k, n in counts.items() if n]
+
+
+def _folder(path: Path) -> Recording:
+    """Columns under their names, and under "file:name"; a name that means two things under the
+    latter alone. Files that hold no table of numbers are left out if others do."""
+    files = sorted(k for k in path.iterdir() if k.suffix.lower() == ".csv")
+    if not files:
+        raise ParameterError(f"{path}: no .csv file in this folder")
+    out: dict[str, Array] = {}
+    units: dict[str, str] = {}
+    notes: list[str] = []
+    ambiguous: set[str] = set()
+    refused: ParameterError | None = None
+    for file in files:
+        try:
+            with named(file):
+                table = _table(read_bytes(file))
+        except ParameterError as error:
+            refused = refused or error
+            notes.append(f"left out: {error}")
+            continue
+        for name, column in table.columns.items():
+            if name in out and not np.array_equal(out[name], column, equal_nan=True):
+                ambiguous.add(name)
+            out.setdefault(name, column)
+            out[f"{file.stem}:{name}"] = column
+        units |= table.units | {f"{file.stem}:{k}": unit for k, unit in table.units.items()}
+        notes += [f"{file.name}: {note}" for note in table.notes]
+    if refused is not None and not out:
+        raise refused
+    columns = {name: column for name, column in out.items() if name not in ambiguous}
+    return Recording(columns, units, tuple(notes))
+
+
+# ------------------------------------------------------------------ arrays by their name
+
+
+def arrays_of(path: Path) -> dict[str, Array]:
+    """Arrays of numbers of a .mat or HDF5 file by name, for `read_apart`."""
+    found: Iterable[tuple[str, Any]]
+    try:
+        if path.suffix.lower() != ".mat":
+            raise NotImplementedError
+        from scipy.io import loadmat
+
+        loaded = loadmat(path, simplify_cells=True)
+        found = _leaves({k: v for k, v in loaded.items() if not k.startswith("__")})
+    except NotImplementedError:  # .mat of version 7.3 is HDF5
+        found = _datasets(path)
+    out = {
+        name: np.asarray(value, float)
+        for name, value in found
+        if name and np.asarray(value).dtype.kind in "fiu"
+    }
+    if not out:
+        raise ValueError("it holds no variable of numbers")
+    return out
+
+
+def _leaves(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Values of structures within structures, by "structure.field"."""
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{before}{name}.")
+        else:
+            yield before + name, value
+
+
+def _datasets(path: Path) -> list[tuple[str, Any]]:
+    require("HDF5, and so a .mat file of version 7.3,", "h5py")
+    import h5py
+
+    out: list[tuple[str, Any]] = []
+
+    def visit(name: str, item: Any) -> None:
+        kind = item.attrs.get("MATLAB_class", "")
+        words = kind in ("char", b"char") or name.startswith("#")
+        if isinstance(item, h5py.Dataset) and not words:
+            # MATLAB writes by columns
+            out.append((name.replace("/", "."), np.asarray(item).T))
+
+    with h5py.File(path) as file:
+        file.visititems(visit)
+    return out
+
+
+def _as_columns(arrays: Mapping[str, Array]) -> Recording:
+    """Columns of arrays: a matrix is a column per signal, its rows or its columns samples."""
+    lengths = Counter(n for x in arrays.values() for n in set(x.shape) if n > 1)
+    samples = max(lengths, key=lambda n: (lengths[n], n), default=1)
+    columns: dict[str, Array] = {}
+    notes = []
+    for name, x in arrays.items():
+        if x.size == max(x.shape, default=1):
+            columns[name] = x.ravel()
+        elif x.ndim == 2 and samples in x.shape:
+            signals = x if x.shape[0] == samples else x.T
+            columns |= {f"{name}_{k}": column for k, column in enumerate(signals.T, 1)}
+            notes.append(f"{name} is a matrix {x.shape}: its signals are {name}_1, ...")
+        else:
+            notes.append(
+                f"left out: {name} of shape {x.shape}, the data have {samples} samples"
+            )
+    return Recording(columns, {}, (*notes, *_missing(columns)))

@@ -24,6 +24,7 @@ from ves_gym.cli.flags import (
     Flag,
     integer,
     log_file,
+    names,
     number,
     path,
     read,
@@ -73,6 +74,7 @@ def diagnose(
     mapping: str | None = None,
     describe: bool = False,
     model: Path | None = None,
+    columns: Sequence[str] = (),
     final: int | None = None,
     without: tuple[str, ...] = (),
     band: float | None = None,
@@ -95,9 +97,10 @@ def diagnose(
     if describe:
         if len(log) != 1 or mapping or system:
             raise ParameterError("--describe takes one data file or folder, and no description")
-        return _describe(log[0], model, folder)
-    if model is not None:
-        raise ParameterError("--model goes with --describe; else the mapping file names it")
+        return _describe(log[0], model, folder, columns)
+    if model is not None or columns:
+        option = "--model" if model is not None else "--columns"
+        raise ParameterError(f"{option} goes with --describe; else the mapping file names it")
     inputs = _inputs(log, mapping, machine, final=final, leave_out=without, band=band)
     if not as_logged:
         require_as_logged(inputs.machine, inputs.runs, inputs.mistakes)
@@ -194,22 +197,24 @@ def _next_motion(
     }
 
 
-def _describe(data: str, model: Path | None, folder: Path) -> Answer:
+def _describe(
+    data: str, model: Path | None, folder: Path, called: Sequence[str] = ()
+) -> Answer:
     """Write a mapping file to be corrected."""
-    from ves_gym._util.recordings import read_columns
+    from ves_gym._util.recordings import read_recording
     from ves_gym.diagnosis.data.describe import describe
 
     file = folder / "mapping.toml"
     if file.exists():
         raise ParameterError(f"{file} is there already: take another --out, or remove it")
-    if model is None:
-        text = describe(read_columns(data), data)
-    else:
+    near = None
+    if model is not None:
         near = Path(os.path.relpath(model.resolve(), folder.resolve()))
-        text = describe(read_columns(data), data, model, near)
+    text = describe(read_recording(data), data, model, near, called)
     write_text(file, text)
-    missing = [row[6:] for row in text.splitlines() if row.startswith("#   - ")]
-    return Answer(text="\n".join([*(f"missing: {what}" for what in missing), str(file)]))
+    said = {"#   - ": "missing", "#   * ": "understood"}
+    lines = [f"{said[k[:6]]}: {k[6:]}" for k in text.splitlines() if k[:6] in said]
+    return Answer(text="\n".join([*lines, str(file)]))
 
 
 TABLE = {
@@ -230,6 +235,8 @@ TABLE = {
         Flag("--tolerances", "FILE", text,
              "sizes of tolerances and noise of a System, where they are not the usual ones"),
         Flag("--model", "FILE", path, "with --describe: the robot in URDF or MJCF"),
+        Flag("--columns", "NAMES", names, "with --describe: what the columns are, by place,"
+             " like t,q_1,v_1,tau_1, where the file does not say"),
         Flag("--final", "N", integer(),
              "logs to hold back and open once, at the end: the last N (default: those that say"
              " `held_back`, else the last third)"),

@@ -8,6 +8,7 @@ import pytest
 
 from tests.diagnosis.machines import rigid_arm
 from ves_gym._util.params import ParameterError
+from ves_gym._util.recordings import Recording
 from ves_gym.cli.main import main
 from ves_gym.diagnosis.data.describe import describe
 from ves_gym.diagnosis.machines.mapping import read_machine
@@ -72,7 +73,7 @@ def test_the_walk_through_from_data_to_a_verdict(tmp_path, capsys):
 def test_what_is_missing_is_said(columns, said):
     t = np.arange(100) * 0.01
     data = {k: t if clock else np.sin(9 * t) for k, clock in columns.items()}
-    text = describe(data, "run.csv")
+    text = describe(Recording(data), "run.csv")
     assert said in "\n".join(k for k in text.splitlines() if k.startswith("#   - "))
     assert ("the log has 100 Hz" in text) == ("t" in columns)
     tomllib.loads(text)
@@ -82,16 +83,16 @@ def test_a_mapping_that_was_described_is_read_as_it_is(tmp_path):
     t = np.arange(1000) * 5e-3
     t[500:] += 0.1
     data = {"t": t, "arm_1_pos": np.sin(t), "arm_1_vel": np.cos(t)}
-    text = describe(data, "run.csv")
+    text = describe(Recording(data), "run.csv")
     assert "row 502 is 0.105 s after the one before" in text
     (tmp_path / "m.toml").write_text(text)
     machine, _ = read_machine(tmp_path / "m.toml")
     assert [p.name for p in machine.ports] == ["velocity"]
     with pytest.raises(ParameterError, match="no column looks like the position"):
-        describe({"a": t, "b": t}, "run.csv")
+        describe(Recording({"a": t, "b": t}), "run.csv")
     (tmp_path / "robot.urdf").write_text(rigid_arm.urdf())
     with pytest.raises(ParameterError, match=r"has 3 joints .* the data 1"):
-        describe(data, "run.csv", tmp_path / "robot.urdf")
+        describe(Recording(data), "run.csv", tmp_path / "robot.urdf")
 
 
 def test_tolerances_of_a_system_are_stated_in_a_file():
@@ -111,3 +112,112 @@ def test_tolerances_of_a_system_are_stated_in_a_file():
         _ = SystemMachine(system, StatedErrors(known={"mass of limb 1": 0.1})).nuisances
     with pytest.raises(ParameterError, match="noise: expected one of q, v, tau"):
         StatedErrors(noise={"torque": 0.1})
+
+
+def motion(n=2, seconds=8.0, dt=0.01):
+    t = np.arange(0, seconds, dt)
+    return t, np.stack([np.sin((1 + 0.3 * k) * t) for k in range(n)], 1)
+
+
+def described(tmp_path, columns, *words, **options):
+    """The mapping that `--describe` writes for columns, and what it says."""
+    if columns is not None:
+        text = ",".join(columns) + "\n"
+        rows = zip(*columns.values(), strict=True)
+        text += "\n".join(",".join(f"{x:.9g}" for x in row) for row in rows)
+        (tmp_path / "run.csv").write_text(text)
+    out = tmp_path / "out"
+    assert (
+        main(["diagnose", str(tmp_path / "run.csv"), "--describe", "--out", str(out), *words])
+        == 0
+    )
+    text = (out / "mapping.toml").read_text()
+    return tomllib.loads(text), text
+
+
+def test_units_in_names_are_taken(tmp_path):
+    t, q = motion()
+    columns = {"time [ms]": 1e3 * t}
+    for k, (angle, load) in enumerate(zip(q.T, np.cos(q.T), strict=True), 1):
+        columns[f"J{k} pos [deg]"] = np.rad2deg(angle)
+        columns[f"J{k}_vel_rpm"] = np.gradient(angle, t) * 60 / (2 * np.pi)
+        columns[f"J{k}_torque_mNm"] = 1e3 * load
+        columns[f"J{k} current (A)"] = load
+    table, text = described(tmp_path, columns)
+    assert table["time"] == {"column": "time [ms]", "gain": 1e-3, "offset": 0.0}
+    for k, joint in enumerate(table["joint"], 1):
+        assert joint["position"]["gain"] == pytest.approx(np.pi / 180)
+        assert joint["velocity"]["gain"] == pytest.approx(np.pi / 30)
+        assert joint["force"] == {"column": f"J{k}_torque_mNm", "gain": 1e-3}
+        assert "gain_unknown" not in joint
+    assert "# Columns not used: J1 current (A), J2 current (A)" in text
+
+
+def test_no_number_and_a_name_that_stands_again_lose_no_joint(tmp_path, capsys):
+    t, q = motion()
+    v = np.gradient(q, t, axis=0)
+    q[30, 0] = np.nan
+    columns = {"t": t, "q_1": q[:, 0], "q_2": q[:, 1], "v_1": v[:, 0], "v_2": v[:, 1]}
+    table, _ = described(tmp_path, columns)
+    assert [j["position"]["column"] for j in table["joint"]] == ["q_1", "q_2"]
+    assert "understood: q_1: no number in 1 of 800 rows" in capsys.readouterr().out
+    _, load = read_machine(tmp_path / "out" / "mapping.toml")
+    run = load(tmp_path / "run.csv")
+    assert run.meta["notes"] == ["run.csv: 1 of 800 rows lack a number and are left out"]
+    np.testing.assert_allclose(run["q"][:, 0], np.sin(run.dt * np.arange(799)), atol=1e-6)
+    text = (tmp_path / "run.csv").read_text()
+    head, *rows = text.split("\n")
+    (tmp_path / "run.csv").write_text("\n".join([f"{head},q_1", *(f"{k},9" for k in rows)]))
+    (tmp_path / "out" / "mapping.toml").unlink()
+    table, text = described(tmp_path, None)
+    assert [j["position"]["column"] for j in table["joint"]] == ["q_1", "q_2"]
+    assert "q_1 stands again in column 6, with other numbers: there it is q_1@6" in text
+
+
+def test_columns_without_names_are_asked_for_by_place(tmp_path, capsys):
+    t, q = motion()
+    v = np.gradient(q, t, axis=0)
+    np.savetxt(tmp_path / "run.csv", np.column_stack([t, q, v]), "%.9g", ",")
+    words = ["diagnose", str(tmp_path / "run.csv"), "--describe", "--out", str(tmp_path / "o")]
+    assert main(words) == 2
+    assert "say what they are, by place (--columns t,q_1" in capsys.readouterr().err
+    assert main([*words, "--columns", "t,q_1"]) == 2
+    assert "must name 5 columns, got 2" in capsys.readouterr().err
+    table, _ = described(tmp_path, None, "--columns", "t,q_1,q_2,v_1,v_2")
+    assert table["time"]["column"] == "column_1"
+    assert [j["velocity"]["column"] for j in table["joint"]] == ["column_4", "column_5"]
+    assert main(["diagnose", str(tmp_path / "run.csv"), "--columns", "t"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda t: np.cumsum(np.where(np.arange(len(t)) % 2, 0.007, 0.013)),
+         "uneven steps of 7 to 13 ms, 9.996 ms on average"),
+        (lambda t: np.r_[t[:50], t[49], t[50:-1]], "clock that runs forward: 1 of 799 steps"),
+        (lambda t: np.r_[t[:50], t[40], t[51:]], "clock that runs forward: 1 of 799 steps"),
+        (lambda t: t + 0.5 * (t > 3), "is 0.51 s after the one before"),
+    ],
+)  # fmt: skip
+def test_a_clock_is_described_as_it_is(tmp_path, damage, said):
+    t, q = motion()
+    table, text = described(tmp_path, {"t": damage(t), "q_1": q[:, 0], "v_1": q[:, 1]})
+    assert said in text and table["time"]["column"] == "t"
+
+
+def test_a_mapping_without_rates_and_torques_has_nothing_to_compare(tmp_path, capsys):
+    t, q = motion()
+    described(tmp_path, {"t": t, "q_1": q[:, 0], "q_2": q[:, 1]})
+    words = ["diagnose", str(tmp_path / "run.csv"), "--machine"]
+    assert main([*words, str(tmp_path / "out" / "mapping.toml")]) == 2
+    assert "nothing to compare: say columns of velocity" in capsys.readouterr().err
+
+
+def test_a_tools_pose_is_no_joint(tmp_path):
+    """Columns as a controller's own recorder calls them."""
+    t, q = motion()
+    columns = {"timestamp": t, "actual_q_0": q[:, 0], "actual_qd_0": np.gradient(q[:, 0], t)}
+    columns |= {"actual_TCP_pose_0": q[:, 1], "joint_temperature_0": 30 + q[:, 1]}
+    table, text = described(tmp_path, columns)
+    assert [j["position"]["column"] for j in table["joint"]] == ["actual_q_0"]
+    assert "# Columns not used: actual_TCP_pose_0, joint_temperature_0" in text

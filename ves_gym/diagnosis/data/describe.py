@@ -7,6 +7,7 @@ and what is missing is said at the top.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 from ves_gym._util.mujoco_loader import read_model
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import named, read_xml
+from ves_gym._util.recordings import Recording
 from ves_gym.diagnosis.data.measured_run import BAND
 from ves_gym.diagnosis.machines.mjcf_mapping import SCHEMA
 
@@ -38,12 +40,25 @@ _WORDS = {  # what a part of a column's name says
     ),
 }
 _AMPERE = ("current", "curr", "i", "cur")
+# of what is no joint's
+_OTHERS = ("tcp", "pose", "cartesian", "wrench", "quaternion", "temp", "temperature", "voltage")
 _FILLER = ("read", "data", "meas", "measured", "motor", "m", "raw", "log")
 _TURNS = 13.0  # rad: more than two turns looks like degrees
 _STILL = 1e-3  # rad, m: less is no motion
 _UNEVEN = 0.05  # of a step
 _GAP = 3.0  # usual steps, as `require_steady`
-_DEGREES = np.pi / 180
+_FORWARD = 0.95  # share of steps that run forward: less is no clock
+_DEGREES, _TURN = np.pi / 180, 2 * np.pi
+_UNITS = {  # by quantity: a unit's name without spaces and marks, and SI units in it
+    "clock": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9},
+    "position": {"rad": 1.0, "mrad": 1e-3, "deg": _DEGREES, "°": _DEGREES, "rev": _TURN,
+                 "m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "velocity": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEGREES, "°/s": _DEGREES,
+                 "rpm": _TURN / 60, "1/min": _TURN / 60, "m/s": 1.0, "mm/s": 1e-3},
+    "force": {"nm": 1.0, "mnm": 1e-3, "knm": 1e3, "n": 1.0, "kn": 1e3, "a": 1.0, "ma": 1.0},
+}  # fmt: skip
+# those that may end a name without brackets
+_ENDINGS = ("rad_s", "deg_s", "rpm", "rad", "deg", "mnm", "nm", "mm", "ms", "us", "ns")
 
 
 @dataclass
@@ -51,7 +66,16 @@ class _Guess:
     """Columns of a joint."""
 
     columns: dict[str, str] = field(default_factory=dict)  # quantity -> column
+    units: dict[str, str] = field(default_factory=dict)  # quantity -> unit, where it is said
     ampere: bool = False
+
+
+@dataclass(frozen=True)
+class _Name:
+    """What the name of a column says."""
+
+    words: list[str]
+    unit: str  # "": it says none
 
 
 @dataclass(frozen=True)
@@ -62,32 +86,35 @@ class _Time:
 
 
 def describe(
-    columns: Mapping[str, Array],
+    recording: Recording,
     source: str,
     model: Path | None = None,
     written: Path | None = None,
+    called: Sequence[str] = (),
 ) -> str:
     """Return a commented mapping file for measured columns.
 
     Args:
-        columns: (T,) by name, as `read_columns` gives them.
+        recording: as `read_recording` gives it.
         source: name of the data, for the comments.
         model: MJCF or URDF, for the names and types of joints.
         written: the model as the mapping file is to name it.
+        called: what the columns are, in their order, where the file's own names do not tell.
 
     Raises:
         ParameterError: no column looks like the position of a joint; the model.
     """
-    complete = {k: x for k, x in columns.items() if len(x) > 1 and np.isfinite(x).all()}
-    complete = _once(complete)
-    clock = _clock(complete)
-    joints = _joints([k for k in complete if k != clock])
+    complete, told = _complete(recording)
+    names = _called(recording, complete, called, source)
+    clock = _clock(complete, names)
+    joints = _joints({k: names[k] for k in complete if k != clock})
     if not joints:
         raise ParameterError(
             f"{source}: no column looks like the position of a joint; it has"
-            f" {', '.join(columns)}"
+            f" {', '.join(recording.columns)}: say what they are, by place (--columns"
+            " t,q_1,v_1,tau_1, in Python called=)"
         )
-    time = _time(complete, clock)
+    time = _time(complete, clock, names)
     named = _names(list(joints), model)
     missing = [*time.remarks]
     for what, consequence in (
@@ -108,6 +135,7 @@ def describe(
     lines = [f"# Mapping of {source}: check every guess, then run", "#"]
     lines += [f"#   ves-gym diagnose {source} --machine THIS_FILE", "#"]
     lines += ["# Missing:", *(f"#   - {text}" for text in missing)] if missing else []
+    lines += ["# As understood:", *(f"#   * {text}" for text in told)] if told else []
     if unused:
         lines.append(f"# Columns not used: {', '.join(unused)}")
     rate = 1 / time.step
@@ -147,6 +175,51 @@ _SETTINGS = (
 )
 
 
+def _complete(recording: Recording) -> tuple[dict[str, Array], list[str]]:
+    """Columns of the samples, their gaps filled, and what is to be told of the data."""
+    told, out = list(recording.notes), {}
+    lengths = Counter(len(x) for x in recording.columns.values() if len(x) > 1)
+    samples = lengths.most_common(1)[0][0] if lengths else 0
+    for name, x in _once(recording.columns).items():
+        good = np.isfinite(x)
+        if len(x) != samples or good.sum() < samples / 2:
+            if len(x) > 1:
+                told.append(f"{name} left out: {int(good.sum())} numbers in {samples} rows")
+            continue
+        rows = np.arange(samples)
+        out[name] = x if good.all() else np.interp(rows, rows[good], x[good])
+    return out, told
+
+
+def _called(
+    recording: Recording, complete: Mapping[str, Array], called: Sequence[str], source: str
+) -> dict[str, _Name]:
+    """What the name of each column says; of one that stands again, nothing."""
+    columns = recording.columns
+    if called and len(called) != len(columns):
+        raise ParameterError(
+            f"{source}: --columns must name {len(columns)} columns, got {len(called)}"
+        )
+    words = dict(zip(columns, called or columns, strict=True))
+    return {
+        k: _Name([], "") if "@" in k else _name_of(words[k], recording.units.get(k, ""))
+        for k in complete
+    }
+
+
+def _name_of(name: str, unit: str) -> _Name:
+    """Words and unit of a name: `J1 pos [deg]`, `J1_torque_Nm`."""
+    bare = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]\s*", name)
+    if bare and bare[1]:
+        name, unit = bare[1], unit or bare[2]
+    if not unit:
+        low = name.lower().replace(" ", "_")
+        ending = next((k for k in _ENDINGS if low.endswith(f"_{k}")), "")
+        if ending:
+            name, unit = name[: -len(ending) - 1], ending.replace("_s", "/s")
+    return _Name(_parts(name), re.sub(r"[\s*.·]", "", unit).lower())
+
+
 def _once(columns: Mapping[str, Array]) -> dict[str, Array]:
     """Columns that a folder gives under two names ("x" and "file:x") under the shorter."""
     return {
@@ -162,13 +235,14 @@ def _parts(name: str) -> list[str]:
     return [k for k in re.findall(r"[a-z]+|\d+", spaced.lower()) if k]
 
 
-def _clock(columns: Mapping[str, Array]) -> str | None:
-    rising = [k for k, x in columns.items() if (np.diff(x) > 0).all()]
-    by_name = [k for k in rising if set(_parts(k)) & set(_WORDS["clock"])]
-    return by_name[0] if by_name else None
+def _clock(columns: Mapping[str, Array], names: Mapping[str, _Name]) -> str | None:
+    rising = {k: float((np.diff(x) > 0).mean()) for k, x in columns.items()}
+    by_name = [k for k in rising if set(names[k].words) & set(_WORDS["clock"])]
+    best = max(by_name, key=lambda k: rising[k], default=None)
+    return best if best is not None and rising[best] >= _FORWARD else None
 
 
-def _time(columns: Mapping[str, Array], clock: str | None) -> _Time:
+def _time(columns: Mapping[str, Array], clock: str | None, names: Mapping[str, _Name]) -> _Time:
     if clock is None:
         text = "time = { step = 0.01 } # s: NOT MEASURED, say the step of the samples"
         return _Time(text, 0.01, ("a clock: say the step of the samples under `time`",))
@@ -180,27 +254,39 @@ def _time(columns: Mapping[str, Array], clock: str | None) -> _Time:
         if usual >= longest:
             unit, gain = name, scale
             break
+    if names[clock].unit in _UNITS["clock"]:
+        unit = names[clock].unit
+        gain = _UNITS["clock"][unit]
     remarks = []
-    late = int(np.argmax(steps))
+    late, back = int(np.argmax(steps)), int(np.argmin(steps))
+    if steps[back] <= 0:
+        remarks.append(
+            f"a clock that runs forward: {np.sum(steps <= 0)} of {len(steps)} steps do not, the"
+            f" one to row {back + 3} takes {gain * steps[back]:.3g} s"
+        )
     if steps[late] > _GAP * usual:
         remarks.append(
             f"a whole clock: row {late + 3} is {gain * steps[late]:.3g} s after the one before;"
             " cut the log there, or give start and stop"
         )
-    uneven = float(np.abs(steps / usual - 1).max()) > _UNEVEN
+    steps = steps[(steps > 0) & (steps <= _GAP * usual)]
+    low, high = (1e3 * gain * float(k) for k in (steps.min(), steps.max()))
+    mean = gain * float(steps.mean())
+    even = f"even steps of {1e3 * mean:.4g} ms"
+    if np.abs(steps / usual - 1).max() > _UNEVEN:
+        even = f"uneven steps of {low:.4g} to {high:.4g} ms, {1e3 * mean:.4g} ms on average"
     keys = f'column = "{clock}"'
     if gain != 1.0 or abs(gain * t[0]) > 1e3:
-        keys += f", gain = {gain:g}, offset = {-gain * float(t[0])!r}"
-    how = f"{unit}; {'uneven' if uneven else 'even'} steps of {1e3 * gain * usual:.4g} ms"
-    return _Time(f"time = {{ {keys} }} # {how}", gain * usual, tuple(remarks))
+        keys += f", gain = {gain:g}, offset = {0.0 - gain * float(t[0])!r}"
+    return _Time(f"time = {{ {keys} }} # {unit}; {even}", mean, tuple(remarks))
 
 
-def _joints(names: Sequence[str]) -> dict[str, _Guess]:
+def _joints(names: Mapping[str, _Name]) -> dict[str, _Guess]:
     """Columns by joint, in the order in which their positions come."""
     out: dict[str, _Guess] = {}
     for quantity in ("position", "velocity", "force"):
-        for name in names:
-            parts = _parts(name)
+        for name, said in names.items():
+            parts, unit = said.words, said.unit
             kind = _kind(parts)
             if kind != quantity:
                 continue
@@ -209,13 +295,21 @@ def _joints(names: Sequence[str]) -> dict[str, _Guess]:
             if quantity != "position" and key not in out:
                 continue
             guess = out.setdefault(key, _Guess())
-            guess.columns.setdefault(quantity, name)
-            guess.ampere |= quantity == "force" and bool(set(parts) & set(_AMPERE))
+            if quantity in guess.columns:
+                continue
+            guess.columns[quantity] = name
+            known = unit in _UNITS[quantity]
+            if known:
+                guess.units[quantity] = unit
+            if quantity == "force":
+                guess.ampere = unit.endswith("a") if known else bool(set(parts) & set(_AMPERE))
     return out
 
 
 def _kind(parts: Sequence[str]) -> str:
     """Return the quantity that a name speaks of; a plain "joint" is the weakest word."""
+    if set(parts) & set(_OTHERS):
+        return ""
     matches = [kind for kind, words in _WORDS.items() if set(parts) & set(words)]
     for kind in ("command", "velocity", "force", "position"):
         if kind in matches:
@@ -272,10 +366,12 @@ def _joint_lines(
         out += ['type = "slide"', "radius = 0.1 # m: of the pinion that friction sees"]
     far = max(abs(low), abs(high))
     gain, remark = 1.0, f"{low:.4g} to {high:.4g}"
-    if kind == "hinge" and far > _TURNS:
+    if unit := guess.units.get("position"):
+        gain, remark = _UNITS["position"][unit], f"{remark} {unit}"
+    elif kind == "hinge" and far > _TURNS:
         gain = _DEGREES
         remark += ": degrees? else take gain away, or 1 / gear ratio for angles of a motor"
-    if kind == "slide" and far > 5.0:
+    elif kind == "slide" and far > 5.0:
         gain, remark = 1e-3, f"{remark}: mm? else take gain away"
     if high - low < _STILL / gain:
         remark += "; hardly moves, so nothing can be told of this joint"
@@ -288,6 +384,8 @@ def _joint_lines(
             (1.0, _DEGREES, 1e-3), key=lambda s: abs(np.log(max(abs(ratio), 1e-12) / s))
         )
         remark = f"rate of the position over it {ratio:.4g}"
+        if unit := guess.units.get("velocity"):
+            scale, remark = _UNITS["velocity"][unit], f"{unit}; {remark}"
         out.append(_quantity("velocity", guess.columns["velocity"], scale, remark))
     if "force" in guess.columns:
         force = columns[guess.columns["force"]]
@@ -297,7 +395,8 @@ def _joint_lines(
                 "; a current? its gain is found from the load, or give N m at the joint per"
                 " unit as gain, and take gain_unknown away"
             )
-        out.append(_quantity("force", guess.columns["force"], 1.0, remark))
+        gain = _UNITS["force"].get(guess.units.get("force", ""), 1.0)
+        out.append(_quantity("force", guess.columns["force"], gain, remark))
         if guess.ampere:
             out.append("gain_unknown = true")
     out.append(

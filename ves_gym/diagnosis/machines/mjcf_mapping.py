@@ -47,17 +47,18 @@ class Column:
     gain: float = 1.0
     offset: float = 0.0
 
-    def of(self, columns: dict[str, Array], where: str) -> Array:
+    def of(self, columns: dict[str, Array], where: str, missing: bool = False) -> Array:
         """Return the quantity (T,).
 
         Args:
             columns: of the file, by name.
             where: the file, in messages.
+            missing: samples may be missing, NaN.
 
         Raises:
             ParameterError: the column is not there, or not finite.
         """
-        return self.gain * column_of(columns, self.column, where) + self.offset
+        return self.gain * column_of(columns, self.column, where, missing) + self.offset
 
 
 @dataclass(frozen=True)
@@ -169,7 +170,17 @@ class MachineFile:
                 raise ParameterError(f"joint {lacks} has no {what}, others have")
 
     def machine(self, model: mujoco.MjModel | RigidBodies | None) -> MjcfMachine:
-        """The machine."""
+        """The machine.
+
+        Raises:
+            ParameterError: nothing of it can be compared.
+        """
+        rates, forces = (any(getattr(j, k) for j in self.joint) for k in ("velocity", "force"))
+        if not rates and (model is None or not forces):
+            raise ParameterError(
+                f"{self.name}: nothing to compare: say columns of velocity, or of force and a"
+                " model (model = robot.urdf)"
+            )
         return MjcfMachine(
             self.name,
             [j.joint for j in self.joint],
@@ -200,6 +211,8 @@ class MachineFile:
     def run(self, columns: dict[str, Array], name: str) -> Run:
         """A run from the columns of a file, sampled at most `_MOST_PER_BAND` times the band.
 
+        Rows in which a joint lacks a number are left out, and a note counts them.
+
         Raises:
             ParameterError: columns missing, not finite or of different lengths, a clock that
                 runs backwards or has gaps, or too slow or short for the band.
@@ -216,10 +229,18 @@ class MachineFile:
                     raise ParameterError(
                         f"{name}: {key} of {joint.name} has {len(x)} rows, the clock {len(t)}"
                     )
-        t = t[used]
-        require_steady(t, name)
         signals = {key: np.stack(series, axis=1)[used] for key, series in parts.items()}
-        return sampled_run(t, signals, name, self.band, {"noise_std": self.noise.by_signal})
+        whole = np.all([np.isfinite(x).all(axis=1) for x in signals.values()], axis=0)
+        meta: dict[str, Any] = {"noise_std": self.noise.by_signal}
+        if lacking := int(np.sum(~whole)):
+            text = f"{name}: {lacking} of {len(whole)} rows lack a number and are left out"
+            meta["notes"] = [text]
+        t = t[used][whole]
+        if len(t) < 2:
+            raise ParameterError(f"{name}: no row has a number in every column that is used")
+        require_steady(t, name)
+        signals = {key: x[whole] for key, x in signals.items()}
+        return sampled_run(t, signals, name, self.band, meta)
 
 
 def sampled_run(
@@ -244,21 +265,20 @@ def sampled_run(
             f"{name}: down-sampled from {rate:.4g} Hz to {rate / factor:.4g} Hz, everything"
             f" above {0.4 * rate / factor:.3g} Hz filtered out before"
         )
-        meta = {**meta, "notes": [text]}
+        meta = {**meta, "notes": [*meta.get("notes", ()), text]}
     return run_of_signals(t, signals, name, band, meta)
 
 
 def sum_of(parts: tuple[Column, ...], columns: dict[str, Array], where: str) -> Array:
-    """Return the sum (T,) of several columns.
+    """Return the sum (T,) of several columns, NaN where a sample is missing.
 
     Args:
         parts: to add up.
         columns: of the file, by name.
         where: the file, in messages.
     """
-    return np.asarray(
-        sum(p.of(columns, where) for p in parts[1:]) + parts[0].of(columns, where)
-    )
+    values = [part.of(columns, where, missing=True) for part in parts]
+    return np.asarray(np.sum(values, axis=0))
 
 
 def read_machine(
