@@ -56,6 +56,20 @@ def dmig(matrices, style="wide"):
     return "\n".join([*lines, "ENDDATA", ""])
 
 
+def mixed(matrices):
+    """A punch file whose symmetric entries stand on either side of the diagonal, some on both."""
+    lines, side = [], np.random.default_rng(0)
+    for name, matrix in matrices.items():
+        lines.append(f"DMIG    {name:<8}       0       6       2       0")
+        part = scipy.sparse.tril(matrix).tocoo()
+        for i, j, v in zip(part.row, part.col, part.data, strict=True):
+            ends = {0: [(i, j)], 1: [(j, i)], 2: [(i, j), (j, i)]}[int(side.integers(3))]
+            for row, column in ends[: 1 + (i != j)]:
+                (n, c), (m, d) = label(row), label(column)
+                lines.append(f"DMIG,{name},{m},{d},,{n},{c},{v:.16E}")
+    return "\n".join(lines)
+
+
 def op4(matrices, style="dense"):
     """Text OP4 with 16 digits: dense columns, or sparse ones (big: two-number heads)."""
     lines = []
@@ -121,8 +135,21 @@ def write(folder, kind):
         return {"M": folder / "job.mas", "K": folder / "job.sti"}
     if kind.startswith("DMIG"):
         path = folder / "beam.pch"
-        path.write_text(dmig({"MAAX": MASS, "KAAX": STIFF}, kind.split()[1]))
+        text = dmig({"MAAX": MASS, "KAAX": STIFF}, kind.split()[1])
+        if kind == "DMIG mixed":  # each node's freedoms against all: a side here, one there
+            text = mixed({"MAAX": MASS, "KAAX": STIFF})
+        path.write_text(text)
         return path
+    if kind == "Abaqus":
+        for name, matrix in (("M", MASS), ("K", STIFF)):
+            part = scipy.sparse.tril(matrix).tocoo()
+            ends = [[label(k) for k in side] for side in (part.row, part.col)]
+            lines = [
+                f"{n},{c}, {m},{d}, {v:.16e}"
+                for (n, c), (m, d), v in zip(*ends, part.data, strict=True)
+            ]
+            (folder / f"{name}.mtx").write_text("\n".join(lines))
+        return {"M": folder / "M.mtx", "K": folder / "K.mtx"}
     path = folder / "beam.op4"
     path.write_text(op4({"MAA": MASS, "KAA": STIFF}, kind.split()[1]))
     return path
@@ -136,6 +163,8 @@ KINDS = {  # with the digits that they keep
     "CalculiX": 1e-9,
     "DMIG wide": 1e-4,  # nine digits of a stiffness that spans 1e6
     "DMIG comma": 1e-6,
+    "DMIG mixed": 1e-9,
+    "Abaqus": 1e-9,
     "OP4 dense": 1e-9,
     "OP4 sparse": 1e-9,
     "OP4 big": 1e-9,
@@ -145,7 +174,7 @@ KINDS = {  # with the digits that they keep
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_format_gives_the_same_structure(kind, tmp_path):
     files = write(tmp_path, kind)
-    numbered = kind.startswith(("DMIG", "CalculiX"))
+    numbered = kind.startswith(("DMIG", "CalculiX", "Abaqus"))
     interface = 109 if numbered else TIP
     found = read_structure(files, interface=interface, held=CLAMP, units="m-kg-s").reduce(4)
     for name in ("K", "M", "coupling", "omega"):
@@ -270,6 +299,12 @@ def test_nothing_in_a_file_is_executed(tmp_path):
         ("a.pch", "DMIG    K              1       1", "must begin with its header"),
         ("a.mtx", "no matrix", "cannot be read as .mtx"),
         ("a.mat", "", "expected one of .npy, .npz"),
+        ("a.mtx", "%%MatrixMarket matrix coordinate pattern general\n1 1 1\n1 1", "a pattern"),
+        (
+            "a.mtx",
+            "%%MatrixMarket matrix coordinate real symmetric\n2 2 2\n1 2 1.0\n2 1 1.0",
+            "on both sides of the diagonal",
+        ),
     ],
 )
 def test_files_that_are_not_what_they_say_are_refused(name, text, message, tmp_path):
@@ -298,3 +333,26 @@ def test_names_given_twice_are_no_names(tmp_path):
     assert found.omega == pytest.approx(TRUE.omega, rel=1e-9)
     with pytest.raises(ParameterError, match="do not number nodes"):
         read_structure(files, interface=109, held=CLAMP, units="m-kg-s")
+
+
+def test_what_stands_beside_the_matrices_is_left_and_named(tmp_path):
+    """Load vectors of a punch file, a table of nodes and a word of an .npz."""
+    text = dmig({"MAAX": MASS, "KAAX": STIFF})
+    load = "DMIG    PAX            0       9       1       0                       1\n"
+    load += f"DMIG*   PAX     {1:16d}{0:16d}\n*       {109:16d}{1:16d} 1.000000000D+00\n"
+    (tmp_path / "beam.pch").write_text(text.replace("ENDDATA", load))
+    found = read_structure(tmp_path / "beam.pch", interface=109, held=CLAMP, units="m-kg-s")
+    assert found.source == "beam.pch (left: PAX must be square (form 1 or 6), got 9)"
+    assert found.reduce(4).omega == pytest.approx(TRUE.omega, rel=1e-3)
+    tables = {"mass": MASS.toarray(), "stiffness": STIFF.toarray(), "nodes": np.eye(3, 4)}
+    np.savez(tmp_path / "beam.npz", **tables, unit="kg", one=np.ones(3))
+    found = read_structure(tmp_path / "beam.npz", interface=TIP, held=CLAMP, units="m-kg-s")
+    assert all(f"{k} " in found.source for k in ("nodes must be square", "unit is", "one is"))
+    assert found.reduce(4).omega == pytest.approx(TRUE.omega, rel=1e-9)
+
+
+@pytest.mark.parametrize("units", ["m-kg-s", "mm-kg-ms"])
+def test_mass_and_stiffness_exchanged_are_asked_about(units, tmp_path):
+    np.savez(tmp_path / "both.npz", mass=STIFF.toarray(), stiffness=MASS.toarray())
+    with pytest.raises(ParameterError, match="are M and K exchanged, or units other than"):
+        read_structure(tmp_path / "both.npz", interface=TIP, held=CLAMP, units=units)

@@ -2,11 +2,14 @@
 
 Every reader is text or plain numbers: nothing in a file is executed (no pickles). OP4 is
 read in its text form, dense and sparse; a NASTRAN punch file keeps its DMIG entries, in
-fields of 8, of 16 or with commas, and every other entry is passed over.
+fields of 8, of 16 or with commas, and every other entry is passed over. What is no square
+matrix of real numbers, such as load vectors and tables of nodes, is left and named.
 """
 
 from __future__ import annotations
 
+import gzip
+import io
 import os
 import re
 from collections.abc import Callable
@@ -31,6 +34,7 @@ class NamedMatrix:
     name: str
     values: Any  # (n, n) sparse
     labels: tuple[Label, ...] | None = None  # (n,) of the freedoms, where the file says
+    left: tuple[str, ...] = ()  # what else the file holds, and why it is none
 
 
 def read_matrices(path: str | os.PathLike[str]) -> dict[str, NamedMatrix]:
@@ -51,7 +55,8 @@ def read_matrices(path: str | os.PathLike[str]) -> dict[str, NamedMatrix]:
         data, rows, ends = (arrays[f"{part}{k}"] for part in _PARTS)
         size = (len(ends) - 1,) * 2
         labels = tuple(map(tuple, arrays[f"labels{k}"].tolist())) or None
-        out[name] = NamedMatrix(name, scipy.sparse.csc_array((data, rows, ends), size), labels)
+        whole = scipy.sparse.csc_array((data, rows, ends), size)
+        out[name] = NamedMatrix(name, whole, labels, tuple(arrays["left"].tolist()))
     return out
 
 
@@ -64,11 +69,14 @@ def arrays_of(path: Path) -> dict[str, Any]:
         raise
     except Exception as error:  # a damaged file makes a decoder raise nearly anything
         raise ParameterError(f"cannot be read as {suffix}: {error}") from None
+    faults = {matrix.name: _fault(matrix.values) for matrix in matrices}
+    left = [f"{name} {fault}" for name, fault in faults.items() if fault]
+    matrices = [matrix for matrix in matrices if not faults[matrix.name]]
     if not matrices:
-        raise ParameterError("expected at least one matrix, got none")
+        raise ParameterError(", ".join(left) or "expected at least one matrix, got none")
     out: dict[str, Any] = {"names": np.array([matrix.name for matrix in matrices])}
+    out["left"] = np.array(left, str)
     for k, matrix in enumerate(matrices):
-        _check(matrix)
         whole = scipy.sparse.csc_array(matrix.values)
         parts = (getattr(whole, part) for part in _PARTS)
         out |= {f"{part}{k}": array for part, array in zip(_PARTS, parts, strict=True)}
@@ -76,14 +84,15 @@ def arrays_of(path: Path) -> dict[str, Any]:
     return out
 
 
-def _check(matrix: NamedMatrix) -> None:
-    values = matrix.values
+def _fault(values: Any) -> str:
+    """Why values are no matrix of a structure; words of a reader say so themselves."""
+    if isinstance(values, str):
+        return values
     if values.ndim != 2 or values.shape[0] != values.shape[1]:
-        raise ParameterError(f"{matrix.name} must be square, got {values.shape}")
+        return f"must be square, got {values.shape}"
     if values.dtype.kind not in "fiu":
-        raise ParameterError(f"{matrix.name} must be real, got {values.dtype}")
-    if not np.isfinite(values.data).all():
-        raise ParameterError(f"{matrix.name} must be finite")
+        return f"must be real, got {values.dtype}"
+    return "" if np.isfinite(values.data).all() else "must be finite"
 
 
 def _stem(path: Path) -> str:
@@ -101,12 +110,49 @@ def _numpy(path: Path) -> list[NamedMatrix]:
 
 
 def _matrix_market(path: Path) -> list[NamedMatrix]:
-    return [NamedMatrix(_stem(path), _sparse(scipy.io.mmread(path)))]
+    read = gzip.decompress if path.name.endswith(".gz") else bytes
+    data = read(path.read_bytes())
+    head, _, body = data.partition(b"\n")
+    words = head.decode("latin-1").lower().split()
+    if not head.startswith(b"%"):
+        return [_abaqus(path, data.decode("ascii"))]
+    if "pattern" in words:
+        raise ParameterError("must hold numbers, got a pattern")
+    if "symmetric" not in words or "coordinate" not in words:
+        return [NamedMatrix(_stem(path), _sparse(scipy.io.mmread(io.BytesIO(data))))]
+    # as it is written: a reader would take entries of both triangles twice
+    plain = re.sub(rb"(?i)symmetric", b"general", head) + b"\n" + body
+    half = scipy.sparse.csc_array(scipy.io.mmread(io.BytesIO(plain)))
+    if scipy.sparse.tril(half, -1).nnz and scipy.sparse.triu(half, 1).nnz:
+        raise ParameterError(
+            "says that it is symmetric and has entries on both sides of the diagonal: give one"
+            " triangle, or say general"
+        )
+    parts = half.tocoo()
+    return [
+        NamedMatrix(_stem(path), _filled(parts.row, parts.col, parts.data, max(half.shape)))
+    ]
+
+
+def _abaqus(path: Path, text: str) -> NamedMatrix:
+    """*MATRIX OUTPUT, FORMAT=MATRIX INPUT: node, freedom, node, freedom, value."""
+    table = np.loadtxt(text.splitlines(), delimiter=",", ndmin=2, comments="*")
+    if table.shape[1] != 5:
+        raise ParameterError(
+            "expected Matrix Market (%%MatrixMarket), or Abaqus' node, freedom, node, freedom,"
+            f" value, got {table.shape[1]} numbers a line"
+        )
+    ends = [list(map(tuple, table[:, k : k + 2].astype(int).tolist())) for k in (0, 2)]
+    labels = sorted({*ends[0], *ends[1]})
+    index = {label: i for i, label in enumerate(labels)}
+    rows, columns = (np.array([index[label] for label in end]) for end in ends)
+    whole = _filled(rows, columns, table[:, 4], len(labels))
+    return NamedMatrix(_stem(path), whole, tuple(labels))
 
 
 def _sparse(values: Any) -> Any:
     if getattr(values, "ndim", 0) != 2:
-        raise ValueError(f"expected a matrix, got an array of shape {values.shape}")
+        return f"is no matrix: an array of shape {values.shape}"
     return scipy.sparse.csc_array(values)
 
 
@@ -128,12 +174,10 @@ def _calculix(path: Path) -> list[NamedMatrix]:
 
 
 def _filled(rows: Any, columns: Any, values: Any, size: int) -> Any:
-    """A matrix of which one triangle may be given alone."""
+    """A symmetric matrix, of which each entry may be given on one side of the diagonal alone."""
     half = scipy.sparse.coo_array((values, (rows, columns)), shape=(size, size)).tocsc()
-    lower, upper = (scipy.sparse.tril(half, -1), scipy.sparse.triu(half, 1))
-    if lower.count_nonzero() and upper.count_nonzero():
-        return half
-    return scipy.sparse.csc_array(half + lower.T + upper.T)
+    given = half.astype(bool)
+    return scipy.sparse.csc_array(half + half.T - half.T.multiply(given))
 
 
 # ------------------------------------------------------------------------- NASTRAN DMIG
@@ -142,6 +186,7 @@ def _filled(rows: Any, columns: Any, values: Any, size: int) -> Any:
 def _dmig(path: Path) -> list[NamedMatrix]:
     forms: dict[str, int] = {}
     terms: dict[str, list[tuple[Label, Label, float]]] = {}
+    left: dict[str, str] = {}  # load vectors and others beside the matrices, and why
     for fields in _entries(path):
         name = fields[0].upper()
         numbers = fields[1:]
@@ -150,9 +195,11 @@ def _dmig(path: Path) -> list[NamedMatrix]:
                 raise ValueError(f"DMIG {name} must begin with its header entry")
             forms[name], terms[name] = int(numbers[1]), []
             if int(numbers[2]) not in (1, 2):
-                raise ValueError(f"DMIG {name} must be real (type 1 or 2), got {numbers[2]}")
-            if forms[name] not in (1, 6):
-                raise ValueError(f"DMIG {name} must be square (form 1 or 6), got {numbers[1]}")
+                left[name] = f"must be real (type 1 or 2), got {numbers[2]}"
+            elif forms[name] not in (1, 6):
+                left[name] = f"must be square (form 1 or 6), got {numbers[1]}"
+            continue
+        if name in left:
             continue
         column = (int(numbers[0]), int(numbers[1] or 0))
         for k in range(3, len(numbers), 4):
@@ -161,8 +208,10 @@ def _dmig(path: Path) -> list[NamedMatrix]:
                 terms[name].append((row, column, _number(numbers[k + 2])))
     labels = sorted({k for entry in terms.values() for i, j, _ in entry for k in (i, j)})
     index = {label: i for i, label in enumerate(labels)}
-    out = []
+    out = [NamedMatrix(name, why) for name, why in left.items()]
     for name, entries in terms.items():
+        if name in left:
+            continue
         rows = np.array([index[i] for i, _, _ in entries], int)
         columns = np.array([index[j] for _, j, _ in entries], int)
         values = np.array([v for *_, v in entries])

@@ -46,6 +46,7 @@ _SYMMETRIC = 1e-6  # of the largest entry: what text files of seven digits keep
 _INDEFINITE = 1e-9  # an eigenvalue of M may be negative by this part of the largest entry
 _RIGID = 1e-4  # omega^2 of a rigid motion over that of the first mode, interface held
 _ELASTIC = 1e-8  # the least that counts as strain
+_SLOWEST = 1.0  # rad/s: the fastest freedom of any structure, all others held, is faster
 _DENSE = 1500
 
 
@@ -158,6 +159,7 @@ def read_structure(
     parts, labels = _aligned(matrices)
     checked = {name: _symmetric(values, name) for name, values in parts.items()}
     size = checked["K"].shape[0]
+    _require_fast_enough(checked["M"], checked["K"], units)
     for name in checked:
         if checked[name].shape != checked["K"].shape:
             raise ParameterError(
@@ -220,7 +222,8 @@ def _find(
     for key in "MK":
         if key not in out:
             raise ParameterError(f"files must hold M and K, got {', '.join(out)}")
-    return out, source
+    left = dict.fromkeys(text for matrix in out.values() for text in matrix.left)
+    return out, source + (f" (left: {'; '.join(left)})" if left else "")
 
 
 def _named(
@@ -283,6 +286,19 @@ def _symmetric(values: Any, name: str) -> Any:
             f" {values[j, i]:.6g}"
         )
     return scipy.sparse.csc_array((values + values.T) / 2)
+
+
+def _require_fast_enough(mass: Any, stiffness: Any, units: str) -> None:
+    """Refuse a structure of which no freedom by itself is faster than 1 rad/s."""
+    M, K = mass.diagonal(), stiffness.diagonal()
+    if M.shape != K.shape or not (M > 0).any():
+        return  # other sentences say so
+    fastest = float(np.sqrt(max((K[M > 0] / M[M > 0]).max(), 0.0))) / UNITS[units][2]
+    if fastest < _SLOWEST:
+        raise ParameterError(
+            f"no freedom of this structure is faster than {fastest / (2 * np.pi):.3g} Hz: are M"
+            f" and K exchanged, or units other than {units}?"
+        )
 
 
 def _lowest(values: Any) -> float:
