@@ -57,7 +57,7 @@ def dmig(matrices, style="wide"):
 
 
 def mixed(matrices):
-    """A punch file whose symmetric entries stand on either side of the diagonal, some on both."""
+    """A punch file whose symmetric entries stand on either side, some on both."""
     lines, side = [], np.random.default_rng(0)
     for name, matrix in matrices.items():
         lines.append(f"DMIG    {name:<8}       0       6       2       0")
@@ -347,11 +347,11 @@ def test_what_stands_beside_the_matrices_is_left_and_named(tmp_path):
     tables = {"mass": MASS.toarray(), "stiffness": STIFF.toarray(), "nodes": np.eye(3, 4)}
     np.savez(tmp_path / "beam.npz", **tables, unit="kg", one=np.ones(3))
     found = read_structure(tmp_path / "beam.npz", interface=TIP, held=CLAMP, units="m-kg-s")
-    assert all(f"{k} " in found.source for k in ("nodes must be square", "unit is", "one is"))
+    assert all(k in found.source for k in ("nodes must be square", "unit is no", "one is no"))
     assert found.reduce(4).omega == pytest.approx(TRUE.omega, rel=1e-9)
 
 
-@pytest.mark.parametrize("units", ["m-kg-s", "mm-kg-ms"])
+@pytest.mark.parametrize("units", ["m-kg-s", "mm-t-s"])
 def test_mass_and_stiffness_exchanged_are_asked_about(units, tmp_path):
     np.savez(tmp_path / "both.npz", mass=STIFF.toarray(), stiffness=MASS.toarray())
     with pytest.raises(ParameterError, match="are M and K exchanged, or units other than"):

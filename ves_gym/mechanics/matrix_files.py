@@ -174,7 +174,7 @@ def _calculix(path: Path) -> list[NamedMatrix]:
 
 
 def _filled(rows: Any, columns: Any, values: Any, size: int) -> Any:
-    """A symmetric matrix, of which each entry may be given on one side of the diagonal alone."""
+    """A symmetric matrix, each entry given on both sides of the diagonal or on one."""
     half = scipy.sparse.coo_array((values, (rows, columns)), shape=(size, size)).tocsc()
     given = half.astype(bool)
     return scipy.sparse.csc_array(half + half.T - half.T.multiply(given))
