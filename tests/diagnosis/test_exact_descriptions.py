@@ -216,6 +216,6 @@ def test_legs_are_where_they_stand_when_the_vehicle_rings():
 
 
 @pytest.mark.slow
-def test_nothing_is_missing_in_199_of_200():
-    verdicts = [verdict(*case(k)) for k in range(200)]
-    assert verdicts.count(NOTHING) >= 199
+def test_nothing_is_missing_in_any_of_twenty():
+    verdicts = {k: verdict(*case(k)) for k in range(0, 200, 10)}
+    assert {k: v for k, v in verdicts.items() if v != NOTHING} == {}
