@@ -141,7 +141,10 @@ def plan(
     Args:
         start, goal: joint angles (n,) [rad], from rest as near to 0 as the limits allow; or as
             the goal a `mechanics.kinematics.ToolPose`: of the configurations that reach it the
-            one of least predicted E_mean is chosen.
+            one of least predicted E_mean is chosen. Of several arms a goal of the last one's
+            joints, or a tool pose, leaves the others free: they move so that the base has
+            least energy, and come to rest where that takes them (planners that search among
+            smooth motions: `direct`, `refined`, `damp`, `robust`; others hold them still).
         case: a query, or a system alone.
         duration: of the motion [s]; default 2.
         planner: name (`ves-gym list planners`) or planner.
@@ -164,7 +167,7 @@ def plan(
             pose out of reach.
     """
     from ves_gym.mechanics.kinematics import ToolPose
-    from ves_gym.planners.case import Case, speed_limits
+    from ves_gym.planners.case import Case, speed_limits, whole_goal
     from ves_gym.planners.obstacles import read_surroundings
     from ves_gym.planners.query import Query, solve
     from ves_gym.planners.registry import weighted
@@ -174,9 +177,15 @@ def plan(
     arm = system.arm
     if isinstance(surroundings, (str, os.PathLike)):
         surroundings = read_surroundings(surroundings)
+    pose, free = goal if isinstance(goal, ToolPose) else None, None
+    if start is None and case.query is not None:
+        start = case.query.start
+    if goal is not None:
+        goal, free = whole_goal(arm, arm.home if start is None else start, goal)
     parts: dict[str, Any] = {
         "start": _vector(start, arm.n, "start"),
-        "goal": None if isinstance(goal, ToolPose) else _vector(goal, arm.n, "goal"),
+        "goal": None if pose is not None else _vector(goal, arm.n, "goal"),
+        "free_joints": free,
         "duration": duration,
         "a_max": _vector(a_max, arm.n, "a_max"),
         "surroundings": surroundings,
@@ -198,10 +207,10 @@ def plan(
         query = Query(system=system, **{"goal": parts["start"], **parts})
     method = _planner(planner) if weights is None else weighted(_planner(planner), weights)
     seed = case.seed if seed is None else seed
-    if isinstance(goal, ToolPose):
+    if pose is not None:
         from ves_gym.planners.tool_goal import solve_to_tool
 
-        return solve_to_tool(method, query, goal, seed)
+        return solve_to_tool(method, query, pose, seed)
     return solve(method, query, seed)
 
 

@@ -29,6 +29,7 @@ from ves_gym._util.params import (
 )
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import arm_names, get_arm
+from ves_gym.mechanics.kinematics import ToolPose
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.mechanics.vehicle import VEHICLES, vehicle_name
@@ -62,6 +63,8 @@ class Query:
     start_rate: Vector | None = unit("rad/s", default=None)  # of the joints, None = at rest
     start_acceleration: Vector | None = unit("rad/s^2", default=None)
     weight: FrequencyWeight = FAST  # filter of the measure `E_weighted`
+    # joints (from 0) that may come to rest anywhere; `goal` is where a straight line takes them
+    free_joints: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         require_positive(self, "duration")
@@ -77,6 +80,11 @@ class Query:
         if not isinstance(self.surroundings, Surroundings | None):
             raise ParameterError(
                 f"surroundings must be Surroundings, got {self.surroundings!r}"
+            )
+        joints = self.free_joints or ()
+        if len(set(joints)) < len(joints) or not set(joints) <= set(range(arm.n)):
+            raise ParameterError(
+                f"free_joints must be different ones of 0 to {arm.n - 1}, got {joints}"
             )
         for name in ("start_rate", "start_acceleration"):
             if getattr(self, name) is not None:
@@ -127,6 +135,11 @@ class Query:
 
     def __repr__(self) -> str:
         return f"<Query: {self.name or self.ends_in_words} on {self.system!r}>"
+
+    def is_goal(self, q: Array) -> bool:
+        """Return True where joints (n,) are at the goal, free ones anywhere."""
+        bound = [i for i in range(len(self.goal)) if i not in (self.free_joints or ())]
+        return bool(np.allclose(q[bound], np.array(self.goal)[bound]))
 
     @property
     def ends(self) -> tuple[Array, Array]:
@@ -217,6 +230,21 @@ class Case:
             folder = Path(path).resolve().parent
             plain["log"] = Path(os.path.relpath(Path(self.log).resolve(), folder)).as_posix()
         write_table(path, plain)
+
+
+def whole_goal(arm: Arm, start: Any, goal: Any) -> tuple[Any, tuple[int, ...] | None]:
+    """Return a goal of all joints, and those that it leaves free, None for none.
+
+    Args:
+        arm: one, or several side by side.
+        start: (n,) [rad].
+        goal: (n,) [rad], or of the last arm's joints alone, or a tool pose.
+    """
+    others = arm.roots[-1].first
+    pose = isinstance(goal, ToolPose)
+    if not others or not (pose or np.shape(goal) == (arm.n - others,)):
+        return goal, None
+    return goal if pose else (*start[:others], *goal), tuple(range(others))
 
 
 def speed_limits(arm: Arm, v_max: npt.ArrayLike | None = None) -> Vector | None:

@@ -62,6 +62,7 @@ class MotionProblem:
         self.start, self.goal = query.ends
         self.n, self.m = self.arm.n, free + 2 * _FIXED
         self._inner = slice(_FIXED, self.m - _FIXED)  # the free control points
+        self._open = list(query.free_joints or ())
         self.first = np.array([self.start] * _FIXED)  # control points
         if query.is_moving:
             self.first = leading_points(self.m, query.duration, self.start, *query.start_motion)
@@ -136,8 +137,20 @@ class MotionProblem:
         return np.clip(np.array(fitted.control)[self._inner].ravel(), *self.bounds)
 
     def control(self, x: Array) -> Array:
-        """(m, n) control points from the free ones."""
-        return np.vstack([self.first, x.reshape(-1, self.n), [self.goal] * _FIXED])
+        """(m, n) control points from the free ones; free joints end at their last."""
+        points, goal = x.reshape(-1, self.n), self.goal.copy()
+        goal[self._open] = points[-1, self._open]
+        return np.vstack([self.first, points, [goal] * _FIXED])
+
+    def _at_points(self, rows: Array) -> Array:
+        """What rows (N, m) of all control points are of the free ones, joint by joint (N, free,
+        n)."""
+        inner = rows[:, self._inner, None]
+        out = np.broadcast_to(inner, (*inner.shape[:2], self.n))
+        if self._open:
+            out = out.copy()
+            out[:, -1, self._open] += rows[:, -_FIXED:].sum(axis=1)[:, None]
+        return out
 
     def motion(self, x: Array) -> Motion:
         """The motion of a decision."""
@@ -167,7 +180,7 @@ class MotionProblem:
     def _by_points(self, slopes: Iterable[Array], bases: Sequence[Array]) -> Array:
         """Derivative (N, k, free, n) from those by positions, rates, ... (N, k, n)."""
         parts = zip(slopes, bases, strict=True)
-        terms = [np.einsum("kcj,km->kcmj", by, b[:, self._inner]) for by, b in parts]
+        terms = [np.einsum("kcj,kmj->kcmj", by, self._at_points(b)) for by, b in parts]
         return np.asarray(sum(terms[1:], start=terms[0]))
 
     # ------------------------------------------------------------------------ limits
@@ -198,7 +211,8 @@ class MotionProblem:
                 continue
             most = (_SHARE if self._response is None else _MOVED_SHARE) * np.array(limit)
             up, down = self._yielding(t, order) / most
-            rows = np.kron(polygon[:, self._inner], np.diag(1 / most))
+            rows = self._at_points(polygon)[:, None] * np.diag(1 / most)[:, None]
+            rows = rows.reshape(count * self.n, -1)
             at_rest = (polygon @ ends) / most
             active = np.abs(rows).max(axis=1) > 0
             parts.append(((at_rest + up).ravel()[active] - 1, rows[active]))
@@ -264,11 +278,9 @@ class MotionProblem:
         least = checker.clearance + _ROOM
         near = [checker.proximity(row @ control, least + _NEAR) for row in position[1:-1]]
         counts = [len(k.distance) for k in near]
-        at = np.repeat(
-            position[1:-1, self._inner], counts, axis=0
-        )  # the basis of each distance
+        at = np.repeat(self._at_points(position[1:-1]), counts, axis=0)  # of each distance
         slope = np.vstack([k.slope for k in near])
-        rows = -10 * at[:, :, None] * slope[:, None, :]
+        rows = -10 * at * slope[:, None, :]
         lack = 10 * (least - np.concatenate([k.distance for k in near]))
         return lack, rows.reshape(len(lack), x.size)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -143,6 +143,8 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
         except NoPlan as error:
             failure: str | None = str(error)
         else:
+            if query.free_joints:  # the answer is to the ends that it chose
+                query = replace(query, goal=motion.control[-1])
             predicted = predict(query.system, motion, query.servo, base=query.base, parts=FINE)
             failure = first_violation(query, motion)
     seconds = time.perf_counter() - begin
@@ -155,8 +157,7 @@ def first_violation(query: Query, motion: Motion) -> str | None:
     Ends, duration, position, the query's speed and acceleration limits, on motor drives the
     joint torque, and collisions at four times the planning resolution.
     """
-    start, goal = query.ends
-    if not (np.allclose(motion.start, start) and np.allclose(motion.goal, goal)):
+    if not (np.allclose(motion.start, query.start) and query.is_goal(motion.goal)):
         return "the motion does not join the ends of the query"
     if not math.isclose(motion.duration, query.duration):
         return f"the motion takes {motion.duration:g} s, asked {query.duration:g} s"
