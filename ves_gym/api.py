@@ -177,15 +177,16 @@ def plan(
     arm = system.arm
     if isinstance(surroundings, (str, os.PathLike)):
         surroundings = read_surroundings(surroundings)
-    pose, free = goal if isinstance(goal, ToolPose) else None, None
+    pose = goal if isinstance(goal, ToolPose) else None
+    joints: Any = goal
+    free: tuple[int, ...] | None = None
     if start is None and case.query is not None:
         start = case.query.start
     if goal is not None:
-        goal, free = whole_goal(arm, arm.home if start is None else start, goal)
+        joints, free = whole_goal(arm, arm.home if start is None else start, goal)
     parts: dict[str, Any] = {
         "start": _vector(start, arm.n, "start"),
-        "goal": None if pose is not None else _vector(goal, arm.n, "goal"),
-        "free_joints": free,
+        "goal": None if pose is not None else _vector(joints, arm.n, "goal"),
         "duration": duration,
         "a_max": _vector(a_max, arm.n, "a_max"),
         "surroundings": surroundings,
@@ -193,6 +194,8 @@ def plan(
         "weight": weight,
     }
     parts = {key: value for key, value in parts.items() if value is not None}
+    if goal is not None:
+        parts["free_joints"] = free
     if v_max is not None:
         parts["v_max"] = speed_limits(arm, v_max)
     if case.query is not None:
