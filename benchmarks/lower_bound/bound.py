@@ -101,7 +101,7 @@ def bound_energy(
         raise ParameterError(f"slabs must be >= 2, got {slabs}")
     where = (start + goal) / 2 if at is None else arm.require_within_limits(at, "at")
     linear = LinearBase(query.system)
-    plain = momentum_cost(linear.mass(inertia(arm, where)), linear.D, linear.K, T)
+    plain = momentum_cost(linear.mass(linear.inertia(where)), linear.D, linear.K, T)
     simple = _first_moment(query, plain)
     nothing = LowerBound(query, simple, where, plain, None, None, np.zeros(0))
     if arm.n > _JOINTS or np.array_equal(start, goal):

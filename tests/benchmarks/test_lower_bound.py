@@ -26,7 +26,7 @@ from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.planners.direct import Direct
 from ves_gym.planners.motion_problem import MotionProblem
 from ves_gym.planners.objective import MeanEnergy
-from ves_gym.planners.prediction import LinearBase, joint_momentum
+from ves_gym.planners.prediction import LinearBase
 from ves_gym.planners.query import Query
 from ves_gym.planners.refine import Refined, detours
 from ves_gym.planners.suites import reach100
@@ -50,7 +50,7 @@ def query(vehicle="bent-thesis", duration=1.0, start=START, goal=GOAL, **changes
 def base_cost(asked):
     """The cost of a query's base, arm in the middle."""
     linear = LinearBase(asked.system)
-    M = linear.mass(inertia(asked.system.arm, sum(asked.ends) / 2))
+    M = linear.mass(linear.inertia(sum(asked.ends) / 2))
     return momentum_cost(M, linear.D, linear.K, asked.duration)
 
 
@@ -94,7 +94,7 @@ def test_the_conjugate_is_that_of_the_mean_energy(vehicle, duration):
     cost = cost.less(local_part(cost))
     energy, slabs = frozen(asked), 24
     t = energy.t
-    u = joint_momentum(asked.system, asked.straight, t)
+    u = LinearBase(asked.system).load(asked.straight, t)
     own = 0.5 * np.trapezoid(np.einsum("ti,ij,tj->t", u, cost.R, u), t)
     left = energy.of(asked.straight) - own
     nodes = np.linspace(0, duration, slabs + 1)
@@ -220,7 +220,7 @@ def test_any_potential_bounds_the_functional_along_any_motion():
         nodes = np.linspace(0, 1.4, slabs + 1)
         multiplier = np.stack([np.interp(t, nodes, p.l[:, j]) for j in range(6)], axis=1)
         for motion in motions:
-            u = joint_momentum(asked.system, motion, t)
+            u = LinearBase(asked.system).load(motion, t)
             own = 0.5 * np.einsum("ti,ij,tj->t", u, cost.R, u)
             assert np.trapezoid((multiplier * u).sum(axis=1) + own, t) >= least
 

@@ -21,7 +21,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.planners.coupling import coupling_matrix
 from ves_gym.planners.objective import MeanEnergy
-from ves_gym.planners.prediction import joint_momentum, predict, spectral_energy
+from ves_gym.planners.prediction import predict, spectral_energy
 from ves_gym.planners.query import solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import REACH_DURATIONS
@@ -133,7 +133,7 @@ def test_frozen_quadratic_form_agrees_with_predict(duration):
     system, servo = System(vehicle=BENT_THESIS), reach(duration, 1)[0].servo
     motion = Motion.straight(START, 0.1 * GOAL, duration)
     form = MeanEnergy(system, motion.at(duration / 2).q, duration, servo)
-    u = joint_momentum(system, motion, form.t).ravel()
+    u = form.linear.load(motion, form.t).ravel()
     expected = predict(system, motion, servo).E_mean
     assert 0.5 * u @ form.hessian @ u == pytest.approx(expected, rel=0.01)
 

@@ -9,8 +9,9 @@ import scipy
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
 from ves_gym.envs.scales import BaseModes, released_energy, straight_energy
-from ves_gym.mechanics.modes import inertia_blocks, natural_modes
+from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
+from ves_gym.planners.coupling import blocks as inertia_blocks
 from ves_gym.system.system import System
 
 N = 200
@@ -68,8 +69,8 @@ def test_modes_of_a_base_are_those_of_numpy(vehicle):
     for count in (2, 40, 5):
         q = np.random.default_rng(count).uniform(-2, 2, (count, 3))
         g, omega, _ = modes(q)
-        M, _, K = system.base.full()
-        blocks = inertia_blocks(system.arm, M, q)
+        K = system.base.full()[2]
+        blocks = inertia_blocks(system, q)
         wanted = np.clip(natural_modes(K, blocks.Mt).omega, 1.0, 300.0)
         np.testing.assert_allclose(np.sort(omega, axis=1), wanted, rtol=1e-9)
         # the modes together are the base's whole compliance to a push by the joints
@@ -92,7 +93,7 @@ def test_energy_of_a_released_base_is_that_of_its_matrices(vehicle):
     y[:, 3:] *= 0.1
     b, dt, duration = len(M), 2e-3, 8.0
     for k, integral in enumerate(released_energy(system, q, y, duration)):
-        Mt = inertia_blocks(system.arm, M, q[k]).Mt
+        Mt = inertia_blocks(system, q[k]).Mt
         A = np.zeros((2 * b, 2 * b))
         A[:b, b:] = np.eye(b)
         A[b:, :b], A[b:, b:] = -np.linalg.solve(Mt, K), -np.linalg.solve(Mt, D)

@@ -9,6 +9,7 @@ import pytest
 import scipy
 
 from ves_gym._util.params import ParameterError
+from ves_gym.damping.plant import plant_at
 from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.boom import (
@@ -26,8 +27,8 @@ from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.spatial import rotation
-from ves_gym.planners.coupling import coupling_matrix
-from ves_gym.planners.query import Query
+from ves_gym.planners.query import Query, solve
+from ves_gym.planners.registry import get_planner
 from ves_gym.system.system import System
 from ves_gym.system.system_library import get_system
 
@@ -165,10 +166,11 @@ def test_a_reduced_boom_is_drawn_as_it_lies():
 def test_what_takes_links_for_rigid_says_so():
     arm = SHUTTLE_LIKE.braked(REACHING_OUT, get_arm("puma560"))
     system, still = System(arm=arm), (0.0, 0.0, 0.0)
+    query = Query(system=system, start=still, goal=(0.1, 0.1, 0.1), duration=1.0)
     with pytest.raises(ParameterError, match=r"takes links for rigid.*13 flexures.*Boom\.at"):
-        Query(system=system, start=still, goal=(0.1, 0.1, 0.1), duration=1.0)
-    with pytest.raises(ParameterError, match="a coupling matrix takes links for rigid"):
-        coupling_matrix(system, still)
+        solve(get_planner("reaction-null"), query)
+    with pytest.raises(ParameterError, match="PPED takes links for rigid"):
+        plant_at(system, still)
     with pytest.raises(ParameterError, match="no words for the 13 flexures"):
         arm.to_urdf("nowhere.urdf")
     with pytest.raises(ParameterError, match="mode emulated needs an arm of rigid links"):

@@ -21,7 +21,6 @@ from ves_gym.planners.objective import ENERGY, WEIGHTS, MeanEnergy, Objective, c
 from ves_gym.planners.prediction import (
     BaseState,
     LinearBase,
-    joint_momentum,
     predict,
     spectral_energy,
 )
@@ -71,7 +70,7 @@ TO_REST = Motion.to_rest(START, [0.3, -0.2, 0.4], [0.5, 0.0, -0.5], START + 0.2,
 @pytest.mark.parametrize("base", [None, MOVING], ids=["base at rest", "base moving"])
 def test_along_a_motion_the_form_is_the_prediction(servo, motion, base):
     """Two texts of the same steps: equal to rounding."""
-    u = joint_momentum(BENT, motion, np.zeros(1))[0]
+    u = inertia(BENT.arm, motion.start)[:6, 6:] @ motion.at([0.0]).v[0]
     form = MeanEnergy(BENT, motion, 1.0, servo, base=base, momentum=u)
     expected = predict(BENT, motion, servo, base=base).E_mean
     assert form.of(motion) == pytest.approx(expected, rel=1e-10)
@@ -207,7 +206,7 @@ def test_forms_are_the_prediction_where_inertia_is_constant(vehicle):
     """
     query = query_of(vehicle)
     objective = everything(query)
-    u = joint_momentum(query.system, query.straight, objective.t).ravel()
+    u = objective.linear.load(query.straight, objective.t).ravel()
     expected = predict_disturbance(query, query.straight)
     for name in MEASURES:
         value = objective.measure(name, u)
@@ -246,7 +245,7 @@ def test_slope_and_curvature_are_those_of_the_value(base):
     query = query_of(goal=START + 0.3, base=base)
     objective = everything(query)
     rng, s = np.random.default_rng(0), objective.t
-    u = joint_momentum(query.system, query.straight, s)
+    u = objective.linear.load(query.straight, s)
     ways = np.sin(np.pi * np.arange(1, 11)[:, None] * s)[..., None] * rng.normal(
         size=(10, 1, 6)
     )

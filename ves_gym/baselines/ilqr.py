@@ -27,7 +27,6 @@ from ves_gym.envs.control import Guided
 from ves_gym.envs.rest_to_rest import RestToRest
 from ves_gym.envs.task import Task
 from ves_gym.envs.vector import VesVectorEnv
-from ves_gym.mechanics.dynamics import inertia
 from ves_gym.planners.momentum import torque
 from ves_gym.planners.prediction import LinearBase
 
@@ -303,7 +302,7 @@ def costs(model: VesVectorEnv, motion: ControlledMotion) -> tuple[Array, Array]:
     pick[np.arange(half), order] = 1.0
     pick[np.arange(half) + half, order + half] = 1.0
     pick[b + np.arange(n), 2 * half + np.arange(n)] = -1.0
-    M = linear.mass(inertia(task.system.arm, motion.x[1:, 6 : 6 + n]))
+    M = linear.mass(linear.inertia(motion.x[1:, 6 : 6 + n]))
     out = np.zeros((len(M), size, size))
     for k, m in enumerate(M):
         T = _momenta(m)

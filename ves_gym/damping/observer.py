@@ -12,7 +12,6 @@ import numpy.typing as npt
 import scipy.linalg
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.dynamics import inertia
 from ves_gym.planners.prediction import BaseState, LinearBase, hold
 from ves_gym.system.system import System
 
@@ -35,9 +34,10 @@ class BaseObserver:
 
     def __init__(self, system: System, at: npt.ArrayLike, dt: float) -> None:
         angles = np.atleast_2d(np.asarray(at, float))
-        self.system, self._linear = system, LinearBase(system)
+        # what the sensor sees does not tell a gear's or a link's deflection
+        self._linear = LinearBase(system.replace(arm=system.arm.rigid()))
         b = self.b = self._linear.b
-        self._M = self._linear.mass(inertia(system.arm, angles))
+        self._M = self._linear.mass(self._linear.inertia(angles))
         A, B = self._linear.plant(self._M)
         n, size = len(angles), 2 * b
         self._Phi, *drive = hold(A, B[..., :6], dt)
@@ -60,9 +60,11 @@ class BaseObserver:
 
         The joints' momentum is u (n, 6).
         """
-        base = self.system.base
-        z = np.concatenate([y, base.attached(y)], axis=1)
-        zd = np.concatenate([yd, base.attached(yd)], axis=1)
+        start = [
+            self._linear.coordinates(BaseState(y=tuple(a.tolist()), yd=tuple(b.tolist())))
+            for a, b in zip(y, yd, strict=True)
+        ]
+        z, zd = (np.stack(part) for part in zip(*start, strict=True))
         self.s = np.concatenate([z, (self._M @ zd[..., None])[..., 0]], axis=1)
         self.s[:, self.b : self.b + 6] += u
 
@@ -82,7 +84,4 @@ class BaseObserver:
         """Return the motion of base i of state s (2 b,), its joints' momentum u (6,)."""
         P = s[self.b :].copy()
         P[:6] -= u
-        z, zd = s[: self.b], np.linalg.solve(self._M[i], P)
-        parts = (z[:6], zd[:6], z[6:], zd[6:])
-        y, yd, modes, rates = (tuple(part.tolist()) for part in parts)
-        return BaseState(y=y, yd=yd, u=modes, ud=rates)
+        return self._linear.base_state(s[: self.b], np.linalg.solve(self._M[i], P))

@@ -106,6 +106,7 @@ def plants(system: System, q: npt.ArrayLike) -> list[LinearPlant]:
             "PPED needs a base with stiffness in all six directions (what is damped is its"
             f" strain energy), got a stiffness matrix with eigenvalue {stiffest[0]:.3g}"
         )
+    system.arm.require_rigid("PPED")
     angles = np.atleast_2d(np.asarray(q, float))
     linear = linearise_ideal(system, angles)
     n, base = system.arm.n, system.base

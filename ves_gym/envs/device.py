@@ -414,7 +414,7 @@ class DeviceRows:
     @cached_property
     def _constants(self) -> list[Any]:
         """Numbers of the arm, M, D, K of the base and an identity, in double precision."""
-        matrices = self._space.base.full()
+        matrices = self._space.base.locked().full()
         numbers = parameters(self._space)[1][:, None]
         parts = numbers, *matrices, np.eye(2 * (len(matrices[0]) + self.shape.joints))
         kind, device = self.torch.float64, self.torch_device

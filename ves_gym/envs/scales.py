@@ -55,7 +55,7 @@ class BaseModes:
         if len(q) > self._room:
             self._room = len(q)
             self._inertia = InertiaMap(self.system, self._room)
-            self._mass, D, K = self.system.base.full()
+            self._mass, D, K = self.system.base.locked().full()
             # columns r of a root of D: the sum of (shape . r)^2 is shape . D shape
             self._root = root(D).T
             self._modes = ModeMap(K, n + self._root.shape[1], self._room)
@@ -173,7 +173,7 @@ def released_energy(system: System, q: Array, y: Array, duration: float) -> Arra
         duration: of the integral [s].
     """
     base = system.base
-    M, D, K = base.full()
+    M, D, K = base.locked().full()
     Mt = blocks_of(inertia(system.arm, q), M).Mt
     omega, shapes = natural_modes(K, Mt)
     shift = np.concatenate([y, base.attached(y)], axis=1)

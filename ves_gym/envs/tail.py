@@ -59,7 +59,7 @@ class FreeDecay:
         self, system: System, n: int, seconds: float, gains: tuple[Array, Array] | None
     ) -> None:
         self.system, self.seconds = system, seconds
-        self.M, self.D, self.K = system.base.full()
+        self.M, self.D, self.K = system.base.locked().full()
         self.b, self.n = len(self.M), system.arm.n
         self.locked = system.drive == "prescribed"  # perfect servos hold the joints
         self.axes = self.b if self.locked else self.b + self.n

@@ -433,6 +433,13 @@ class Arm:
         parts = (self.base_flexures, *(link.flexures for link in self.links))
         return sum(len(part or ()) for part in parts)
 
+    def rigid(self) -> Arm:
+        """Return the arm whose links and gears do not give way (itself, if none does)."""
+        if not (self.bends or self.geared):
+            return self
+        links = tuple(replace(link, flexures=None, gear=None) for link in self.links)
+        return replace(self, links=links, base_flexures=None)
+
     def require_rigid(self, what: str) -> None:
         """Refuse links that bend; `what` it is that takes them for rigid."""
         if self.bends:

@@ -24,7 +24,12 @@ from ves_gym._util.params import (
     write_table,
 )
 from ves_gym.mechanics.arm import Inertial, matrix, require_length_1
-from ves_gym.mechanics.carried import Carried, carried_inertia
+from ves_gym.mechanics.carried import (
+    Carried,
+    ReactionWheel,
+    carried_inertia,
+    linear_joints,
+)
 
 
 class Saved:
@@ -180,14 +185,31 @@ class BaseModel:
         return len(self.carried) + self.m
 
     def full(self) -> tuple[Array, Array, Array]:
-        """Return M, D, K over (Y, u) at Y = 0, the body included: three (6 + m, 6 + m)."""
-        out = tuple(np.array(k, dtype=np.float64) for k in (self.mass_matrix, self.D, self.K))
+        """Return M, D, K over (Y, u) at Y = 0, the body included: three (6 + h, 6 + h).
+
+        u are the h hidden coordinates, joints of wheels and appendages before the modes.
+        """
+        k, size = len(self.carried), 6 + self.hidden
+        out = np.zeros((3, size, size))
+        out[:, :6, :6] = self.mass_matrix, self.D, self.K
         if self.internal is not None:
-            wide = tuple(part.copy() for part in self.internal.matrices())
-            for matrix_, block in zip(wide, out, strict=True):
-                matrix_[:6, :6] += block
-            out = wide
+            at = np.r_[:6, 6 + k : size]
+            out[:, at[:, None], at] += np.stack(self.internal.matrices())
+        if k:
+            joints = range(6, 6 + k)
+            across, *diagonals = linear_joints(self.carried)
+            out[0, :6, joints], out[0, joints, :6] = across.T, across.T
+            out[:, joints, joints] = diagonals
         return out[0], out[1], out[2]
+
+    def locked(self) -> BaseModel:
+        """Return the base whose wheels and appendages do not move on it."""
+        return replace(self, M=self.mass_matrix, body=None, carried=())
+
+    @property
+    def wheels(self) -> tuple[ReactionWheel, ...]:
+        """The wheels among what is carried, the first of it."""
+        return tuple(part for part in self.carried if isinstance(part, ReactionWheel))
 
     def condensed(self) -> tuple[Array, Array, Array]:
         """Return M, D, K of the interface with internal modes that follow it: three (6, 6).
@@ -195,12 +217,17 @@ class BaseModel:
         Guyan's static condensation: right for motions much slower than the slowest mode.
         """
         M, D, _ = self.full()
-        follow = np.vstack([np.eye(6), self.attached(np.eye(6)).T])
+        follow = np.vstack([np.eye(6), self.at_rest(np.eye(6)).T])
         return follow.T @ M @ follow, follow.T @ D @ follow, self.K.copy()
 
     def attached(self, y: Array) -> Array:
         """(..., m) coordinates u of modes at rest on a base at (..., 6) Y; rates likewise."""
         return carried(self.coupling, y)
+
+    def at_rest(self, y: Array) -> Array:
+        """(..., h) hidden coordinates at rest on a base at (..., 6) Y; rates likewise."""
+        still = np.zeros((*y.shape[:-1], len(self.carried)))
+        return np.concatenate([still, self.attached(y)], axis=-1)
 
     @property
     def coupling(self) -> Array:

@@ -227,6 +227,20 @@ def carried_inertia(carried: tuple[Carried, ...], at: Array) -> tuple[Array, Arr
     return locked, across, joints
 
 
+def linear_joints(carried: tuple[Carried, ...]) -> tuple[Array, Array, Array, Array]:
+    """Return momentum per rate across (6, k), inertia, damping and stiffness of k joints (k,).
+
+    Near rest: a wheel's Coulomb friction is left out.
+    """
+    at = np.zeros(len(carried))
+    _, across, inertia = carried_inertia(carried, at)
+    damping, stiffness = at.copy(), at.copy()
+    for c, part in enumerate(carried):
+        damping[c] = -passive_effort(part, np.zeros(()), np.ones(()))
+        stiffness[c] = -passive_effort(part, np.ones(()), np.zeros(()))
+    return across, inertia, damping, stiffness
+
+
 def carried_energy(
     carried: tuple[Carried, ...], twist: Array, at: Array, rate: Array
 ) -> tuple[Array, Array, Array]:

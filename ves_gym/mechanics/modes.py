@@ -10,8 +10,6 @@ import numpy.typing as npt
 import scipy
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import inertia
 
 
 class InertiaBlocks(NamedTuple):
@@ -22,24 +20,13 @@ class InertiaBlocks(NamedTuple):
     Hm: Array  # (..., n, n) joint inertia
 
 
-def inertia_blocks(arm: Arm, mass: Array, q: npt.ArrayLike) -> InertiaBlocks:
-    """Return the inertia blocks at joint angles q.
-
-    Args:
-        mass: (b, b) mass matrix of the vehicle, at the platform-top origin; its internal
-            modes, if any, after the six coordinates of the pose.
-        q: (..., n) joint angles [rad].
-    """
-    arm.require_rigid("a model of base and joints")
-    return blocks_of(inertia(arm, q), mass)
-
-
 def blocks_of(H: Array, mass: Array) -> InertiaBlocks:
     """Return the inertia blocks of an arm on its vehicle.
 
     Args:
         H: (..., 6 + n, 6 + n) inertia of the arm (`dynamics.inertia`).
-        mass: (b, b) of the vehicle, see `inertia_blocks`.
+        mass: (b, b) mass matrix of the vehicle, at the platform-top origin; its internal modes,
+            if any, after the six coordinates of the pose.
     """
     b, n = len(mass), H.shape[-1] - 6
     if b == 6:

@@ -233,6 +233,11 @@ class AttitudeControl:
                 f" {self.dump_below:g} and {self.dump_above:g}"
             )
 
+    def gains(self, inertia: Array) -> tuple[Array, Array]:
+        """Return kp [N m/rad] and kd [N m s/rad] of an inertia (..., 3, 3), see `moment`."""
+        w = 2 * np.pi * self.bandwidth
+        return inertia * w**2, inertia * (2 * self.damping_ratio * w)
+
     def moment(
         self, inertia: Array, target: Array, q: Array, spin: Array, stored: Array
     ) -> Array:
@@ -258,6 +263,13 @@ class AttitudeControl:
             matvec(inertia, faster) + gyroscopic, -self.moment_max, self.moment_max
         )
         return out
+
+
+def about_centre(locked: Array) -> Array:
+    """Inertia (..., 3, 3) about the centre of mass, of a spatial inertia (..., 6, 6)."""
+    mass, first = locked[..., :1, :1], locked[..., 3:, :3]
+    out: Array = locked[..., 3:, 3:] + first @ first / mass
+    return out
 
 
 def wheel_axes(wheels: tuple[ReactionWheel, ...]) -> Array:

@@ -69,7 +69,6 @@ class Query:
     def __post_init__(self) -> None:
         require_positive(self, "duration")
         arm = self.system.arm
-        arm.require_rigid("a planner's query")
         arm.require_turning("a planner's query")
         for end in ("start", "goal"):
             arm.require_within_limits(getattr(self, end), end)
@@ -92,7 +91,7 @@ class Query:
         if not isinstance(self.base, BaseState | None):
             raise ParameterError(f"base must be a BaseState, got {self.base!r}")
         if self.base is not None:
-            self.base.stacked(self.system.base)
+            self.base.stacked(self.system)
         if self.system.drive == "motor":
             servo = self.servo.for_arm(arm, self.system.vehicle)
             object.__setattr__(self, "servo", servo)  # the class is frozen

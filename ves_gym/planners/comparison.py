@@ -249,6 +249,7 @@ class PlanReport:
                 f"E_weighted: gain {plan.query.weight}; means over the motion and {TAIL:g} s"
                 " after it",
                 f"planned in {plan.seconds:.2f} s; {verdict}",
+                *(f"not in the plan: {note}" for note in plan.notes),
                 self.reference.verdict("reference"),
                 self.simulated.verdict("simulated arm"),
             ]

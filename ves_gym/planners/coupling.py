@@ -13,28 +13,36 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.kernel.maps import coupling_matrices
+from ves_gym.mechanics.linear_motion import LinearMotion
 from ves_gym.mechanics.modes import (
     InertiaBlocks,
     Modes,
-    inertia_blocks,
     natural_modes,
     quintic_spectrum,
 )
-from ves_gym.mechanics.vehicle import BaseModel
 from ves_gym.system.system import System
 
 _MANY = 3000  # angles from which compiled code pays, its first use included
 
 
-def blocks(system: System, q: npt.ArrayLike, base: BaseModel | None = None) -> InertiaBlocks:
-    """Return the inertia blocks of arm and vehicle at configurations q (..., n)."""
-    return inertia_blocks(system.arm, (base or system.base).full()[0], q)
+def blocks(system: System, q: npt.ArrayLike) -> InertiaBlocks:
+    """Return the inertia blocks of arm and base at configurations q (..., n).
+
+    The base is all that is driven by no motor: its pose, flexures of the arm, and what is
+    hidden in it (wheels, appendages, internal modes).
+    """
+    return LinearMotion(system.arm, system.base).blocks(q)
+
+
+def stiffness(system: System) -> Array:
+    """K (b, b) of the coordinates that `blocks` calls the base."""
+    free = LinearMotion(system.arm, system.base)
+    return free.K[: free.b, : free.b]
 
 
 def modes(system: System, q: npt.ArrayLike) -> Modes:
     """Return the natural modes of (K, M + H_b(q)), undamped."""
-    base = system.base
-    return natural_modes(base.full()[2], blocks(system, q, base).Mt)
+    return natural_modes(stiffness(system), blocks(system, q).Mt)
 
 
 def coupling_matrix(system: System, q: npt.ArrayLike) -> Array:
@@ -42,16 +50,16 @@ def coupling_matrix(system: System, q: npt.ArrayLike) -> Array:
 
     An instantaneous joint step dq leaves the strain energy 1/2 dq^T Q dq in the base.
     """
-    system.arm.require_rigid("a coupling matrix")
-    system.arm.require_turning("a coupling matrix")
+    arm = system.arm
+    arm.require_turning("a coupling matrix")
     angles = np.asarray(q, float)
-    if angles.ndim and angles.shape[-1] == system.arm.n and angles.size >= _MANY:
-        flat = angles.reshape(-1, system.arm.n)
-        return coupling_matrices(system, flat).reshape(*angles.shape, system.arm.n)
-    base = system.base
-    b = blocks(system, q, base)
+    rigid = not (arm.bends or system.base.carried)
+    if rigid and angles.ndim and angles.shape[-1] == arm.n and angles.size >= _MANY:
+        flat = angles.reshape(-1, arm.n)
+        return coupling_matrices(system, flat).reshape(*angles.shape, arm.n)
+    b = blocks(system, q)
     A = np.linalg.solve(b.Mt, b.Hbm)
-    return np.swapaxes(A, -1, -2) @ (base.full()[2] @ A)
+    return np.swapaxes(A, -1, -2) @ (stiffness(system) @ A)
 
 
 def band_limited(system: System, q: npt.ArrayLike, duration: float) -> Array:
@@ -65,9 +73,8 @@ def band_limited(system: System, q: npt.ArrayLike, duration: float) -> Array:
     """
     if not duration > 0:
         raise ParameterError(f"duration must be > 0 s, got {duration!r}")
-    base = system.base
-    b = blocks(system, q, base)
-    m = natural_modes(base.full()[2], b.Mt)
+    b = blocks(system, q)
+    m = natural_modes(stiffness(system), b.Mt)
     weight = m.omega * quintic_spectrum(m.omega * duration)
     rows = weight[..., :, None] * (np.swapaxes(m.shapes, -1, -2) @ b.Hbm)
     return np.swapaxes(rows, -1, -2) @ rows

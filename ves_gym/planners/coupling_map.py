@@ -101,7 +101,6 @@ def cross_section(
         points: of the grid, per axis; `least` are needed.
     """
     arm, (i, j) = system.arm, joints
-    arm.require_rigid("a coupling map")
     arm.require_turning("a coupling map")
     if points < least:
         raise ParameterError(f"points must be >= {least}, got {points}")
@@ -178,7 +177,7 @@ def _fast_block(
 
     Raw Q is compiled as a whole (`coupling_matrix`).
     """
-    if duration is None or not system.base.K.any():
+    if duration is None or not system.base.K.any() or system.arm.bends:
         return None
     squares = Metric(system, duration)
     steps = np.eye(system.arm.n)[list(joints)]

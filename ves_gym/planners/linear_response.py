@@ -1,6 +1,6 @@
 """Acceleration, displacement, tool error and filtered motion of the linear base.
 
-The base of `prediction` under the joint momentum u(t), with a filter's states l beside it:
+The base of `prediction` under its load u(t), with a filter's states l beside it:
 
     s = (x, v, l),   x' = v,   M v' = -u' - (D + M') v - K x,   l_j' = w_j (z - l_j).
 
@@ -18,7 +18,6 @@ import numpy.typing as npt
 import scipy.linalg
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.kinematics import joint_positions, tool_jacobian
 from ves_gym.mechanics.modes import root
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.spatial import skew
@@ -30,7 +29,6 @@ from ves_gym.planners.prediction import (
     LinearBase,
     gramian,
     inertia_along,
-    joint_momentum,
 )
 from ves_gym.system.disturbance import Disturbance, mount_of
 from ves_gym.system.energy import TAIL
@@ -68,7 +66,7 @@ class LinearResponse:
         at: (n,) configuration whose inertia holds [rad], or a motion: that along it.
         path: of the joints, for the place of the tool.
         t: (N,) nodes, even [s]; the joints are at rest afterwards.
-        u: (N, 6, C) momentum of the joints, linear between nodes.
+        u: (N, k, C) load of the motion (`LinearBase.load`), linear between nodes.
         weight: filter of the quantity `filtered`.
         base: its motion at the start, in the last column; None: at rest.
         parts: steps between nodes that share one inertia.
@@ -92,7 +90,7 @@ class LinearResponse:
         size, b = linear.size, linear.b
         self.s = np.zeros((len(t), 2 * size + b * len(weight.rates), u.shape[-1]))
         if base is not None:
-            z, zd = base.stacked(linear.system.base)
+            z, zd = linear.coordinates(base)
             self.s[0, :b, -1], self.s[0, size : size + b, -1] = z, zd
             for k in range(len(weight.rates)):  # the filter begins on the base's position
                 self.s[0, self._low(k), -1] = z
@@ -108,10 +106,10 @@ class LinearResponse:
     def _steps(self, M: Array, change: Array) -> tuple[Array, Array]:
         """Exact steps (k, S, S) under constant M and u', and their push per change of u."""
         A, size = self._plant(M, change), self.linear.size
-        n, dt = A.shape[-1], self.t[1]
-        block = np.zeros((len(M), n + 6, n + 6))
+        n, dt, driven = A.shape[-1], self.t[1], self.linear.driven
+        block = np.zeros((len(M), n + len(driven), n + len(driven)))
         block[:, :n, :n] = A * dt
-        block[:, size : 2 * size, n:] = -np.linalg.inv(M)[:, :, :6]
+        block[:, size : 2 * size, n:] = -np.linalg.inv(M)[:, :, driven]
         E = scipy.linalg.expm(block)
         return E[:, :n, :n], E[:, :n, n:]
 
@@ -169,18 +167,13 @@ class LinearResponse:
     def _acceleration(self) -> Array:
         """v' at the nodes (N, size, C), from the equation of motion."""
         out = self._forced(self.M, self.change) @ self.s[:, : 2 * self.linear.size]
-        out -= np.linalg.inv(self.M)[:, :, :6] @ slope(self.u, self.t[1])
+        out -= np.linalg.inv(self.M)[:, :, self.linear.driven] @ slope(self.u, self.t[1])
         return np.asarray(out, np.float64)
 
     def _tip(self) -> Quantity:
         """Way of the tool: the base's, its turn about the tool's place, the joints' way."""
-        linear, arm = self.linear, self.linear.system.arm
-        q = self.path.at(self.t).q
-        rows = np.zeros((len(q), 3, linear.size))
-        rows[:, :, :3] = np.eye(3)
-        rows[:, :, 3:6] = -skew(joint_positions(arm, q)[:, -1])
-        if linear.size > linear.b:
-            rows[:, :, linear.b :] = tool_jacobian(arm, q)
+        linear = self.linear
+        rows = linear.tool(self.path.at(self.t).q)
         return Quantity(rows @ self.s[:, : linear.size], self._widened(rows[-1]))
 
     def _filtered(self) -> Quantity:
@@ -195,7 +188,7 @@ class LinearResponse:
             rows[b:, low] = -step * w * np.eye(b)
         roots = np.zeros((len(self.M), 2 * b, 2 * b))
         roots[:, :b, :b] = root(self.linear.base_stiffness / 2)
-        roots[:, b:, b:] = [root(M[:b, :b] / 2) for M in self.M]
+        roots[:, b:, b:] = [root(self.linear.base_mass(M) / 2) for M in self.M]
         return Quantity(roots @ (rows @ self.s), roots[-1] @ rows)
 
     # --------------------------------------------------------------------- measures
@@ -247,9 +240,9 @@ def predict_disturbance(query: Query, motion: Motion) -> Disturbance:
 
     Small angles; the inertia follows the arm, joints give way on their servo.
     """
-    linear = LinearBase(query.system, query.servo)
+    linear = LinearBase(query.system, query.servo, motion.start)
     t = np.linspace(0.0, motion.duration, NODES * FINE + 1)
-    u = joint_momentum(query.system, motion, t)
+    u = linear.load(motion, t)
     response = LinearResponse(
         linear, motion, motion, t, u[..., None], query.weight, base=query.base, parts=FINE
     )

@@ -18,6 +18,7 @@ from ves_gym.engine.kernel.maps import points
 from ves_gym.engine.kernel.symbolic import column, symbols
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia_parts, newton_euler
+from ves_gym.mechanics.linear_motion import LinearMotion
 
 if TYPE_CHECKING:
     import casadi
@@ -71,6 +72,24 @@ def torque(arm: Arm, q: Array, v: Array, a: Array) -> InverseDynamics:
     out = _function(_torque, arm)(at)
     slopes = out[..., n:].reshape(*out.shape[:-1], 3, n, n)
     return InverseDynamics(out[..., :n], np.swapaxes(slopes, -1, -2))
+
+
+def spring_load(free: LinearMotion, q: Array, v: Array, a: Array) -> InverseDynamics:
+    """Torque that flexures and gears have to give, and its derivatives.
+
+    Args:
+        free: of an arm with k of them.
+        q, v, a: see `torque`.
+
+    Returns:
+        (..., k) [N m], and its derivatives (..., 3, k, n).
+    """
+    chain = free.links
+    at = (chain.angles(q, 0.0), chain.angles(v, 0.0), chain.angles(a, 0.0))
+    tau, by = torque(chain.arm, *at)
+    return InverseDynamics(
+        tau[..., free.loaded], by[..., free.loaded, :][..., list(chain.driven)]
+    )
 
 
 @lru_cache(maxsize=16)

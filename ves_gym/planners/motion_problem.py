@@ -18,8 +18,15 @@ import numpy as np
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import Arm, matrix
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.linear_motion import LinearMotion
 from ves_gym.mechanics.motion import DEGREE, Motion, basis, graded, knots, leading_points
-from ves_gym.planners.momentum import BaseMomentum, InverseDynamics, momentum, torque
+from ves_gym.planners.momentum import (
+    BaseMomentum,
+    InverseDynamics,
+    momentum,
+    spring_load,
+    torque,
+)
 from ves_gym.planners.objective import (
     ENERGY,
     MeanEnergy,
@@ -27,7 +34,13 @@ from ves_gym.planners.objective import (
     QuadraticForm,
 )
 from ves_gym.planners.obstacles import Collisions, collisions
-from ves_gym.planners.prediction import NODES, Response, respond, steps_of_joints
+from ves_gym.planners.prediction import (
+    NODES,
+    Response,
+    respond,
+    running_integral,
+    steps_of_joints,
+)
 from ves_gym.planners.query import Query
 from ves_gym.system.system import System
 
@@ -59,6 +72,7 @@ class MotionProblem:
     ) -> None:
         self.nodes = nodes if energy is None else len(energy.t) - 1  # samples of the momentum
         self.query, self.arm = query, query.system.arm
+        self._free = LinearMotion(self.arm, query.system.base)
         self.start, self.goal = query.ends
         self.n, self.m = self.arm.n, free + 2 * _FIXED
         self._inner = slice(_FIXED, self.m - _FIXED)  # the free control points
@@ -96,8 +110,17 @@ class MotionProblem:
         momentum = None
         if query.is_moving:
             momentum = inertia(system.arm, self.start)[:6, 6:] @ query.start_motion[0]
-        return MeanEnergy(system, at, query.duration, query.servo, self.nodes,
-                          base=query.base, momentum=momentum, described=described)  # fmt: skip
+        return MeanEnergy(
+            system,
+            at,
+            query.duration,
+            query.servo,
+            self.nodes,
+            base=query.base,
+            momentum=momentum,
+            described=described,
+            start=self.start,
+        )
 
     def follow(self, motion: Motion) -> None:
         """Linearise about a motion: inertia along it, limits less what the servo adds there.
@@ -108,7 +131,7 @@ class MotionProblem:
         """
         self.energy = form = self.form_at(motion)
         linear = form.linear
-        if self.query.base is not None and linear.size > linear.b:
+        if self.query.base is not None and len(linear.motors):
             nodes = steps_of_joints(self.query.duration)
             self._response = respond(linear, motion, nodes, self.query.base)
             self.__dict__.pop("_linear", None)
@@ -167,10 +190,29 @@ class MotionProblem:
     # ------------------------------------------------------------------------ energy
 
     def momentum(self, x: Array) -> tuple[Array, Array]:
-        """Samples u (N 6) of the base momentum, and their derivative (N 6, free n)."""
+        """Samples u (N k) of `LinearBase.load`, and their derivative (N k, free n)."""
         control = self.control(x)
         position, velocity = self._bases
-        return self.chained(momentum(self.arm, position @ control, velocity @ control))
+        sample = momentum(self.arm, position @ control, velocity @ control)
+        if len(self._free.passive) == 0:
+            return self.chained(sample)
+        bases = self._sampled(self.energy.t / self.query.duration, 3)
+        load = spring_load(self._free, *(b @ control for b in bases))
+        by = self._by_points(np.moveaxis(load.by, 1, 0), bases)
+        return self.beside(*self.chained(sample), load.tau, by)
+
+    def beside(self, u: Array, slope: Array, torque: Array, by: Array) -> tuple[Array, Array]:
+        """Samples u (N k) with torques (N, l) integrated over time, and their derivative.
+
+        Args:
+            u, slope: samples and their derivative (N k, free n).
+            torque, by: (N, l) [N m] and their derivative (N, l, free, n).
+        """
+        t = self.energy.t
+        more, its = running_integral(torque, t), running_integral(by, t)
+        samples = np.hstack([u.reshape(len(t), -1), more])
+        slopes = [slope.reshape(len(t), -1, slope.shape[1]), its.reshape(*more.shape, -1)]
+        return samples.ravel(), np.concatenate(slopes, axis=1).reshape(samples.size, -1)
 
     def chained(self, sample: BaseMomentum) -> tuple[Array, Array]:
         """Samples (N k,) and their derivative by the control points (N k, free n)."""

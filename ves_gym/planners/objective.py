@@ -32,7 +32,7 @@ from ves_gym.planners.prediction import (
     LinearBase,
     hold,
     inertia_along,
-    joint_momentum,
+    running_integral,
 )
 from ves_gym.system.disturbance import MEASURES
 from ves_gym.system.energy import TAIL
@@ -44,7 +44,7 @@ class QuadraticForm:
     """1/2 u^T W u + g^T u + c: W `hessian`, g `gradient`, c `constant`, u momenta at `t`."""
 
     t: Array  # (N,) s
-    system: System
+    linear: LinearBase
 
     def __init__(self, form: Array) -> None:
         """Of (u, 1)^T form (u, 1), symmetric."""
@@ -54,7 +54,7 @@ class QuadraticForm:
 
     def of(self, motion: Motion) -> float:
         """Value of a motion [J]."""
-        return self.value(joint_momentum(self.system, motion, self.t).ravel())
+        return self.value(self.linear.load(motion, self.t).ravel())
 
     def value(self, u: Array) -> float:
         return float(0.5 * u @ self.hessian @ u + self.gradient @ u) + self.constant
@@ -74,9 +74,9 @@ class MeanEnergy(QuadraticForm):
     Of the samples u (N + 1, 6) of the joint momentum H_bm(q) q' at the times `t`, held linear
     between them; `gradient` and `constant` are zero where base and joints start at rest.
 
-    With `described`, the arm that the servo's feed-forward goes by, a sample has 6 + n numbers:
-    the torque that the arm needs beyond that, integrated over time [N m s], is an input of the
-    joints as the momentum is one of the base.
+    Where flexures or gears give way a sample has the torque that they have to give as well,
+    integrated over time [N m s] (`LinearBase.load`); with `described`, the arm that the servo's
+    feed-forward goes by, also that which the motors need beyond it.
 
     Args:
         system: arm and vehicle.
@@ -88,6 +88,7 @@ class MeanEnergy(QuadraticForm):
         base: its motion at the start; None: at rest.
         momentum: (6,) of the joints at the start; None: at rest.
         described: arm by which the servo is fed forward; None: the system's.
+        start: (n,) where the motions start [rad], for a pointing law; None: see `LinearBase`.
     """
 
     def __init__(
@@ -101,35 +102,38 @@ class MeanEnergy(QuadraticForm):
         base: BaseState | None = None,
         momentum: Array | None = None,
         described: Arm | None = None,
+        start: Array | None = None,
     ) -> None:
-        self.linear = LinearBase(system, servo)
-        self.described: Arm | None = None
-        if described not in (None, system.arm) and self.linear.size > self.linear.b:
+        start = at.start if isinstance(at, Motion) else start
+        self.linear = LinearBase(system, servo, start)
+        self.inputs, self.described = self.linear.driven, None
+        if described not in (None, system.arm) and len(self.linear.motors):
             self.described = described
-        self.inputs = 6 if self.described is None else 6 + system.arm.n
+            self.inputs = np.r_[self.inputs, self.linear.motors]
         self.t = np.linspace(0, duration, nodes + 1)
         self.system, self.at = system, at
         M, middle = inertia_along(self.linear, at, self.t)
         A, B = self.linear.plant(middle)
-        steps = hold(A, B[..., self.linear.coupled[: self.inputs]], self.t[1])
-        start = self.linear.begin(M[0], base, np.zeros(6) if momentum is None else momentum)
-        super().__init__(self._form(M, steps, start))
+        steps = hold(A, B[..., self.inputs], self.t[1])
+        pushed = np.zeros(len(self.linear.driven))
+        pushed[:6] = 0.0 if momentum is None else momentum
+        super().__init__(self._form(M, steps, self.linear.begin(M[0], base, pushed)))
 
     def of(self, motion: Motion) -> float:
         """E_mean of a motion [J]."""
-        u = joint_momentum(self.system, motion, self.t)
+        u = self.linear.load(motion, self.t)
         if self.described is not None:
             s = motion.at(self.t)
             needed, fed = (
                 inverse_dynamics(arm, s.q, s.v, s.a)[0]
                 for arm in (self.system.arm, self.described)
             )
-            u = np.hstack([u, running_integral(self.t) @ (needed - fed)])
+            u = np.hstack([u, running_integral(needed - fed, self.t)])
         return self.value(u.ravel())
 
     def _form(self, M: Array, steps: tuple[Array, Array, Array], start: Array) -> Array:
         """E_mean as a form of all samples and 1, from the response to each of them."""
-        linear, N, duration, m = self.linear, len(self.t), float(self.t[-1]), self.inputs
+        linear, N, duration, m = self.linear, len(self.t), float(self.t[-1]), len(self.inputs)
         size, b = linear.size, linear.b
         # response of the state at node k to u at node j, and last of all to the start
         states = np.zeros((N, 2 * size, m * N + 1))
@@ -143,12 +147,12 @@ class MeanEnergy(QuadraticForm):
             states[k + 1, :, done - m : done] += first
             states[k + 1, :, done : done + m] = second
         # E_k = 1/2 |R_K z|^2 + 1/2 |R_M z'|^2 with z' = (M^-1 (P - u))[:b]
-        speed = np.stack([root(Mk[:b, :b]) @ np.linalg.inv(Mk)[:b] for Mk in M])
+        speed = np.stack([root(linear.base_mass(Mk)) @ np.linalg.inv(Mk)[:b] for Mk in M])
         rows = np.empty((N, 2 * b, m * N + 1))
         rows[:, :b] = root(linear.base_stiffness) @ states[:, :b]
         rows[:, b:] = speed @ states[:, size:]
         for k in range(N):
-            direct = speed[k if len(speed) > 1 else 0][:, linear.coupled[:m]]
+            direct = speed[k if len(speed) > 1 else 0][:, self.inputs]
             rows[k, b:, m * k : m * k + m] -= direct
         weight = np.full(N, self.t[1])
         weight[[0, -1]] /= 2
@@ -156,12 +160,6 @@ class MeanEnergy(QuadraticForm):
         flat, last = rows.reshape(2 * b * N, -1), states[-1]
         tail = linear.tail(M[-1]) / (duration + TAIL)
         return np.asarray(flat.T @ flat / 2 + last.T @ tail @ last, np.float64)
-
-
-def running_integral(t: Array) -> Array:
-    """Matrix (N, N) that integrates samples at even times from the first on (trapezoids)."""
-    steps = (np.eye(len(t))[1:] + np.eye(len(t))[:-1]) * (t[1] - t[0]) / 2
-    return np.vstack([np.zeros(len(t)), np.cumsum(steps, axis=0)])
 
 
 ENERGY = "energy"  # the weight of E_mean
@@ -234,7 +232,7 @@ class Objective(QuadraticForm):
         self.mean, self.weights, self.straight = energy, weights, straight
         self.t, self.linear, self.system = energy.t, energy.linear, energy.system
         self._filter, self._base = filter, base
-        self._start = joint_momentum(self.system, straight, self.t).ravel()
+        self._start = energy.linear.load(straight, self.t).ravel()
         self._response = self._linearised(straight)
         scale = energy.value(self._start)
         self.shares: dict[str, float] = {}  # of J per unit of the squared measure
@@ -272,9 +270,9 @@ class Objective(QuadraticForm):
 
     def _linearised(self, path: Motion) -> LinearResponse:
         """Response per sample of u, and in the last column to the base's motion."""
-        N = len(self.t)
-        inputs = np.zeros((N, 6, 6 * N + 1))
-        inputs[:, :, :-1] = np.eye(6 * N).reshape(N, 6, 6 * N)
+        N, k = len(self.t), len(self.linear.driven)
+        inputs = np.zeros((N, k, k * N + 1))
+        inputs[:, :, :-1] = np.eye(k * N).reshape(N, k, k * N)
         at = self.mean.at
         return LinearResponse(
             self.linear, at, path, self.t, inputs, self._filter, base=self._base

@@ -202,8 +202,8 @@ def _model(system: System, surroundings: Surroundings) -> Any:
     from ves_gym._util.mujoco_loader import mujoco
     from ves_gym.engine.mjcf import build_spec
 
-    arm = system.arm
-    base = replace(system.base, internal=None)  # nothing to run into
+    arm = system.arm.rigid()
+    base = replace(system.base, internal=None, carried=())  # nothing to run into
     spec = build_spec(arm, base, gravity=(0.0,) * 3, integrator="euler", physics_dt=1e-3)
     spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     r = link_radius(arm, 0)

@@ -20,13 +20,16 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy.integrate
 import scipy.linalg
 
-from ves_gym._util.params import Array, ParameterError, Vector, finite, unit
-from ves_gym.mechanics.base_model import BaseModel
+from ves_gym._util.params import Array, Index, ParameterError, Vector, finite, unit
+from ves_gym.mechanics.carried import linear_joints
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.linear_motion import LinearMotion
 from ves_gym.mechanics.modes import Modes, natural_modes, sum_quadratic
 from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.pointing import about_centre
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.spatial import matvec, quadratic
 from ves_gym.system.energy import TAIL
@@ -40,33 +43,39 @@ FINE = 10  # parts of a sample for peaks, which may be as short as a joint's swi
 
 @dataclass(frozen=True, kw_only=True)
 class BaseState:
-    """Motion of the base at one instant: pose and rate, and those of its internal modes.
+    """Motion of the base at one instant: pose and rate, and those of what moves in it.
 
-    Without internal coordinates the modes move with the pose, as after a slow displacement.
+    Internal coordinates as a log's columns u: flexures of the arm, wheels and appendages,
+    internal modes. Without them modes move with the pose, as after a slow displacement, and
+    nothing else does.
     """
 
     y: Vector = unit("m, rad", default=(0.0,) * 6)  # (6,) pose
     yd: Vector = unit("m/s, rad/s", default=(0.0,) * 6)  # (6,) its rate
-    u: Vector = unit("kg^0.5 m", default=())  # (m,) internal coordinates
-    ud: Vector = unit("kg^0.5 m/s", default=())  # (m,) their rates
+    u: Vector = unit("rad, m, kg^0.5 m", default=())  # (k,) internal coordinates
+    ud: Vector = unit("rad/s, m/s, kg^0.5 m/s", default=())  # (k,) their rates
 
     def __post_init__(self) -> None:
         for name, size in (("y", 6), ("yd", 6), ("u", len(self.u)), ("ud", len(self.u))):
             finite(getattr(self, name), (size,), f"BaseState.{name}")
 
-    def stacked(self, base: BaseModel) -> tuple[Array, Array]:
-        """Coordinates (Y, u) of a base and their rates, (6 + m,) each.
+    def stacked(self, system: System) -> tuple[Array, Array]:
+        """Coordinates (Y, u) of a system's base and their rates, (6 + k,) each.
 
         Raises:
             ParameterError: another number of internal coordinates than the base has.
         """
+        base, bends = system.base, system.arm.bends
         y, yd = np.array(self.y), np.array(self.yd)
-        if len(self.u) not in (0, base.m):
+        if len(self.u) not in (0, bends + base.hidden):
             raise ParameterError(
-                f"BaseState.u must have {base.m} internal coordinates, got {len(self.u)}"
+                f"BaseState.u must have {bends + base.hidden} internal coordinates, got"
+                f" {len(self.u)}"
             )
-        u, ud = (self.u, self.ud) if self.u else (base.attached(y), base.attached(yd))
-        return np.r_[y, u], np.r_[yd, ud]
+        straight = np.zeros(bends)
+        if self.u:
+            return np.r_[y, self.u], np.r_[yd, self.ud]
+        return np.r_[y, straight, base.at_rest(y)], np.r_[yd, straight, base.at_rest(yd)]
 
 
 @dataclass(frozen=True)
@@ -97,52 +106,111 @@ def modal_energies(
 
     `nodes`: samples, by default sixteen per cycle of the fastest mode and at least 200.
     """
-    T, linear = motion.duration, LinearBase(system)
-    frozen = natural_modes(linear.K, linear.mass(inertia(system.arm, motion.at(T / 2).q)))
+    T, linear = motion.duration, LinearBase(system, start=motion.start)
+    frozen = natural_modes(linear.K, linear.mass(linear.inertia(motion.at(T / 2).q)))
     if nodes is None:
         nodes = int(min(20_000, max(200, 16 * frozen.omega[-1] * T / (2 * np.pi))))
     t = np.linspace(0, T, nodes)
-    momentum = joint_momentum(system, motion, t)  # vanishes at both ends: the trapezoid rule
-    phase = np.exp(-1j * frozen.omega * t[:, None])  # is of high order there
-    integral = np.trapezoid(phase * (momentum @ frozen.shapes[:6]), t, axis=0)
+    load = linear.load(motion, t)  # vanishes at both ends: the trapezoid rule is of high order
+    phase = np.exp(-1j * frozen.omega * t[:, None])
+    integral = np.trapezoid(phase * (load @ frozen.shapes[linear.driven]), t, axis=0)
     return frozen, np.asarray(0.5 * frozen.omega**2 * np.abs(integral) ** 2, float)
-
-
-def joint_momentum(system: System, motion: Motion, t: Array) -> Array:
-    """Base momentum H_bm(q) q' of the moving joints at times t (N,): (N, 6), SI units."""
-    s = motion.at(t)
-    return matvec(inertia(system.arm, s.q)[..., :6, 6:], s.v)
 
 
 class LinearBase:
     """Matrices of the linear base under joint motion; P = M x' + u, x' = M^-1 (P - u).
 
-    The base's coordinates z (b) start with its pose Y (6); only these feel the arm. With a
-    `servo` on motor drives the joints may give way: x = (z, joint error), with the full
-    inertia matrix and the servo gains as joint stiffness and damping (feed-forward supplies
-    the nominal joint torque). Otherwise the joints follow exactly and x = z.
+    x = (z, joint error, gears): the base's coordinates z (b) are its pose Y (6), deflections of
+    the arm's flexures, and what is hidden in the base (appendages, internal modes). With a
+    `servo` on motor drives the motors may give way: their error, with the servo gains as
+    stiffness and damping (feed-forward supplies the nominal joint torque). Otherwise the motors
+    follow exactly. Last are deflections of geared links against their motors.
+
+    A wheel keeps its speed about its axis, whatever the base does, so that its rotor's inertia
+    there is none of the base's. A pointing law, whose moment wheels and jets give, is a spring
+    and a damper about the satellite's axes; its gains go by the inertia about the centre of
+    mass at the start.
+
+    Args:
+        system: arm and vehicle.
+        servo: that moves the motors; None: they follow exactly.
+        start: (n,) configuration at which the law began [rad]; default the middle of the range.
     """
 
-    def __init__(self, system: System, servo: JointServo | None = None) -> None:
+    def __init__(
+        self,
+        system: System,
+        servo: JointServo | None = None,
+        start: npt.ArrayLike | None = None,
+    ) -> None:
         self.system = system
-        self.base_mass, self.D, self.K = system.base.full()
-        self.base_stiffness = self.K
-        self.b = self.size = len(self.K)
+        self.free = free = LinearMotion(system.arm, system.base)
+        D, K = free.D, free.K
+        moves = np.ones(free.size, bool)
+        moves[free.motors] = servo is not None and system.drive == "motor"
+        moves[free.wheels] = False
         if servo is not None and system.drive == "motor":
             servo = servo.for_arm(system.arm, system.vehicle)
-            self.size += system.arm.n
-            self.D = scipy.linalg.block_diag(self.D, np.diag(servo.kd))
-            self.K = scipy.linalg.block_diag(self.K, np.diag(servo.kp))
-        # of x, what the arm's inertia matrix (6 + n) acts on
-        self.coupled = np.r_[np.arange(6), np.arange(self.b, self.size)]
+            K[free.motors, free.motors], D[free.motors, free.motors] = servo.kp, servo.kd
+        self._at = np.flatnonzero(moves)
+        at = self._at[:, None], self._at
+        self.b = int(moves[: free.b].sum())
+        self.base_stiffness = K[at][: self.b, : self.b]
+        across, rotors, *_ = linear_joints(system.base.wheels)
+        self._spun = np.zeros((len(self._at),) * 2)  # inertia that wheels do not share
+        self._spun[:6, :6] = across @ (across / rotors).T
+        self.pointing = _pointing(system, start)
+        if self.pointing is not None:
+            K[3:6, 3:6] += self.pointing[0]
+            D[3:6, 3:6] += self.pointing[1]
+        self.D, self.K, self.size = D[at], K[at], len(self._at)
+        self.motors = np.flatnonzero(np.isin(self._at, free.motors))
+        # of x, where the samples u act: on the pose, on flexures and gears
+        self.driven = np.r_[:6, np.flatnonzero(np.isin(self._at, free.passive))]
+
+    def inertia(self, q: npt.ArrayLike) -> Array:
+        """Inertia of the arm (..., 6 + p + n, 6 + p + n) over base, p flexures and links."""
+        return self.free.inertia(q)
 
     def mass(self, H: Array) -> Array:
-        """Inertia of x (..., size, size) from the arm's inertia matrices."""
-        M = np.zeros((*H.shape[:-2], self.size, self.size))
-        k = len(self.coupled)
-        M[..., self.coupled[:, None], self.coupled] = H[..., :k, :k]
-        M[..., : self.b, : self.b] += self.base_mass
+        """Inertia of x (..., size, size) from the arm's `inertia`."""
+        M: Array = self.free.mass(H)[..., self._at[:, None], self._at] - self._spun
         return M
+
+    def tool(self, q: Array) -> Array:
+        """Way of the tool (..., 3, size) per coordinate of x, joints at q (..., n) [m]."""
+        return self.free.tool(q)[..., self._at]
+
+    def base_mass(self, M: Array) -> Array:
+        """Inertia of z (..., b, b) that makes the base's energy, from that of x: wheels count
+        as locked."""
+        out: Array = M[..., : self.b, : self.b] + self._spun[: self.b, : self.b]
+        return out
+
+    def load(self, motion: Motion, t: Array) -> Array:
+        """Samples u (N, k) of a motion at even times from its start on, see `driven`.
+
+        Momentum of the joints, then the torque that flexures and gears have to give, integrated
+        over time [N m s].
+        """
+        s, arm = motion.at(t), self.system.arm
+        across = self.inertia(s.q)[..., :6, 6 + arm.bends :]
+        u = matvec(across, s.v)
+        if len(self.driven) == 6:
+            return u
+        return np.hstack([u, running_integral(self.free.loads(s.q, s.v, s.a), t)])
+
+    def coordinates(self, base: BaseState) -> tuple[Array, Array]:
+        """z and z' (b,) of a motion of the base."""
+        z, zd = (part[self._at[: self.b]] for part in base.stacked(self.system))
+        return z, zd
+
+    def base_state(self, z: Array, zd: Array) -> BaseState:
+        """Motion of the base of coordinates z and z' (b,), its wheels at rest."""
+        full = np.zeros((2, self.free.b))
+        full[:, self._at[: self.b]] = z, zd
+        (y, u), (yd, ud) = ((tuple(k[:6].tolist()), tuple(k[6:].tolist())) for k in full)
+        return BaseState(y=y, yd=yd, u=u, ud=ud)
 
     def plant(self, M: Array) -> tuple[Array, Array]:
         """A, B of s' = A s + B u with s = (x, P), over leading axes of M."""
@@ -157,7 +225,7 @@ class LinearBase:
         row = np.linalg.inv(M)[: self.b]
         strain = np.zeros_like(M)
         strain[: self.b, : self.b] = self.base_stiffness
-        kinetic = row.T @ M[: self.b, : self.b] @ row
+        kinetic = row.T @ self.base_mass(M) @ row
         return 0.5 * scipy.linalg.block_diag(strain, kinetic)
 
     def tail(self, M: Array) -> Array:
@@ -170,14 +238,25 @@ class LinearBase:
         Args:
             M: (size, size) inertia there.
             base: motion of the base; None: at rest.
-            u: (6,) momentum of the joints there.
+            u: (k,) what drives it there, see `driven`.
         """
         s = np.zeros(2 * self.size)
         if base is not None:
-            z, zd = base.stacked(self.system.base)
+            z, zd = self.coordinates(base)
             s[: self.b], s[self.size :] = z, M[:, : self.b] @ zd
-        s[self.size : self.size + 6] += u
+        s[self.size + self.driven] += u
         return s
+
+
+def _pointing(system: System, start: npt.ArrayLike | None) -> tuple[Array, Array] | None:
+    """Stiffness and damping (3, 3) of a satellite's pointing law; None without one."""
+    law = getattr(system.vehicle, "pointing", None)
+    if law is None:
+        return None
+    middle = (system.arm.column("q_min") + system.arm.column("q_max")) / 2
+    H = inertia(system.arm, middle if start is None else start)
+    gains: tuple[Array, Array] = law.gains(about_centre(H[:6, :6] + system.base.rigid()))
+    return gains
 
 
 class Response(NamedTuple):
@@ -187,11 +266,11 @@ class Response(NamedTuple):
     x: Array  # (N, size) base coordinates, then joint angles less their command (with a servo)
     rate: Array  # (N, size)
     M: Array  # (N, size, size) inertia of x
+    motors: Index  # (n,) places of the motors' errors in x
 
     def at(self, t: Array, servo: JointServo) -> tuple[Array, Array]:
         """Servo torque beyond feed-forward [N m] and the joints' yielding [rad/s], (N, n)."""
-        n = len(servo.kp)
-        away, rate = self.x[:, -n:], self.rate[:, -n:]
+        away, rate = self.x[:, self.motors], self.rate[:, self.motors]
         torque = -(away * np.array(servo.kp) + rate * np.array(servo.kd))
         torques, rates = (
             np.stack([np.interp(t, self.t, column) for column in part.T], axis=1)
@@ -225,24 +304,22 @@ def respond(
     """
     size, count = linear.size, nodes * parts
     t = np.linspace(0, motion.duration, 2 * count + 1)
-    s = motion.at(t)
-    H = inertia(linear.system.arm, s.q)
-    M = linear.mass(H)
+    M = linear.mass(linear.inertia(motion.at(t).q))
     u = np.zeros((len(t), size))
-    u[:, :6] = matvec(H[:, :6, 6:], s.v)
+    u[:, linear.driven] = linear.load(motion, t)
 
     A, B = linear.plant(M[parts :: 2 * parts])
-    Phi, begin, end = hold(A, B[..., :6], motion.duration / count)
+    Phi, begin, end = hold(A, B[..., linear.driven], motion.duration / count)
     begin, end = (np.repeat(G, parts, axis=0) for G in (begin, end))
-    pushes = matvec(begin, u[:-2:2, :6]) + matvec(end, u[2::2, :6])
+    pushes = matvec(begin, u[:-2:2, linear.driven]) + matvec(end, u[2::2, linear.driven])
     z = np.zeros((count + 1, 2 * size))
-    z[0] = linear.begin(M[0], base, u[0, :6])
+    z[0] = linear.begin(M[0], base, u[0, linear.driven])
     for k, push in enumerate(pushes):
         z[k + 1] = Phi[k // parts] @ z[k] + push
 
     M, x = M[::2], z[:, :size]
     rate = np.asarray(np.linalg.solve(M, (z[:, size:] - u[::2])[..., None])[..., 0], float)
-    return Response(t[::2], x, rate, M)
+    return Response(t[::2], x, rate, M, linear.motors)
 
 
 def predict(
@@ -262,14 +339,21 @@ def predict(
         base: its motion at the start; None: at rest.
         parts: of each step (`respond`).
     """
-    linear = LinearBase(system, servo)
+    linear = LinearBase(system, servo, motion.start)
     b = linear.b
-    t, x, rate, M = respond(linear, motion, NODES, base, parts)
-    E = quadratic(M[:, :b, :b], rate[:, :b]) + quadratic(linear.base_stiffness, x[:, :b])
+    t, x, rate, M, _ = respond(linear, motion, NODES, base, parts)
+    E = quadratic(linear.base_mass(M), rate[:, :b]) + quadratic(linear.base_stiffness, x[:, :b])
     final = np.concatenate([x[-1], M[-1] @ rate[-1]])
     total = np.trapezoid(E, t) + final @ linear.tail(M[-1]) @ final
     mean = total / (motion.duration + TAIL)
     return Prediction(E_mean=float(mean), E_res=float(E[-1]), E_peak=float(E.max()))
+
+
+def running_integral(samples: Array, t: Array) -> Array:
+    """Integrate samples (N, ...) at even times t (N,) from the first on (trapezoids)."""
+    step = float(t[1] - t[0])
+    out = scipy.integrate.cumulative_trapezoid(samples, dx=step, axis=0, initial=0)
+    return np.asarray(out, np.float64)
 
 
 def inertia_along(
@@ -280,10 +364,10 @@ def inertia_along(
     Of a motion; one of each where `at` is a configuration (n,) [rad], as it is then constant.
     """
     if not isinstance(at, Motion):
-        M = linear.mass(inertia(linear.system.arm, at))[None]
+        M = linear.mass(linear.inertia(at))[None]
         return M, M
     half = np.linspace(0, t[-1], 2 * len(t) - 1)
-    M = linear.mass(inertia(linear.system.arm, at.at(half).q))
+    M = linear.mass(linear.inertia(at.at(half).q))
     return M[::2], M[1::2]
 
 

@@ -33,6 +33,7 @@ from ves_gym.planners.prediction import (
     respond,
     steps_of_joints,
 )
+from ves_gym.planners.unmodelled import notes
 
 SCHEMA = "ves-plan/1"
 
@@ -68,6 +69,11 @@ class Plan(Viewable):
             return None
         return check_motion(self.query, self.motion, limits_of_query(self.query))
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the machine has that the plan does not know, a sentence each."""
+        return notes(self.query, self.motion)
+
     def __repr__(self) -> str:
         if self.predicted is None:
             return f"<Plan: {self.planner}, no motion: {self.failure}>"
@@ -89,6 +95,7 @@ class Plan(Viewable):
             "seconds": self.seconds,
             "feasible": self.feasible,
             "failure": self.failure,
+            "notes": list(self.notes),
             "info": self.info,
         }
 
@@ -203,12 +210,12 @@ def check_motion(query: Query, motion: Motion, limits: Mapping[str, Array]) -> L
     arm = query.system.arm
     if query.base is None or query.system.drive != "motor":
         return check_reference(arm, motion, limits)
-    linear = LinearBase(query.system, query.servo)
+    linear = LinearBase(query.system, query.servo, motion.start)
     response = respond(linear, motion, steps_of_joints(motion.duration), query.base)
     s = motion.at(response.t)
     added, yielding = response.at(response.t, query.servo)
     values = {
-        "position": s.q + response.x[:, linear.b :] - middle_of_range(arm),
+        "position": s.q + response.x[:, linear.motors] - middle_of_range(arm),
         "velocity": s.v + yielding,
         "acceleration": s.a,
         "torque": inverse_dynamics(arm, s.q, s.v, s.a)[0] + added,

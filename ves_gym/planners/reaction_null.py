@@ -23,7 +23,7 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import root
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.spatial import skew
-from ves_gym.planners.coupling import blocks
+from ves_gym.planners.coupling import blocks, stiffness
 from ves_gym.planners.momentum import BaseMomentum, momentum
 from ves_gym.planners.motion_problem import MotionProblem
 from ves_gym.planners.objective import QuadraticForm
@@ -56,7 +56,7 @@ def reaction_null_space(
         share: of the largest coupling (root of Q's eigenvalue) at which a direction counts.
     """
     at = system.arm.require_within_limits(q)
-    b, K = blocks(system, at), system.base.full()[2]
+    b, K = blocks(system, at), stiffness(system)
     moved = np.linalg.solve(b.Mt, b.Hbm)  # of the base, per joint motion
     # rows^T rows = Q, of a free base its kinetic energy
     rows = moved[3:6] if attitude else root(K if K.any() else b.Mt) @ moved
@@ -101,7 +101,8 @@ class ReactionNull:
             NoPlan: an arm that cannot be reactionless gains nothing by trying.
         """
         stays = query.start == query.goal
-        free = not query.system.base.full()[2].any()
+        query.system.arm.require_rigid("planner reaction-null")
+        free = not query.system.base.K.any()
         null = [reaction_null_space(query.system, q, attitude=free) for q in query.ends]
         if all(space.shape[1] for space in null) and not stays:
             return _least(query, free)
@@ -196,7 +197,7 @@ class ReactionProblem(MotionProblem):
 
     def __init__(self, query: Query, free: int) -> None:
         self._body: Array | None = None
-        if not query.system.base.full()[2].any():
+        if not query.system.base.K.any():
             self._body = query.system.base.mass_matrix[:6, :6]
         start, goal = query.ends
         weight = _weight(query.system, (start + goal) / 2)
@@ -236,8 +237,8 @@ class MeanSquare(QuadraticForm):
 
 def _weight(system: System, at: Array) -> Array:
     """R^T R of the momentum (6, 6), or of a free base's angular one about the centre (3, 3)."""
-    Mt, K = blocks(system, at).Mt, system.base.full()[2]
-    if K.any():
+    Mt, K = blocks(system, at).Mt, stiffness(system)
+    if system.base.K.any():
         moved = np.linalg.inv(Mt)[:, :6]
         return np.asarray(moved.T @ K @ moved, np.float64)
     mass = Mt[0, 0]

@@ -23,11 +23,10 @@ import scipy.linalg
 import scipy.special
 
 from ves_gym._util.params import Array, ParameterError, read_result, read_table, require_one_of
-from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import has
 from ves_gym.planners.motion_problem import MotionProblem, stacked
-from ves_gym.planners.objective import MeanEnergy, running_integral
+from ves_gym.planners.objective import MeanEnergy
 from ves_gym.planners.query import Query, first_violation
 from ves_gym.planners.refine import _FREE, Refined
 from ves_gym.planners.sequential import minimise
@@ -351,25 +350,14 @@ class _OtherArm(MotionProblem):
     """Momentum and torque of another arm, its servo fed forward as `energy` says."""
 
     def momentum(self, x: Array) -> tuple[Array, Array]:
-        """Samples u (N (6 + n)) with the torque that is lacking, and their derivative."""
+        """Samples u with the torque beyond the described arm's, and their derivative."""
         u, slope = super().momentum(x)
         described = self.energy.described if isinstance(self.energy, MeanEnergy) else None
         if described is None:
             return u, slope
-        lacking, by = self._lacking(described, x)
-        count = len(self.energy.t)
-        samples = np.hstack([u.reshape(count, -1), lacking])
-        slopes = np.concatenate([slope.reshape(count, 6, -1), by], axis=1)
-        return samples.ravel(), slopes.reshape(samples.size, -1)
-
-    def _lacking(self, described: Arm, x: Array) -> tuple[Array, Array]:
-        """Torque beyond the described arm's, over time [N m s] (N, n), and by x."""
         bases = self._sampled(self.energy.t / self.query.duration, 3)
         other, fed = self.torque(x, bases), self.torque(x, bases, described)
-        total = running_integral(self.energy.t)
-        lacking: Array = total @ (other.tau - fed.tau)
-        by = np.tensordot(total, other.by - fed.by, axes=1)
-        return lacking, by.reshape(*lacking.shape, -1)
+        return self.beside(u, slope, other.tau - fed.tau, other.by - fed.by)
 
 
 DIAGNOSIS = "ves-diagnose/1"

@@ -14,9 +14,8 @@ import scipy.linalg
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.motion import Motion, quintic
-from ves_gym.planners.coupling import blocks
 from ves_gym.planners.paths import septic
-from ves_gym.planners.prediction import modal_energies, spectral_energy
+from ves_gym.planners.prediction import LinearBase, modal_energies, spectral_energy
 from ves_gym.planners.query import Query, first_violation
 from ves_gym.system.system import System
 
@@ -115,9 +114,10 @@ def shaped_motion(query: Query, shape: Shaper) -> Motion:
 
 def excited_modes(system: System, motion: Motion) -> list[BaseMode]:
     """Modes of the base at the middle of a motion, those that it excites most first."""
-    at = motion.at(motion.duration / 2).q
-    (frozen, energy), (_, D, K) = modal_energies(system, motion, _SAMPLES), system.base.full()
-    damping = _damping(blocks(system, at).Mt, D, K, frozen.omega)
+    linear = LinearBase(system, start=motion.start)
+    frozen, energy = modal_energies(system, motion, _SAMPLES)
+    M = linear.mass(linear.inertia(motion.at(motion.duration / 2).q))
+    damping = _damping(M, linear.D, linear.K, frozen.omega)
     numbers = zip(frozen.omega.tolist(), damping.tolist(), energy.tolist(), strict=True)
     return sorted((BaseMode(*k) for k in numbers if k[0] > 0), key=lambda mode: -mode.energy)
 

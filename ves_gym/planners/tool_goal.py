@@ -15,10 +15,8 @@ import scipy.linalg
 
 from ves_gym._util.params import Array, ParameterError, to_plain
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.kinematics import ToolPose, tool_twists
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED, Motion
-from ves_gym.mechanics.spatial import matvec
 from ves_gym.mechanics.tool_pose import CLOSE, configurations_at, towards_pose
 from ves_gym.planners.objective import MeanEnergy
 from ves_gym.planners.obstacles import collisions
@@ -96,20 +94,21 @@ def _cost(query: Query, near: Array) -> Callable[[Array], Array]:
     Its quadratic form with the inertia halfway to `near`, joints and base as at the start of
     the query: good enough to compare.
     """
-    arm = query.system.arm
     start, _ = query.ends
     limit = np.inf if query.v_max is None else np.array(query.v_max)
     energy = MeanEnergy(
-        query.system, (start + near) / 2, query.duration, nodes=_NODES, base=query.base
+        query.system,
+        (start + near) / 2,
+        query.duration,
+        nodes=_NODES,
+        base=query.base,
+        start=start,
     )
-    way = Motion.straight((0.0,), (1.0,), query.duration).at(energy.t)
 
     def cost(goals: Array) -> Array:
-        gap = goals - start
-        q = start + way.q * gap[:, None]
-        u = matvec(inertia(arm, q)[..., :6, 6:], way.v * gap[:, None])
-        energies = np.array([energy.value(k.ravel()) for k in u])
-        fastest = QUINTIC_PEAK_SPEED / query.duration * np.abs(gap)
+        lines = (Motion.straight(start, goal, query.duration) for goal in goals)
+        energies = np.array([energy.of(line) for line in lines])
+        fastest = QUINTIC_PEAK_SPEED / query.duration * np.abs(goals - start)
         excess = (fastest / limit).max(axis=1, initial=0.0) - 1
         return np.asarray(np.where(excess <= 0, energies, _TOO_FAST * (1 + excess) + energies))
 

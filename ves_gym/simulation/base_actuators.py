@@ -9,6 +9,7 @@ import numpy as np
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.pointing import (
+    about_centre,
     on_rotors,
     shares,
     wheel_axes,
@@ -81,10 +82,7 @@ class BaseActuators(Part):
 
     def _about_centre(self, q: Array) -> Array:
         """(k, 3, 3) inertia of satellite and arm about their common centre of mass."""
-        locked = inertia(self.system.arm, q)[:, :6, :6] + self.system.base.rigid()
-        mass, first = locked[:, :1, :1], locked[:, 3:, :3]
-        out: Array = locked[:, 3:, 3:] + first @ first / mass
-        return out
+        return about_centre(inertia(self.system.arm, q)[:, :6, :6] + self.system.base.rigid())
 
     def _send(self, ids: Index) -> None:
         jets = self.wrench[ids] if self.jets or self._any_wrench else None

@@ -14,11 +14,10 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym.mechanics.base_model import BaseModel
-from ves_gym.mechanics.carried import Appendage, carried_inertia
 from ves_gym.mechanics.contact import Contact
-from ves_gym.mechanics.dynamics import drawn_configurations, inertia
-from ves_gym.mechanics.flexure import expand
+from ves_gym.mechanics.dynamics import drawn_configurations
 from ves_gym.mechanics.latch import tool_motion
+from ves_gym.mechanics.linear_motion import LinearMotion
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.system.system import PRESCRIBED_INERTIA, System
 
@@ -104,8 +103,7 @@ def _require_stable_contact(system: System, contact: Contact) -> None:
 class _Loop:
     """M x'' + D x' + K x = 0 at several configurations, (c, s, s) each.
 
-    x: pose of the base, rotors and flexures, deflections of the gears, internal modes, joints
-    of what the base carries; without what is held where it is told to be.
+    x as `LinearMotion` has it, without what is held where it is told to be.
     """
 
     M: Array
@@ -114,42 +112,16 @@ class _Loop:
 
     @classmethod
     def of(cls, system: System, servo: JointServo | None) -> _Loop:
-        base, chain = system.base, expand(system.arm)
-        arm, driven = chain.arm, 6 + np.array(chain.driven, int)
+        free_motion = LinearMotion(system.arm, system.base)
         drawn = drawn_configurations(system.arm)[:_JUDGED]
-        H = inertia(arm, chain.angles(drawn))
-        n, g, m, k = arm.n, len(arm.geared), base.m, len(base.carried)
-        gears, modes, parts = np.split(np.arange(6 + n, 6 + n + g + m + k), [g, g + m])
-        size = 6 + n + g + m + k
-        # velocities of base and links from those of base, rotors and gears
-        link = np.zeros((6 + n, 6 + n + g))
-        link[:, : 6 + n] = np.eye(6 + n)
-        link[[6 + i for i in arm.geared], gears] = 1.0
-        rotors = np.diag(np.r_[np.zeros(6), arm.column("rotor_inertia")])
-        M, D, K = np.zeros((3, len(drawn), size, size))
-        M[:, : 6 + n + g, : 6 + n + g] = link.T @ (H - rotors) @ link
-        M[:, : 6 + n, : 6 + n] += rotors
-        at = np.r_[:6, modes]
-        for part, block in zip((M, D, K), base.full(), strict=True):
-            part[:, at[:, None], at] += block
-        _, across, joints = carried_inertia(base.carried, np.zeros(k))
-        M[:, :6, parts], M[:, parts, :6], M[:, parts, parts] = across, across.T, joints
-        for i, body in zip(parts, base.carried, strict=True):
-            if isinstance(body, Appendage):
-                D[:, i, i], K[:, i, i] = body.damping, body.stiffness
-            else:
-                D[:, i, i] = body.viscous
-        for i, joint in zip(gears, arm.geared, strict=True):
-            gear = arm.links[joint].gear
-            assert gear is not None
-            D[:, i, i], K[:, i, i] = gear.damping, gear.stiffness
-        bends = 6 + np.array(chain.passive, int)
-        D[:, bends, bends], K[:, bends, bends] = chain.damping, chain.stiffness
-        moves = np.ones(size, bool)
+        M = free_motion.mass(free_motion.inertia(drawn))
+        D, K, motors = free_motion.D, free_motion.K, free_motion.motors
+        moves = np.ones(free_motion.size, bool)
         moves[:6] = system.mode == "ideal"  # a platform goes where it is told
-        moves[driven] = system.drive == "motor"
+        moves[motors] = system.drive == "motor"
         if servo is not None:
-            D[:, driven, driven], K[:, driven, driven] = servo.kd, servo.kp
+            D[motors, motors], K[motors, motors] = servo.kd, servo.kp
+        D, K = (np.broadcast_to(part, M.shape) for part in (D, K))
         free = np.flatnonzero(moves)
         picked = slice(None), free[:, None], free
         return cls(M[picked], D[picked], K[picked])
