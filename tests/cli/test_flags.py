@@ -77,11 +77,21 @@ def test_round_angles_in_radians_are_asked_about(text, meant, capsys):
 
 
 @pytest.mark.parametrize(
-    "text", ["0,0,0", "1,1,1", "5,5,5", "1.5,0,0", "0.25,0,0", "1.2,-0.7,0.4", "90,1.57,0",
-             "0.01,0,0", "1e-3,0,0", "6.5,0,0"]
-)  # fmt: skip
+    "text", ["0,0,0", "0.0,0.0,0.0", "1,1,1", "5,5,5", "90,1.57,0", "1e-3,0,0", "6.5,0,0"]
+)
 def test_small_angles_are_angles(text):
     assert radians_note(text, "--x") is None
+
+
+@pytest.mark.parametrize("text", ["1.0,0.5,-0.5", "1.5,0,0", "1.2,-0.7,0.4", "0.01,0,0"])
+def test_small_angles_with_decimals_are_told_their_unit(text, capsys):
+    note = f"--x {text} is taken as degrees (--radians takes radians, --degrees says so)"
+    assert radians_note(text, "--x") == note
+    angles = flags.joints(text, PLACE)
+    assert capsys.readouterr().err == f"ves-gym: note: {note}\n"
+    assert angles == pytest.approx(np.deg2rad([float(k) for k in text.split(",")]))
+    flags.joints(text, PLACE._replace(angles="degrees"))
+    assert capsys.readouterr().err == ""
 
 
 def test_angles_name_the_unit_they_were_given_in():

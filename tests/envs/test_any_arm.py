@@ -46,6 +46,46 @@ def test_starts_are_inside_the_limits_and_spread():
         assert (np.ptp(q, axis=0) > 0.1).all()
 
 
+def narrow():
+    """Three joints, as the PUMA, that cannot go where its episodes go."""
+    limits = ((-1.0, 1.0), (0.2, 1.2), (-0.5, 0.5))
+    links = [
+        dataclasses.replace(link, q_min=low, q_max=high)
+        for link, (low, high) in zip(PUMA_560.links, limits, strict=True)
+    ]
+    return dataclasses.replace(PUMA_560, links=tuple(links), name="narrow")
+
+
+@pytest.mark.parametrize(
+    "task", ["rest_to_rest", "reach", "track", "damp", "free_flyer", "payload_transfer", "lqr"]
+)
+def test_usual_starts_are_cut_to_the_arm_s_limits(task):
+    """Numbers that are given for an arm hold, or are refused."""
+    arm = narrow()
+    built = build_task(task, arm=arm)
+    q = built.start(np.random.default_rng(0).random((200, built.draws))).q
+    assert (q >= arm.column("q_min")).all() and (q <= arm.column("q_max")).all()
+    assert (np.ptp(q, axis=0) > 0.01).all()
+    if task not in ("rest_to_rest", "lqr"):
+        with pytest.raises(ParameterError, match="must start within the joint limits"):
+            build_task(task, arm=arm, span=[1.0, 0.9, 1.0])
+
+
+def test_an_arm_that_needs_a_shorter_step_gets_it():
+    """Its own, under the servos that the task's control has."""
+    light = [
+        dataclasses.replace(link, rotor_inertia=0.0, inertial=dataclasses.replace(
+            link.inertial, mass=link.inertial.mass / 10,
+            inertia=tuple(tuple(x / 10 for x in row) for row in link.inertial.inertia)))
+        for link in PUMA_560.links
+    ]  # fmt: skip
+    arm = dataclasses.replace(PUMA_560, links=tuple(light), name="light")
+    for id in ("BeamLQR", "PumaDamp"):
+        env = gym.make(f"ves/{id}-v0", arm=arm)
+        env.reset(seed=0)
+        assert env.unwrapped.batch.system.physics_dt < 2.5e-3
+
+
 def test_default_controls_are_the_arm_s_own():
     damp = build_task("damp", arm="iiwa14")
     assert damp.control.damping == own_gains(IIWA, damp.system.vehicle).kd

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, DECOUPLED
+from ves_gym.mechanics.arm_library import get_arm
+from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, DECOUPLED, get_vehicle
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
@@ -60,3 +61,18 @@ def test_a_system_is_frozen_hashable_and_picklable():
     assert system.replace(vehicle=DECOUPLED).replace(vehicle=BENT) == system
     with pytest.raises(TypeError, match="colour"):
         system.replace(colour="red")
+
+
+def test_arm_and_vehicle_go_by_name_as_on_the_command_line(tmp_path):
+    named = System(arm="ur5e", vehicle="straight-vertical")
+    assert named == System(arm=get_arm("ur5e"), vehicle=get_vehicle("straight-vertical"))
+    named.arm.to_urdf(tmp_path / "arm.urdf")
+    assert System(arm=tmp_path / "arm.urdf").arm.n == 6
+    for wrong, said in (
+        ({"vehicle": "bend"}, r"vehicle must be one of bent, .*did you mean \"bent\""),
+        ({"arm": "ur5"}, r"arm must be one of puma560, .*did you mean \"ur5e\""),
+        ({"arm": 3}, "System.arm must be an Arm, its name or its file, got 3"),
+        ({"vehicle": None}, "System.vehicle must be a vehicle, its name or its file, got None"),
+    ):
+        with pytest.raises(ParameterError, match=said):
+            System(**wrong)

@@ -238,18 +238,25 @@ def joints(value: str, place: Place) -> Array:
 
 
 def radians_note(value: str, name: str) -> str | None:
-    """Return the question that angles given in degrees raise if they look like radians.
+    """Return what is said of angles given in degrees that may be meant in radians.
 
-    They do if none is beyond a whole turn in radians and one of them has two decimals or more
-    and is, to half of its last, a multiple of 15 degrees: 1.57, 0.785, -2.36.
+    They may if none is beyond a whole turn in radians and one has decimals: the unit is said.
+    It is asked if one of them has two decimals or more and is, to half of its last, a multiple
+    of 15 degrees: 1.57, 0.785, -2.36.
 
     Args:
         value: numbers with commas between them.
         name: of the option.
     """
     parts = value.split(",")
-    if max(map(abs, floats(value))) > 2 * math.pi or not any(map(_is_round, parts)):
+    if max(map(abs, floats(value))) > 2 * math.pi:
         return None
+    if not any(map(_is_round, parts)):
+        decimals = any("." in part and float(part) for part in parts)
+        said = (
+            f"{name} {value} is taken as degrees (--radians takes radians, --degrees says so)"
+        )
+        return said if decimals else None
     meant = ",".join(f"{_nearest(part):g}" for part in parts)
     return (
         f"{name} {value} looks like radians; angles are degrees: did you mean {meant}?"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import pairwise
 from typing import ClassVar
@@ -61,8 +61,7 @@ class ArmTask(Task):
         Raises:
             ParameterError: a negative span, or a box beyond the joint limits.
         """
-        arm, home = self.system.arm, getattr(self, "home", (0.0,))
-        middle, half = middle_and_half(arm, home, self.half_widths())
+        arm, (middle, half) = self.system.arm, self._middle_and_half
         low, high = middle - half, middle + half
         least, most = arm.column("q_min"), arm.column("q_max")
         if (half < 0).any() or (low < least).any() or (high > most).any():
@@ -72,6 +71,16 @@ class ArmTask(Task):
                 f" {limits[3]} deg, got {limits[0]} to {limits[1]} deg"
             )
         return low, high
+
+    @cached_property
+    def _middle_and_half(self) -> tuple[Array, Array]:
+        home, usual = getattr(self, "home", (0.0,)), usual_of(self, "home", "span", "bend")
+        return middle_and_half(self.system.arm, home, self.half_widths(), usual)
+
+    @property
+    def middle(self) -> Array:
+        """Angles (joints,) where episodes are about [rad]."""
+        return self._middle_and_half[0]
 
     def half_widths(self) -> Vector:
         """Half the widths of the box [rad]."""
@@ -170,34 +179,32 @@ def wide(values: Vector, arm: Arm) -> Array:
     return np.resize(np.asarray(values, float), arm.n)
 
 
-def middle_and_half(arm: Arm, centre: Vector, span: Vector) -> tuple[Array, Array]:
+def usual_of(task: Task, *names: str) -> bool:
+    """Return whether settings, where a task has them, are those that nothing was said of."""
+    defaults = {field.name: field.default for field in fields(task)}
+    return all(getattr(task, k) == defaults[k] for k in names if k in defaults)
+
+
+def middle_and_half(arm: Arm, centre: Vector, span: Vector, usual: bool) -> tuple[Array, Array]:
     """Return the middle and half the width (joints,) of the box centre +- span [rad].
 
-    Numbers that are not one per joint are meant for another arm: repeated, and cut to what
-    this one's limits leave.
+    Numbers that are not one per joint, and usual ones that this arm's limits do not hold, are
+    meant for another arm: repeated, and cut to what the limits leave.
 
     Args:
         arm: whose joints.
         centre: of the box.
         span: to either side.
+        usual: nobody gave these numbers for this arm.
     """
     middle, half = wide(centre, arm), wide(span, arm)
-    if arm.n in (len(span), 3):
-        return middle, half
     least, most = arm.column("q_min"), arm.column("q_max")
+    within = ((middle - half >= least) & (middle + half <= most)).all()
+    if arm.n in (len(span), 3) and (within or not usual):
+        return middle, half
     half = np.minimum(half, _SHARE * (most - least) / 2)
     spare = half + 1e-9  # rad, rounding
     return np.clip(middle, least + spare, most - spare), half
-
-
-def home_of(arm: Arm, home: Vector) -> Array:
-    """Return the angles (joints,) where episodes are about [rad], see `middle_and_half`.
-
-    Args:
-        arm: whose joints.
-        home: as the task has it.
-    """
-    return middle_and_half(arm, home, home if arm.n == len(home) else (0.0,))[0]
 
 
 def straight_pace(arm: Arm, way: Array, seconds: float) -> Array:

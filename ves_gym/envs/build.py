@@ -116,6 +116,11 @@ def build_task(
     else:
         own: Any = defaults.control if defaults is not None else fields["control"].default
         values["control"] = for_system(own, values["system"])
+    if arm is not None or vehicle is not None:
+        driven: Control = values["control"]
+        driven.check(values["system"])
+        servo = driven.servo_for(values["system"])
+        values["system"] = with_stable_step(values["system"], servo)
     if ranges is not None:
         values["randomize"] = ranges
     typed = _typed(cls, settings)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ves_gym._util.params import Array, Mask, ParameterError, Vector, unit
-from ves_gym.envs.arm_task import ArmTask, directions, home_of, rate_fields, rates, wide
+from ves_gym.envs.arm_task import ArmTask, directions, rate_fields, rates, wide
 from ves_gym.envs.control import Control, Torque
 from ves_gym.envs.scales import released_energy
 from ves_gym.envs.task import Field, Scene, Start, register_task
@@ -86,13 +86,9 @@ class Damp(ArmTask):
     def _modes(self) -> tuple[Array, Array]:
         """Y and Y' (6,) -> root of strain and of kinetic energy of every mode, arm at home."""
         M, _, K = self.system.ideal().base.condensed()  # draws start with modes that follow
-        Mt = M + inertia(self.system.arm, self._middle)[:6, :6]
+        Mt = M + inertia(self.system.arm, self.middle)[:6, :6]
         omega, shapes = natural_modes(K, Mt)
         return Mt @ shapes * omega / np.sqrt(2), Mt @ shapes / np.sqrt(2)
-
-    @cached_property
-    def _middle(self) -> Array:
-        return home_of(self.system.arm, self.home)
 
     @cached_property
     def _room(self) -> Array:
@@ -146,13 +142,13 @@ class Damp(ArmTask):
         to_shift, to_rate = self._modes
         # row by row: in the product of all rows at once BLAS rounds by their number
         shift, rate = (s.y_seen[:, None] @ to_shift)[:, 0], (s.yd_seen[:, None] @ to_rate)[:, 0]
-        parts = (s.q - self._middle, *rates(self.control, s), shift, rate, shift**2 + rate**2)
+        parts = (s.q - self.middle, *rates(self.control, s), shift, rate, shift**2 + rate**2)
         if self.control.level != "gains":
             return parts
         return *parts, s.q - s.goal[:, : self.system.arm.n]
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        beyond = np.maximum(np.abs(s.q - self._middle) - self._room, 0.0).sum(axis=1)
+        beyond = np.maximum(np.abs(s.q - self.middle) - self._room, 0.0).sum(axis=1)
         return {
             "energy": -s.strain * dt / s.goal[:, self.system.arm.n],
             "astray": -self.astray * dt * beyond,

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ves_gym._util.params import Array, Mask, Vector, unit
-from ves_gym.envs.arm_task import REFERENCES, ArmTask, home_of
+from ves_gym.envs.arm_task import REFERENCES, ArmTask
 from ves_gym.envs.control import Acceleration, Control
 from ves_gym.envs.task import Field, Scene, Start, register_task
 from ves_gym.mechanics.kinematics import joint_positions
@@ -69,8 +69,7 @@ class FreeFlyerReach(ArmTask):
         """See `Task`. The target must be within the arm's reach, base at rest."""
         out = super().check_options(options, extra, rows)
         if "target" in out:
-            middle = home_of(self.system.arm, self.home)
-            self.require_reachable(out["target"], middle, self.tolerance)
+            self.require_reachable(out["target"], self.middle, self.tolerance)
         return out
 
     def start(self, u: Array, **options: Array) -> Start:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, Mask, ParameterError, Vector, unit
 from ves_gym.engine.linear import linearise_ideal
-from ves_gym.envs.arm_task import ArmTask, home_of
+from ves_gym.envs.arm_task import ArmTask
 from ves_gym.envs.control import Control, Torque
 from ves_gym.envs.task import Field, Scene, Start, register_task
 from ves_gym.mechanics.dynamics import inertia
@@ -90,10 +90,6 @@ class Lqr(ArmTask):
                 f"lqr knows its optimum of a base without internal modes, got {modes} of them"
             )
 
-    @cached_property
-    def _middle(self) -> Array:
-        return home_of(self.system.arm, self.home)
-
     def half_widths(self) -> Vector:
         """See `ArmTask`."""
         return (self.bend,)
@@ -106,7 +102,7 @@ class Lqr(ArmTask):
 
         Of the machine as described: its effects are what a controller does not know of.
         """
-        home = self._middle
+        home = self.middle
         described = self.system.replace(effects=()).ideal()
         linear = linearise_ideal(described, home, servo=self.control.servo_for(described))
         return linear.discretise(self.system.control_dt)
@@ -116,7 +112,7 @@ class Lqr(ArmTask):
         """Q (2 s, 2 s) and R (joints, joints) [s times the cost per second]."""
         n, base = self.system.arm.n, self.system.ideal().base
         Q = np.zeros((2, 6 + n, 2, 6 + n))
-        body = inertia(self.system.arm, self._middle)[:6, :6]
+        body = inertia(self.system.arm, self.middle)[:6, :6]
         Q[0, :6, 0, :6] = base.K / 2
         Q[1, :6, 1, :6] = (base.mass_matrix + body) / 2
         Q[0, 6:, 0, 6:] = self.stray * np.eye(n)
@@ -149,7 +145,7 @@ class Lqr(ArmTask):
 
     def deviation(self, s: Scene) -> Array:
         """x (n, 2 s) of the true state."""
-        return np.concatenate([s.y, s.q - self._middle, s.yd, s.v], axis=1)
+        return np.concatenate([s.y, s.q - self.middle, s.yd, s.v], axis=1)
 
     @cached_property
     def _spread(self) -> Array:
@@ -164,7 +160,7 @@ class Lqr(ArmTask):
         """See `Task`. Goal: the least cost from the start."""
         n = self.system.arm.n
         x = self._spread * (2 * u[:, : 2 * (6 + n)] - 1)
-        home = self._middle
+        home = self.middle
         y, yd = options.get("y", x[:, :6]), options.get("yd", x[:, 6 + n : 12 + n])
         q, v = options.get("q", home + x[:, 6 : 6 + n]), options.get("v", x[:, 12 + n :])
         x = np.concatenate([y, q - home, yd, v], axis=1)
@@ -183,7 +179,7 @@ class Lqr(ArmTask):
         )
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
-        away = s.q - self._middle
+        away = s.q - self.middle
         return s.y_seen, away, s.yd_seen, s.v, self.left(s)
 
     def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:

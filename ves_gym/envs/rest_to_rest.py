@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from ves_gym._util.params import Array, Mask, Vector, require_positive, unit
-from ves_gym.envs.arm_task import middle_and_half, straight_pace
+from ves_gym.envs.arm_task import middle_and_half, straight_pace, usual_of
 from ves_gym.envs.control import Control, Guided
 from ves_gym.envs.scales import straight_energy, straight_motion
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
@@ -63,7 +63,8 @@ class RestToRest(Task):
     def start(self, u: Array, **options: Array) -> Start:
         """See `Task`. Goal: joint angles (joints), E_straight."""
         n = self.system.arm.n
-        middle, span = middle_and_half(self.system.arm, (0.0,), self.span)
+        usual = usual_of(self, "span")
+        middle, span = middle_and_half(self.system.arm, (0.0,), self.span, usual)
         ends = middle + (2 * u.reshape(len(u), _TRIES, 2, -1)[..., :n] - 1) * span
         excess = straight_pace(self.system.arm, ends[:, :, 1] - ends[:, :, 0], self.duration)
         pick = (excess <= 1).argmax(axis=1)  # the first that fits, or the first of all

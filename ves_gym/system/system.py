@@ -60,6 +60,7 @@ class System:
     `contact` gives the tool, and what it meets, surfaces that push on each other.
     `drive` motor gives the joints torque-limited motors with servo gains; prescribed
     makes them follow their command exactly, whatever the base does (a perfect servo).
+    Arm and vehicle may be given by name or file, as `get_arm` and `get_vehicle` take them.
     `arms` are several arms on one base, each where it stands (`Arm.at`): `arm` is then all of
     them, their joints in this order, and the last one's tool is the tool.
     The control period must be a whole number of physics steps.
@@ -83,6 +84,18 @@ class System:
             if self.arm is not PUMA_560:
                 raise ParameterError("System takes arm or arms, got both")
             object.__setattr__(self, "arm", side_by_side(arms))
+        for name, read, known in (
+            ("arm", get_arm, Arm),
+            ("vehicle", get_vehicle, Vehicle.__args__),
+        ):
+            value = getattr(self, name)
+            if isinstance(value, (str, os.PathLike)):  # as on the command line
+                object.__setattr__(self, name, read(value))
+            elif not isinstance(value, known):
+                raise ParameterError(
+                    f"System.{name} must be {'an Arm' if name == 'arm' else 'a vehicle'}, its"
+                    f" name or its file, got {value!r}"
+                )
         require_choice(self, "mode", MODES)
         require_choice(self, "drive", DRIVES)
         require_choice(self, "integrator", INTEGRATORS)
