@@ -27,7 +27,7 @@ SPACE = tuple(
     f"ves_gym:ves/{name}-v0"
     for name in (
         "PumaReach", "PumaReachGoal", "PumaTrack", "MacroMicro", "PumaDamp", "FreeFlyerReach",
-        "BeamLQR", "PoseReach", "PayloadTransfer", "ServicerCapture", "BerthingContact",
+        "BeamLQR", "PoseReach", "PayloadTransfer", "ServicerCapture",
     )
 )  # fmt: skip
 PERIODS = 20  # vector steps of ours in one measurement

@@ -42,6 +42,8 @@ INFO = {
     "dump": "with the argument `dump`: run log of an episode that diverged",
     "base/propellant": "satellites with jets or wheels: what jets have used so far [kg]",
     "base/wheel_momentum": "momentum that each reaction wheel stores [N m s]",
+    "base/range": "a base on springs that has left the range in which it is linear: how far"
+    " it is, as a share of that range",
     "capture/carried": "whether the target is carried",
     "capture/lost": "at the end: energy that the latch took [J]",
     "capture/momentum": "at the end: linear and angular momentum (6) of arm, base and target,"

@@ -23,7 +23,6 @@ UNTRAINED = {
     "PayloadTransfer",
     "PumaRestToRest",
     "ServicerCapture",
-    "BerthingContact",
 }  # tasks that no policy comes for yet
 
 

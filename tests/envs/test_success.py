@@ -15,7 +15,6 @@ LONG = (
     "PoseReach",
     "PayloadTransfer",
     "ServicerCapture",
-    "BerthingContact",
 )  # their own tests are of fewer episodes
 
 

@@ -76,7 +76,6 @@ REFERENCES = {
     "PoseReach": "resolved-pose",
     "PayloadTransfer": "resolved",
     "ServicerCapture": "servicer",
-    "BerthingContact": "resolved",
 }
 
 

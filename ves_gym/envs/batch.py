@@ -39,6 +39,7 @@ from ves_gym.envs.recording import Recorder
 from ves_gym.envs.tail import FreeDecay
 from ves_gym.envs.task import Scene, Start, Task
 from ves_gym.mechanics.latch import TARGET
+from ves_gym.mechanics.linear_range import linear_range
 from ves_gym.mechanics.servo import own_gains
 from ves_gym.simulation.loop_linearisation import EmulationWarning
 from ves_gym.simulation.simulator import Simulator
@@ -128,6 +129,7 @@ class Batch:
         self._scenes, self._torques = SceneMap(space, n), TorqueMap(space, n)
         self._emulated = self.system.mode == "emulated"
         self._feedforward = motor and control.servo.feedforward
+        self._per_range = 1 / linear_range(self.system.vehicle)
         self.dt = self.system.control_dt
         self.width = task.action_width
         self._joint_width = control.width(arm)
@@ -150,7 +152,6 @@ class Batch:
             "tool_seen": 3, "energies": 2, "goal": goals, "memory": task.memory,
             "table_values": table_values, "tau": joints,
             "payload": TARGET if task.interacts else 0,
-            "contact": 7 if self.sim.contact is not None else 0,
             "wheels": self.sim.machines.wheels,
         }  # fmt: skip
         require_answers(task, self._blank(2)[0], self.dt)
@@ -162,7 +163,6 @@ class Batch:
             self._compiled = CompiledStep(self.sim, task, *parts)
         # whether all that a beginning needs can be written where it belongs
         alike = not (self._emulated or task.randomize or task.interacts or task.base_control)
-        alike = alike and self.sim.contact is None
         self._direct = self._compiled is not None and (alike or n >= _MANY)
         rows = self._first_rows if alike else self._rehearsed_rows
         complete = rows if self._direct else self._first_states
@@ -469,6 +469,10 @@ class Batch:
             info["base/propellant"] = acts.propellant.copy()
             if acts.wheels:
                 info["base/wheel_momentum"] = self.sim.wheel_speed * acts.rotors
+        pose = self.sim.backend.read()[1][:, :6]
+        used = (np.abs(pose) * self._per_range).max(axis=1)
+        if (beyond := used > 1.0).any():
+            info["base/range"], info["_base/range"] = used, beyond
         info.update(self.randomized())
         if self.recorder is not None:
             info.update(self.recorder.step(diverged if over is None else diverged & ~over))
@@ -511,8 +515,6 @@ class Batch:
             assert self.sim.payload is not None
             which = np.arange(self.n) if ids is None else ids
             parts["payload"] = self.sim.payload.target(which).rows()
-        if self.sim.contact is not None:
-            parts["contact"] = np.column_stack(self.sim.contact.measured())[rows]
         if self.sim.base_actuators is not None:
             parts["propellant"] = self.sim.base_actuators.propellant[rows].copy()
         for name, values in parts.items():

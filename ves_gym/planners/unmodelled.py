@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ves_gym._util.params import Array
+from ves_gym.mechanics.linear_range import range_sentence
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.pointing import shares, strongest
 from ves_gym.mechanics.vehicle import Satellite, has_jets
@@ -31,6 +32,10 @@ def notes(query: Query, motion: Motion | None) -> tuple[str, ...]:
         out.append("the laboratory: planned for the space system that it emulates")
     if motion is not None and isinstance(system.vehicle, Satellite):
         out += _of_pointing(query, system.vehicle, motion)
+    elif motion is not None:
+        linear = LinearBase(system, query.servo, motion.start)
+        y = respond(linear, motion, NODES, query.base).x[:, :6]
+        out += filter(None, [range_sentence(system.vehicle, y)])
     return tuple(out)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ves_gym._util.tables import table
 from ves_gym.mechanics.limits import LimitCheck, check_reference, limits_of
+from ves_gym.mechanics.linear_range import range_sentence
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import vehicle_name
 from ves_gym.simulation.state import Event
@@ -70,7 +71,8 @@ class RunSummary:
                 f"the energy account is open by {self.ledger:.2g} of the work through the base,"
                 f" at most {TRUSTED:g}: do not trust this run; a smaller --physics-dt closes it"
             )
-        return out
+        left = range_sentence(self.system.vehicle, self.log.y)
+        return out if left is None else [*out, left]
 
     @property
     def propellant(self) -> float | None:
