@@ -492,3 +492,31 @@ def test_a_damaged_file_is_refused_or_read_as_a_valid_log(
         assert_same(RunLog(**parts(read)), read)
         read.save(path)
         assert_same(RunLog.load(path), read)
+
+
+# ------------------------------------------------------------------------ as tables of others
+
+
+def test_a_table_of_pandas_is_the_file(tmp_path):
+    """pandas reads the same numbers from the CSV file."""
+    pd = pytest.importorskip("pandas")
+    log = make()
+    log.save(tmp_path / "run.csv")
+    frame = log.to_dataframe()
+    read = pd.read_csv(tmp_path / "run.csv", index_col="t")
+    pd.testing.assert_frame_equal(frame, read, rtol=1e-15)
+    assert frame.attrs["meta"] == log.meta
+    assert "t" in log.columns()
+
+
+def test_a_data_set_of_xarray_has_joints_and_axes():
+    pytest.importorskip("xarray")
+    log = make()
+    data = log.to_xarray()
+    assert set(data.data_vars) == set(QUANTITIES)
+    assert data.q.dims == ("t", "joint") and data.y.dims == ("t", "axis")
+    assert data.propellant.dims == ("t",) and data.p.dims == ("t", "payload")
+    np.testing.assert_array_equal(data.w.sel(axis="phi_y"), log.w[:, 4])
+    np.testing.assert_array_equal(data.q.sel(joint=2), log.q[:, 1])
+    np.testing.assert_array_equal(data.t, log.t)
+    assert json.loads(data.attrs["ves_gym"]) == log.meta

@@ -31,6 +31,7 @@ PACKAGES = {  # module -> what installs it
     "onnx": Source("onnx", "onnx"),
     "onnxruntime": Source("onnxruntime", "onnx"),
     "optuna": Source("optuna", "scale"),
+    "pandas": Source("pandas", "frames"),
     "pinocchio": Source("pin", "pinocchio", wheels="Linux and macOS"),
     "pyarrow": Source("pyarrow", "parquet"),
     "safetensors": Source("safetensors"),
@@ -38,6 +39,7 @@ PACKAGES = {  # module -> what installs it
     "tensorboard": Source("tensorboard", "tensorboard"),
     "torch": Source("torch", "rl"),
     "warp": Source("warp-lang", "gpu"),
+    "xarray": Source("xarray", "frames"),
 }
 
 

@@ -424,7 +424,8 @@ class Arm:
             names = ", ".join(self.links[i].name or f"joint {i + 1}" for i in self.sliding)
             raise ParameterError(
                 f"{what} takes revolute joints, got {self.name} with {names} that slide:"
-                " simulate it in mode ideal, or lock them (locked=)"
+                " simulate it in mode ideal, or hold them (--lock JOINT=0, in"
+                " Python locked=)"
             )
 
     @cached_property

@@ -290,7 +290,8 @@ def _with_limits(arm: Arm, joints: list[Joint]) -> Arm:
             raise ParameterError(
                 f"nothing that joint {joint.name!r} moves has an inertia about its axis, nor"
                 " has its rotor: give the links an inertia, merge them (fixed joints), or say"
-                f" what the rotor has about the joint: rotors={{{joint.name!r}: 0.01}} kg m^2"
+                f" what the rotor has about the joint: --rotor {joint.name}=0.01, in Python"
+                f" rotors={{{joint.name!r}: 0.01}}, kg m^2"
             )
     links, notes = [], []
     for link, joint, J in zip(arm.links, joints, most, strict=True):

@@ -216,8 +216,8 @@ def _find(
         source = os.path.basename(os.fspath(files))
         if "M" not in out or "K" not in out:
             raise ParameterError(
-                f"{source}: expected a mass and a stiffness matrix (names={{'M': ...,"
-                f" 'K': ...}} says which), got {', '.join(matrices)}"
+                f"{source}: expected a mass and a stiffness matrix (--names M=...,K=...,"
+                f" in Python names=, says which), got {', '.join(matrices)}"
             )
     for key in "MK":
         if key not in out:

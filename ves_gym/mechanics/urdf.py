@@ -126,7 +126,9 @@ class UrdfTree(Tree):
                 break
             where, leader = f"joint {name!r}", mimic.get("joint", "")
             if leader not in self.elements:
-                raise ParameterError(f"{where} mimics {leader!r}, which is not there")
+                raise ParameterError(
+                    f"{where} mimics {leader!r}, which is not there: hold it ({held(name)})"
+                )
             shift += gain * number(mimic, "offset", where, 0.0)
             gain *= number(mimic, "multiplier", where, 1.0)
             name = leader

@@ -16,17 +16,20 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ves_gym._util.optional import require
 from ves_gym._util.params import Array, canonical_json, write_bytes
 from ves_gym._util.reading import named
 from ves_gym._util.views import Viewable
 from ves_gym.system.runlog_files import (
+    AXES,
     BASE,
     BODY,
     DIGEST_KEY,
+    DIMENSIONS,
     JOINT,
     META_KEY,
     MODE,
@@ -44,6 +47,10 @@ from ves_gym.system.runlog_files import (
     suffix_of,
     write_pair,
 )
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
 
 FORMAT = "ves-run/1"
 OPTIONAL = tuple(k for k, (_, required) in QUANTITIES.items() if not required)
@@ -157,6 +164,45 @@ class RunLog(Viewable):
             if array is not None:
                 out |= {f"{name}_{i + 1}": array[:, i] for i in range(array.shape[1])}
         return out
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the columns as a pandas table over `t` [s]; the metadata is in `attrs`.
+
+        Raises:
+            MissingPackageError: pandas is not installed.
+        """
+        require("RunLog.to_dataframe", "pandas")
+        import pandas
+
+        columns = self.columns()
+        index = pandas.Index(columns.pop("t"), name="t")
+        out = pandas.DataFrame(columns, index=index)
+        out.attrs = {"meta": dict(self.meta)}
+        return out
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the quantities (t, joint), (t, axis) and so on as an xarray data set.
+
+        Joints count from 1; axes are x, y, z, phi_x, phi_y, phi_z. The metadata is JSON in
+        the attribute `ves_gym`, as in Parquet files.
+
+        Raises:
+            MissingPackageError: xarray is not installed.
+        """
+        require("RunLog.to_xarray", "xarray")
+        import xarray
+
+        names = {k: axis for k, (axis, _) in QUANTITIES.items() if getattr(self, k) is not None}
+        arrays = {
+            k: (["t"], getattr(self, k)[:, 0])
+            if axis == ONE
+            else (["t", DIMENSIONS[axis]], getattr(self, k))
+            for k, axis in names.items()
+        }
+        coordinates: dict[str, Any] = {"t": self.t, "joint": np.arange(1, self.n_joints + 1)}
+        if POSE in names.values():
+            coordinates["axis"] = list(AXES)
+        return xarray.Dataset(arrays, coordinates, {META_KEY: canonical_json(self.meta)})
 
     def summary(self) -> str:
         """One line for people: size, clock, optional quantities, note."""

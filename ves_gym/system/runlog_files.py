@@ -50,6 +50,8 @@ QUANTITIES = {
     "contact": (POSE, False),
     "contact_energy": (ONE, False),
 }
+AXES = ("x", "y", "z", "phi_x", "phi_y", "phi_z")  # of a pose and of its wrench
+DIMENSIONS = {JOINT: "joint", POSE: "axis", MODE: "mode", WHEEL: "wheel", BODY: "payload"}
 _MOST = {POSE: BASE, ONE: 1, BODY: 7}  # columns of an axis that has a fixed number of them
 KNOWN = ", ".join(["t", *(f"{k}_1..{axis}" for k, (axis, _) in QUANTITIES.items())])
 
