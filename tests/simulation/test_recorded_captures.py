@@ -13,6 +13,7 @@ from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, FREE_FLOATING, get_vehicle
 from ves_gym.rendering.render import View, render
 from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.run_summary import summarise
 from ves_gym.system.energy_balance import EnergyBalance, segments
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
@@ -44,6 +45,16 @@ def test_the_ledger_closes_through_a_capture(vehicle):
     captures = [{**log.meta["captures"][0], "lost": 0.9 * lost}, log.meta["captures"][1]]
     wrong = EnergyBalance.of(replace(log, meta={**log.meta, "captures": captures}))
     assert wrong.relative > 1e-2  # the ledger is about it
+
+
+@pytest.mark.parametrize(("modes", "told"), [(5, True), (40, False)])
+def test_a_latch_on_too_few_modes_says_so(modes, told):
+    """The flange as 40 modes leave it; whoever has these is told nothing."""
+    summary = summarise(recorded(BENT, watch=True), MOTION, settle=0.5)
+    vehicle = replace(BENT, modes=modes, fastest=1e9)
+    summary = replace(summary, system=replace(summary.system, vehicle=vehicle))
+    print(summary.warnings)
+    assert any("instead of 5 it would be" in k for k in summary.warnings) == told
 
 
 def test_a_log_holds_the_payload(tmp_path):

@@ -389,6 +389,13 @@ class FlexibleBase(Saved):
         return _centreline(self)
 
 
+def with_modes(base: FlexibleBase, modes: int) -> FlexibleBase:
+    """Return an undamped base with as many modes, however fast, as asked, or as it has."""
+    if isinstance(base.structure, Reduced):
+        modes = min(modes, len(base.structure.omega))
+    return replace(base, modes=modes, fastest=1e9, damping_ratio=0.0, damping_ratios=None)
+
+
 @lru_cache(maxsize=32)
 @on_one_thread(scipy=False)  # a machine has the same bits in every process
 def _reduction(base: FlexibleBase) -> Reduction:

@@ -283,6 +283,19 @@ def tool_motion(
     return ToolMotion(y[..., :3] + matvec(R, place), link, world @ local @ P, mass)
 
 
+def base_jump(arm: Arm, base: BaseModel, y: Array, q: Array, impulse: Array) -> Array:
+    """Return the twist that an impulse at the tool leaves in the base, its axes.
+
+    Args:
+        arm, base, y, q: see `tool_motion`; gears relaxed.
+        impulse: (..., 6) on what the tool holds, inertial axes [N s, N m s].
+    """
+    hidden = np.zeros((*q.shape[:-1], len(arm.geared) + len(base.carried)))
+    at = tool_motion(arm, base, y, q, hidden)
+    push = -np.einsum("...ij,...i->...j", at.J, impulse)
+    return np.asarray(np.linalg.solve(at.mass, push[..., None])[..., :6, 0])
+
+
 def free_mass(mass: Array, inertia: Array, turn: Array) -> Array:
     """Return a free body's mass matrix about its centre of mass, inertial axes (..., 6, 6).
 

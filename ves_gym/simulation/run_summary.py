@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.tables import table
+from ves_gym.mechanics.flexible_base import FlexibleBase, with_modes
+from ves_gym.mechanics.latch import base_jump
 from ves_gym.mechanics.limits import LimitCheck, check_reference, limits_of
 from ves_gym.mechanics.linear_range import range_sentence
 from ves_gym.mechanics.motion import Motion
@@ -20,6 +22,7 @@ from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
 SCHEMA = "ves-simulate/1"
+_FINE, _APART = 40, 0.2  # modes, and the share by which the flange may start otherwise on them
 TRUSTED = 0.01  # of the work through the base, that the energy account may be open by
 _MEANING = {
     "E_mean": "mean of the base energy over the motion and {tail:g} s after it (the score)",
@@ -72,7 +75,31 @@ class RunSummary:
                 f" at most {TRUSTED:g}: do not trust this run; a smaller --physics-dt closes it"
             )
         left = range_sentence(self.system.vehicle, self.log.y)
-        return out if left is None else [*out, left]
+        return [*out, *filter(None, [left, *map(self._stiff_at, self._grasps)])]
+
+    @property
+    def _grasps(self) -> list[dict[str, Any]]:
+        return [k for k in self.log.meta.get("captures", []) if k["kind"] == "grasp"]
+
+    def _stiff_at(self, grasp: dict[str, Any]) -> str | None:
+        """Say where the base has too few modes to take the impulse of a latch."""
+        system, vehicle = self.system, self.system.vehicle
+        if system.mode != "ideal" or not isinstance(vehicle, FlexibleBase):
+            return None
+        k = int(np.searchsorted(self.log.t, grasp["time"] - 1e-9))
+        at = self.log.y[k], self.log.q[k], np.array(grasp["impulse"])
+        fine = with_modes(vehicle, _FINE)
+        own, more = (
+            1e3 * float(np.linalg.norm(base_jump(system.arm, base, *at)[:3]))
+            for base in (system.base, fine.base_model())
+        )
+        if abs(own - more) <= _APART * more:
+            return None
+        return (
+            f"the latch at {grasp['time']:g} s sets the flange off at {own:.2g} mm/s, on"
+            f" {fine.modes} modes instead of {vehicle.modes} it would be {more:.2g}: what"
+            " rings just after it needs more modes"
+        )
 
     @property
     def propellant(self) -> float | None:
