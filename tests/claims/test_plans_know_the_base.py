@@ -56,7 +56,7 @@ def played(asked, motions):
 
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_predicted_is_simulated_and_refined_pays(name):
-    """Measured: 0.93 to 1.02; `refined` leaves 0.03 to 0.33 of the straight line's E_mean."""
+    """Measured: 0.97 to 1.01; `refined` leaves 0.03 to 0.33 of the straight line's E_mean."""
     asked = query(name)
     plans = [solve(get_planner(planner), asked) for planner in ("straight", "refined")]
     assert all(plan.feasible for plan in plans)
@@ -64,7 +64,7 @@ def test_predicted_is_simulated_and_refined_pays(name):
     for plan, found in zip(plans, (straight, refined), strict=True):
         ratio = plan.predicted.E_mean / found.E_mean
         print(name, plan.planner, f"{ratio:.4f}")
-        assert abs(ratio - 1) <= (0.1 if name == "gears" else 0.03)
+        assert 0.95 <= ratio <= 1.05
     print(name, f"{refined.E_mean / straight.E_mean:.4f}")
     assert refined.E_mean <= (0.7 if name == "pointing" else 0.3) * straight.E_mean
 

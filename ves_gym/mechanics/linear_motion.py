@@ -75,6 +75,14 @@ class LinearMotion:
         out[[6 + p + i for i in arm.geared], self.gears] = 1.0
         return out
 
+    @property
+    def joints(self) -> Array:
+        """(n + p, size) joints of `links`, in their order, per coordinate."""
+        chain, p = self.links, self.arm.bends
+        out = np.zeros((p + self.arm.n, self.size))
+        out[[*chain.passive, *chain.driven]] = self._rigid[6:]
+        return out
+
     @cached_property
     def _constant(self) -> tuple[Array, Array, Array]:
         """M, D, K (size, size) that no configuration changes; M less the geared rotors."""

@@ -30,6 +30,7 @@ from ves_gym.planners.prediction import (
     NODES,
     BaseState,
     LinearBase,
+    Transport,
     hold,
     inertia_along,
     running_integral,
@@ -113,11 +114,16 @@ class MeanEnergy(QuadraticForm):
         self.t = np.linspace(0, duration, nodes + 1)
         self.system, self.at = system, at
         M, middle = inertia_along(self.linear, at, self.t)
-        A, B = self.linear.plant(middle)
+        along = between = None
+        if isinstance(at, Motion):
+            half = (self.t[1:] + self.t[:-1]) / 2
+            along, between = (self.linear.transport(at, t) for t in (self.t, half))
+        A, B = self.linear.plant(middle, between)
         steps = hold(A, B[..., self.inputs], self.t[1])
         pushed = np.zeros(len(self.linear.driven))
         pushed[:6] = 0.0 if momentum is None else momentum
-        super().__init__(self._form(M, steps, self.linear.begin(M[0], base, pushed)))
+        start_state = self.linear.begin(M[0], base, pushed, along)
+        super().__init__(self._form(M, steps, start_state, along))
 
     def of(self, motion: Motion) -> float:
         """E_mean of a motion [J]."""
@@ -131,7 +137,13 @@ class MeanEnergy(QuadraticForm):
             u = np.hstack([u, running_integral(needed - fed, self.t)])
         return self.value(u.ravel())
 
-    def _form(self, M: Array, steps: tuple[Array, Array, Array], start: Array) -> Array:
+    def _form(
+        self,
+        M: Array,
+        steps: tuple[Array, Array, Array],
+        start: Array,
+        along: Transport | None,
+    ) -> Array:
         """E_mean as a form of all samples and 1, from the response to each of them."""
         linear, N, duration, m = self.linear, len(self.t), float(self.t[-1]), len(self.inputs)
         size, b = linear.size, linear.b
@@ -146,11 +158,14 @@ class MeanEnergy(QuadraticForm):
             states[k + 1, :, -1] = Phi @ states[k, :, -1]
             states[k + 1, :, done - m : done] += first
             states[k + 1, :, done : done + m] = second
-        # E_k = 1/2 |R_K z|^2 + 1/2 |R_M z'|^2 with z' = (M^-1 (P - u))[:b]
+        # E_k = 1/2 |R_K z|^2 + 1/2 |R_M z'|^2 with z' = (M^-1 (P - u))[:b], x's part off P
         speed = np.stack([root(linear.base_mass(Mk)) @ np.linalg.inv(Mk)[:b] for Mk in M])
         rows = np.empty((N, 2 * b, m * N + 1))
         rows[:, :b] = root(linear.base_stiffness) @ states[:, :b]
-        rows[:, b:] = speed @ states[:, size:]
+        own = states[:, size:]
+        if along is not None:
+            own = own - along.momentum @ states[:, :size]
+        rows[:, b:] = speed @ own
         for k in range(N):
             direct = speed[k if len(speed) > 1 else 0][:, self.inputs]
             rows[k, b:, m * k : m * k + m] -= direct

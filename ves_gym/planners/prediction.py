@@ -1,15 +1,15 @@
 """Predict a motion's base energy without simulating it.
 
-The joints follow the motion exactly and the base moves a little, so the base is linear:
+Base and whatever gives way move a little beside the motion of the joints, so they are linear:
 with the joint momentum u(t) = H_bm(q) q' and P = M_t Y' + u,
 
-    Y' = M_t^-1 (P - u),    P' = -D Y' - K Y.
+    Y' = M_t^-1 (P - u),    P' = -D Y' - K Y,
 
-`spectral_energy` is its undamped closed form (THEORY eq. 1). `predict` keeps damping,
-servo compliance and the mean over the tail; with M_t frozen at one configuration, or along
-one motion, E_mean is a quadratic function of u (`mean_energy`), which is what `direct`
-minimises. A base that moves at the start (`BaseState`) adds its free response: a linear term
-in u and a constant.
+and terms of first order in what the joints yield (`Transport`; docs/physics.md, section 6).
+`spectral_energy` is the undamped closed form (THEORY eq. 1). `predict` keeps damping, servo
+compliance and the mean over the tail; with M_t frozen at one configuration, or along a motion,
+E_mean is a quadratic function of u (`mean_energy`), which is what `direct` minimises. A base
+that moves at the start (`BaseState`) adds its free response: a linear term in u and a constant.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.pointing import about_centre
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.spatial import matvec, quadratic
+from ves_gym.planners.momentum import momentum, torque
 from ves_gym.system.energy import TAIL
 from ves_gym.system.system import System
 
@@ -181,6 +182,20 @@ class LinearBase:
         """Way of the tool (..., 3, size) per coordinate of x, joints at q (..., n) [m]."""
         return self.free.tool(q)[..., self._at]
 
+    def transport(self, motion: Motion, t: Array) -> Transport:
+        """Terms of first order in what the joints yield, at times t (N,) of a motion."""
+        chain, s = self.free.links, motion.at(t)
+        at = [chain.angles(part) for part in (s.q, s.v, s.a)]
+        turned = momentum(chain.arm, *at[:2]).by_q
+        by_q, by_v, _ = np.moveaxis(torque(chain.arm, *at).by, 1, 0)
+        joints = self.free.joints[:, self._at]
+        moved, damping, stiffness = np.zeros((3, len(t), self.size, self.size))
+        moved[:, :6] = turned @ joints
+        stiffness[:] = joints.T @ by_q @ joints
+        damping[:] = joints.T @ (by_v - np.swapaxes(by_v, -1, -2)) @ joints / 2
+        damping[:, :, :6] -= np.swapaxes(moved[:, :6], -1, -2)
+        return Transport(moved, damping, stiffness)
+
     def base_mass(self, M: Array) -> Array:
         """Inertia of z (..., b, b) that makes the base's energy, from that of x: wheels count
         as locked."""
@@ -212,13 +227,17 @@ class LinearBase:
         (y, u), (yd, ud) = ((tuple(k[:6].tolist()), tuple(k[6:].tolist())) for k in full)
         return BaseState(y=y, yd=yd, u=u, ud=ud)
 
-    def plant(self, M: Array) -> tuple[Array, Array]:
-        """A, B of s' = A s + B u with s = (x, P), over leading axes of M."""
-        inverse = np.linalg.inv(M)
-        zero = np.zeros_like(inverse)
-        K = np.broadcast_to(self.K, M.shape)
-        A = np.block([[zero, inverse], [-K, -self.D @ inverse]])
-        return A, np.concatenate([-inverse, self.D @ inverse], axis=-2)
+    def plant(self, M: Array, along: Transport | None = None) -> tuple[Array, Array]:
+        """A, B of s' = A s + B u with s = (x, P), over leading axes of M.
+
+        `along`: of the motion there; None: left out.
+        """
+        inverse, zero = np.linalg.inv(M), np.zeros(M.shape)
+        moved, damping, stiffness = (zero,) * 3 if along is None else along
+        D, K = self.D + damping, self.K + stiffness
+        lost = D @ inverse
+        A = np.block([[-inverse @ moved, inverse], [lost @ moved - K, -lost]])
+        return A, np.concatenate([-inverse, lost], axis=-2)
 
     def weight(self, M: Array) -> Array:
         """C with base energy E = s^T C s while the joints are held."""
@@ -232,18 +251,23 @@ class LinearBase:
         """S with the integral of E over the tail = s^T S s, joints held."""
         return gramian(self.plant(M)[0], self.weight(M), TAIL)
 
-    def begin(self, M: Array, base: BaseState | None, u: Array) -> Array:
+    def begin(
+        self, M: Array, base: BaseState | None, u: Array, along: Transport | None = None
+    ) -> Array:
         """State s = (x, P) (2 size,) at the start, the joints on their command.
 
         Args:
             M: (size, size) inertia there.
             base: motion of the base; None: at rest.
             u: (k,) what drives it there, see `driven`.
+            along: of the motion, from there on.
         """
         s = np.zeros(2 * self.size)
         if base is not None:
             z, zd = self.coordinates(base)
             s[: self.b], s[self.size :] = z, M[:, : self.b] @ zd
+            if along is not None:
+                s[self.size :] += along.momentum[0][:, : self.b] @ z
         s[self.size + self.driven] += u
         return s
 
@@ -257,6 +281,19 @@ def _pointing(system: System, start: npt.ArrayLike | None) -> tuple[Array, Array
     H = inertia(system.arm, middle if start is None else start)
     gains: tuple[Array, Array] = law.gains(about_centre(H[:6, :6] + system.base.rigid()))
     return gains
+
+
+class Transport(NamedTuple):
+    """Terms of first order in what joints yield beside their motion (N, size, size).
+
+    P = M x' + u + momentum x and P' = -(D + damping) x' - (K + stiffness) x: the load u is that
+    of where the joints are. It is the derivative of dT/dx' by x, whose transpose is that of
+    dT/dx by x'; the joints' own rows are derivatives of inverse dynamics.
+    """
+
+    momentum: Array
+    damping: Array
+    stiffness: Array
 
 
 class Response(NamedTuple):
@@ -308,17 +345,19 @@ def respond(
     u = np.zeros((len(t), size))
     u[:, linear.driven] = linear.load(motion, t)
 
-    A, B = linear.plant(M[parts :: 2 * parts])
+    A, B = linear.plant(M[parts :: 2 * parts], linear.transport(motion, t[parts :: 2 * parts]))
     Phi, begin, end = hold(A, B[..., linear.driven], motion.duration / count)
     begin, end = (np.repeat(G, parts, axis=0) for G in (begin, end))
     pushes = matvec(begin, u[:-2:2, linear.driven]) + matvec(end, u[2::2, linear.driven])
     z = np.zeros((count + 1, 2 * size))
-    z[0] = linear.begin(M[0], base, u[0, linear.driven])
+    along = linear.transport(motion, t[::2])
+    z[0] = linear.begin(M[0], base, u[0, linear.driven], along)
     for k, push in enumerate(pushes):
         z[k + 1] = Phi[k // parts] @ z[k] + push
 
     M, x = M[::2], z[:, :size]
-    rate = np.asarray(np.linalg.solve(M, (z[:, size:] - u[::2])[..., None])[..., 0], float)
+    own = z[:, size:] - u[::2] - matvec(along.momentum, x)
+    rate = np.asarray(np.linalg.solve(M, own[..., None])[..., 0], float)
     return Response(t[::2], x, rate, M, linear.motors)
 
 
