@@ -27,7 +27,7 @@ SPACE = tuple(
     f"ves_gym:ves/{name}-v0"
     for name in (
         "PumaReach", "PumaReachGoal", "PumaTrack", "MacroMicro", "PumaDamp", "FreeFlyerReach",
-        "BeamLQR", "PoseReach", "PayloadTransfer", "ServicerCapture",
+        "BeamLQR", "PoseReach", "PayloadTransfer", "ServicerCapture", "BerthingContact",
     )
 )  # fmt: skip
 PERIODS = 20  # vector steps of ours in one measurement

@@ -33,6 +33,7 @@ TASKS = [
     ("pose_reach", "acceleration", 60),
     ("payload_transfer", "acceleration", 60),
     ("servicer_capture", "acceleration", 60),
+    ("berthing_contact", "acceleration", 60),
 ]
 LABORATORY = {"mode": "emulated", "laboratory": "nominal"}
 

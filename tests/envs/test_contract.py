@@ -246,11 +246,13 @@ def test_what_is_refused_changes_nothing(name):
             env.reset(seed=1, options={"index": index})
     with pytest.raises(ParameterError, match="index needs a seed"):
         env.reset(options={"index": 1})
-    longer, mujoco = begun(name, duration=0.5), begun(name, backend="mujoco")
+    longer = begun(name, duration=0.5)
     with pytest.raises(ParameterError, match="snapshot is of task"):
         env.unwrapped.restore(longer.unwrapped.snapshot())
-    with pytest.raises(ParameterError, match=r"backend mujoco, this is .* on backend kernel"):
-        env.unwrapped.restore(mujoco.unwrapped.snapshot())
+    if task.system.contact is None:  # the kernel's alone
+        mujoco = begun(name, backend="mujoco")
+        with pytest.raises(ParameterError, match=r"backend mujoco, this is .* on backend ker"):
+            env.unwrapped.restore(mujoco.unwrapped.snapshot())
     assert same(env.unwrapped.snapshot(), before)
     assert same(walk(env, 5, 1), walk(again, 5, 1))
 

@@ -15,6 +15,7 @@ LONG = (
     "PoseReach",
     "PayloadTransfer",
     "ServicerCapture",
+    "BerthingContact",
 )  # their own tests are of fewer episodes
 
 

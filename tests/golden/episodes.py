@@ -14,8 +14,9 @@ from tests.golden.probe import Probe, pattern
 
 ON_A_BEAM = ("PumaRestToRest", "PumaReach", "PumaReachGoal", "PumaTrack", "PumaDamp")
 OTHERS = ("MacroMicro", "FreeFlyerReach", "BeamLQR", "PoseReach", "PayloadTransfer")
+IN_SPACE = ("ServicerCapture", "BerthingContact")
 IDS = (
-    *(f"ves/{name}-v0" for name in (*ON_A_BEAM, *OTHERS, "ServicerCapture")),
+    *(f"ves/{name}-v0" for name in (*ON_A_BEAM, *OTHERS, *IN_SPACE)),
     *(f"ves/{name}Emulated-v0" for name in (*ON_A_BEAM, *OTHERS)),
 )
 LANES = 8

@@ -76,6 +76,7 @@ REFERENCES = {
     "PoseReach": "resolved-pose",
     "PayloadTransfer": "resolved",
     "ServicerCapture": "servicer",
+    "BerthingContact": "resolved",
 }
 
 

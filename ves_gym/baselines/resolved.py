@@ -19,6 +19,7 @@ from ves_gym.baselines.controllers import (
     require_fit,
     row_of_step,
 )
+from ves_gym.envs.berthing_contact import MEET, BerthingContact
 from ves_gym.envs.free_flyer import FreeFlyerReach
 from ves_gym.envs.payload_transfer import PayloadTransfer
 from ves_gym.envs.pose_reach import PoseReach, goal_pose
@@ -27,6 +28,7 @@ from ves_gym.envs.scales import straight_energy, straight_motion
 from ves_gym.envs.track import Track
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.attitude import to_matrix
 from ves_gym.mechanics.dynamics import inertia, newton_euler
 from ves_gym.mechanics.kinematics import (
     joint_positions,
@@ -35,11 +37,14 @@ from ves_gym.mechanics.kinematics import (
     tool_jacobian,
     tool_twists,
 )
+from ves_gym.mechanics.latch import LatchTarget
 from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED, quintic
 from ves_gym.mechanics.spatial import matvec, rotation, twist, twist_rate
 from ves_gym.mechanics.tool_pose import configurations_at_each, joints_for
 
 _MOVE = 0.7  # share of an episode that the way to a target takes
+_BEFORE = 0.38  # the same, until before a funnel
+_PRESS = 0.03  # m, beyond the end of a funnel that is seen beside where it is
 _LEGS = ((0.0, 0.37), (0.45, 0.8))  # the same of the two legs of payload_transfer
 _CALM = 0.1  # s before the joints have to be at rest by which they slow down
 _REST = 0.8  # of the rate that counts as rest, the most that they then have
@@ -59,13 +64,15 @@ class Resolved:
     """Leads the tool along a path in space, by joint rates that take back the base's motion.
 
     The joints follow a plan for a base at rest: for task track the one that the Jacobian
-    gives along the path, for reach and free_flyer the straight quintic to the nearest joint
-    angles that bring the tool to the target, for payload_transfer two of them, to the payload
-    and to the berth. In every period the plan is corrected by what the Jacobian says of the
-    distance between path and tool, on the base as measured, and of the rate at which the base
-    carries the tool along (resolved motion rate control: Whitney, IEEE Trans. Man-Machine
-    Systems 10(2), 1969). At the end of free_flyer, whose joints must be at rest on a satellite
-    that turns, they take back no more of that than `rest` allows.
+    gives along the path, for berthing_contact too: before the client's funnel, then along its
+    axis a little beyond its end, where it is seen, until the latch has closed; for reach and
+    free_flyer the straight quintic to the nearest joint angles that bring the tool to the
+    target, for payload_transfer two of them, to the payload and to the berth. In every period
+    the plan is corrected by what the Jacobian says of the distance between path and tool, on
+    the base as measured, and of the rate at which the base carries the tool along (resolved
+    motion rate control: Whitney, IEEE Trans. Man-Machine Systems 10(2), 1969). At the end of
+    free_flyer, whose joints must be at rest on a satellite that turns, they take back no more
+    of that than `rest` allows.
 
     A servo's feed-forward takes the base for still. Where `braced`, the reference is shifted so
     that servo and feed-forward together add the torque of an accelerating base: for arms whose
@@ -90,11 +97,14 @@ class Resolved:
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         task, s = env.task, env.batch.scene
-        fits = isinstance(task, (FreeFlyerReach, PayloadTransfer, Reach, Track))
+        fits = isinstance(
+            task, (BerthingContact, FreeFlyerReach, PayloadTransfer, Reach, Track)
+        )
         require_fit(
             self.name,
             fits and task.control.level == "reference",
-            "leads the reference of tasks reach, track, free_flyer and payload_transfer",
+            "leads the reference of tasks reach, track, free_flyer, payload_transfer and"
+            " berthing_contact",
             env,
         )
         arm, steps = task.system.arm, task.steps
@@ -102,8 +112,11 @@ class Resolved:
         remember(self, env.num_envs, **shapes, _base_rate=(6,), _shift=(2, arm.n))
         self._base_rate[ids], self._shift[ids] = s.yd_seen[ids], 0.0
         q = s.q[ids]
-        if isinstance(task, Track):
-            path = task.path(s)[ids]
+        if isinstance(task, (BerthingContact, Track)):
+            if isinstance(task, Track):
+                path = task.path(s)[ids]
+            else:
+                path = _into(task, s.tool[ids], s.goal[ids])
             plan = [q]
             for point in np.swapaxes(path[:, 1:], 0, 1):
                 gap = point - joint_positions(arm, plan[-1])[:, -1]
@@ -148,8 +161,13 @@ class Resolved:
         before, present, then = (row_of_step(env, self._plan, k) for k in (0, 1, 2))
         y: Array = s.y_seen + dt * s.yd_seen  # of the base at the period's end
         reach = joint_positions(arm, present)[:, -1]
-        desired = seen_from_base(y, row_of_step(env, self._path, ahead=1))
+        aim = row_of_step(env, self._path, ahead=1)
         drift = carried(twist(y, s.yd_seen), reach)[:, :3]  # of the tool with the base
+        if isinstance(env.task, BerthingContact):
+            away, moving = self._follow_funnel(env)
+            aim = aim + away
+            drift = drift - matvec(np.swapaxes(rotation(y), -1, -2), moving)
+        desired = seen_from_base(y, aim)
         inverse = damped_inverse(tool_jacobian(arm, present))
         angles = present + matvec(inverse, desired - reach)
         # once more: damping leaves up to a fifth of the gap where the arm is least dexterous
@@ -160,11 +178,39 @@ class Resolved:
             (then - 2 * present + before) / dt**2,
         ]
         out = np.stack(reference, axis=1)
+        if isinstance(env.task, BerthingContact):  # with a load, taking back the sway drives it
+            held = LatchTarget.of(s.payload).carried > 0
+            out[held] = _slowly(s.ref[held], out[held], 0.0, dt)
         if isinstance(env.task, FreeFlyerReach):
             remaining = env.task.duration - env.batch.episodes.steps * dt
             calm = remaining <= env.task.hold + _CALM
             out[calm] = _slowly(s.ref[calm], out[calm], _REST * env.task.rest, dt)
         return out
+
+    def _follow_funnel(self, env: VesVectorEnv) -> tuple[Array, Array]:
+        """How far (n, 3) the path's end is from where it was planned, and its velocity."""
+        s, dt = env.batch.scene, env.batch.dt
+        t = LatchTarget.of(s.payload)
+        off = t.fixture + s.goal[:, 11:] + dt * t.fixture_velocity - s.goal[:, :3]
+        share = quintic(s.time / (_BEFORE * env.task.duration))[:, None]
+        return share * off, share * t.fixture_velocity
+
+
+def _into(task: BerthingContact, start: Array, goal: Array) -> Array:
+    """Path (k, steps + 1, 3) of the ball: before the funnel, then along its axis.
+
+    Args:
+        task: asks for it.
+        start: (k, 3) of the ball [m].
+        goal: (k, g) of the episodes.
+    """
+    clock, axis = np.arange(task.steps + 1) / task.steps, to_matrix(goal[:, 3:7])[..., 2]
+    before = goal[:, :3] - task.away * axis
+    first = quintic(clock / _BEFORE)[:, None]
+    second = quintic((clock - _BEFORE) / (MEET - _BEFORE))[:, None]
+    along = (task.away + _PRESS) * axis
+    way = first * (before - start)[:, None] + second * along[:, None]
+    return np.asarray(start[:, None] + way)
 
 
 def _slowly(ref: Array, then: Array, rate: float, dt: float) -> Array:

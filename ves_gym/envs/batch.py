@@ -152,6 +152,7 @@ class Batch:
             "tool_seen": 3, "energies": 2, "goal": goals, "memory": task.memory,
             "table_values": table_values, "tau": joints,
             "payload": TARGET if task.interacts else 0,
+            "contact": 7 if self.sim.contact is not None else 0,
             "wheels": self.sim.machines.wheels,
         }  # fmt: skip
         require_answers(task, self._blank(2)[0], self.dt)
@@ -163,6 +164,7 @@ class Batch:
             self._compiled = CompiledStep(self.sim, task, *parts)
         # whether all that a beginning needs can be written where it belongs
         alike = not (self._emulated or task.randomize or task.interacts or task.base_control)
+        alike = alike and self.sim.contact is None
         self._direct = self._compiled is not None and (alike or n >= _MANY)
         rows = self._first_rows if alike else self._rehearsed_rows
         complete = rows if self._direct else self._first_states
@@ -515,6 +517,8 @@ class Batch:
             assert self.sim.payload is not None
             which = np.arange(self.n) if ids is None else ids
             parts["payload"] = self.sim.payload.target(which).rows()
+        if self.sim.contact is not None:
+            parts["contact"] = np.column_stack(self.sim.contact.measured())[rows]
         if self.sim.base_actuators is not None:
             parts["propellant"] = self.sim.base_actuators.propellant[rows].copy()
         for name, values in parts.items():

@@ -30,6 +30,7 @@ from ves_gym.envs.base_control import wheels_of
 from ves_gym.envs.control import Control
 from ves_gym.envs.episode import Episodes, bounded, count, endings, judge, scaled_observation
 from ves_gym.envs.task import Scene, Task
+from ves_gym.mechanics.contact import FLOATING, payload_of
 from ves_gym.mechanics.latch import BODY, NUMBERS, TARGET, named, target, tool_in_space
 from ves_gym.mechanics.pointing import opposites
 from ves_gym.mechanics.spatial import SINGULAR, twist
@@ -123,6 +124,8 @@ class Shape:
         parts = [("energies", 2), ("tool", 3), ("tool_seen", 3)]
         if self.task.interacts:
             parts.append(("payload", TARGET))
+        if self.system.contact is not None:
+            parts.append(("contact", 7))
         if self.task.base_control is not None:
             parts.append(("propellant", 1))
         return layout(*parts)
@@ -192,7 +195,7 @@ def functions(shape: Shape, probe: bytes | None = None) -> dict[str, CompiledFun
         name: CompiledFunction(
             what and (name, what),
             partial(_followed, shape.task, make),
-            in_place=name == "actuate",
+            in_place=name in ("actuate", "afloat"),
         )
         for name, make in _graphs(shape).items()
     }
@@ -232,6 +235,7 @@ def _graphs(shape: Shape) -> dict[str, Callable[[], casadi.Function]]:
         out["actuate"] = partial(_actuate, shape)
     if shape.task.interacts:
         out["target"] = partial(_target, shape)
+        out["afloat"] = _afloat
     if shape.signals:
         names = ("before", "nodes", "after", "seen", "modes")[: 5 if shape.system.base.m else 4]
         out |= {f"lab_{k}": partial(_laboratory, shape, f"lab_{k}") for k in names}
@@ -255,8 +259,8 @@ def _scene(shape: Shape, carried: Traced, z: Traced, zd: Traced, goal: Traced) -
         q=z[:, 6:].copy(), v=zd[:, 6:].copy(), y=z[:, :6].copy(), yd=zd[:, :6].copy(),
         y_seen=none, yd_seen=none, tool=none, tool_seen=none, energies=k["energies"],
         ref=k["ref"].reshape(rows, 3, n), goal=goal, memory=k["memory"], table_values=none,
-        tau=k["tau"], tail=none, kp=k["kp"], kd=k["kd"], payload=none, wheels=none,
-        propellant=np.zeros(rows),
+        tau=k["tau"], tail=none, kp=k["kp"], kd=k["kd"], payload=none, contact=none,
+        wheels=none, propellant=np.zeros(rows),
     )  # fmt: skip
 
 
@@ -410,6 +414,18 @@ def _target(shape: Shape) -> casadi.Function:
 
     sizes = 2 * order, sum(BODY.values()), sum(NUMBERS.values())
     return _graph("target", seen, sizes, (TARGET,))
+
+
+def _afloat() -> casadi.Function:
+    """(a touched payload's coordinates and rates, centre of mass, carried, free body) -> it."""
+
+    def moved(
+        b: Traced, bd: Traced, com: Traced, held: Traced, body: Traced
+    ) -> tuple[Any, ...]:
+        return (np.where(held > 0, body, payload_of(b, bd, com)),)
+
+    size = sum(BODY.values())
+    return _graph("afloat", moved, (FLOATING, FLOATING, 3, 1, size), (size,))
 
 
 def _laboratory(shape: Shape, name: str) -> casadi.Function:

@@ -82,6 +82,8 @@ class CompiledStep:
         """Whether a period is a program: formulas, the kernel, nothing acts from Python."""
         acts = sim.base_actuators is not None and task.base_control is None
         acts = acts or sim.joint_delays is not None
+        floats = isinstance(sim.backend, KernelBackend) and sim.backend.floating
+        acts = acts or (bool(floats) and not task.interacts)  # its payload is told in Python
         known = sim.emulation_loop is None or signals_of(sim) is not None
         return known and not acts and isinstance(sim.backend, KernelBackend) and compiles(task)
 
@@ -143,9 +145,17 @@ class CompiledStep:
         last = [scenes.piece([z, zd, measured, *modes], self._scene_rows[:, :8])]
         self._cargo = sim.payload if task.interacts else None
         self._flight = rows(0)  # steps of free flight in a period
+        if sim.contact is not None:
+            touch = x, backend.rows_of_parameters(), self._scene_rows[:, shape.scene["contact"]]
+            last.append(sim.contact.engine.function.piece(*touch))
         if self._cargo is not None:
             self._bodies, self._numbers = (rows(sum(k.values())) for k in (BODY, NUMBERS))
             payload = self._scene_rows[:, shape.scene["payload"]]
+            if backend.floating:
+                k = layout(*NUMBERS.items())
+                told = self._numbers[:, k["com"]], self._numbers[:, k["carried"]], self._bodies
+                moved = *backend.rows_of_payload(), *told, self._bodies
+                last.append(functions["afloat"].piece(*moved))
             seen = x, self._bodies, self._numbers, payload
             last.append(functions["target"].piece(*seen))
         last.append(
@@ -383,6 +393,8 @@ class CompiledStep:
             cargo.written = False
             fill(self._bodies, cargo.rows(BODY))
             fill(self._numbers, cargo.rows(NUMBERS))
+            if self.backend.floating:  # the engine moves them
+                return
             steps = cargo.steps(self.system.control_dt, self.sim.machines.running)
             if steps.shape[1] > self._flight.shape[1]:
                 self._flight = aligned(self.backend.blocks, steps.shape[1], LANES)
@@ -394,7 +406,7 @@ class CompiledStep:
         if self._acts is not None:
             memory = unlane(self._acting, self.n)
             self._acts.take(*(memory[:, k] for k in self.shape.actuators.values()))
-        if self._cargo is not None and self._flight.shape[1]:
+        if self._cargo is not None and (self._flight.shape[1] or self.backend.floating):
             self._cargo.store(unlane(self._bodies, self.n))
 
     def _grasp(

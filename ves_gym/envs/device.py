@@ -194,8 +194,10 @@ def _shape(batch: Batch) -> Shape:
         )
     if task.randomize:
         raise ParameterError(f"{what} has no randomised effects yet: use VesVectorEnv")
-    if task.interacts or task.base_control is not None:
-        raise ParameterError(f"{what} has no payloads, wheels or jets: use VesVectorEnv")
+    if task.interacts or task.base_control is not None or task.system.contact is not None:
+        raise ParameterError(
+            f"{what} has no payloads, contact, wheels or jets: use VesVectorEnv"
+        )
     if batch.sim.joint_delays is not None:
         raise ParameterError(f"{what} has no delays of the joints: use VesVectorEnv")
     shape = batch.shape

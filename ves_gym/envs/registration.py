@@ -53,6 +53,7 @@ IDS: dict[str, Registered] = {
     # its platform emulates a satellite's body, neither wheels nor jets, and a stand holds what
     # is grasped until then, so that nothing tumbles
     "ServicerCapture": Registered("servicer_capture", 600, emulated=None),
+    "BerthingContact": Registered("berthing_contact", 800, emulated=None),
 }
 
 

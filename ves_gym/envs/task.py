@@ -90,6 +90,8 @@ class Scene:
         table_values: (n, k) of `Task.lookup` at this instant.
         tau: (n, joints) torque or drive command last asked for.
         payload: (n, k) `latch.LatchTarget` of the payload in rows; k = 0 where none takes part.
+        contact: (n, 7) wrench of contact on the tool, inertial axes [N, N m], and what its
+            springs store [J]; (n, 0) of systems without.
         propellant: (n,) used since the start [kg].
         wheels: (n, w) speeds of the vehicle's reaction wheels [rad/s].
         tail: (n,) J s that the base will keep after the end; zero before it.
@@ -112,6 +114,7 @@ class Scene:
     table_values: Array
     tau: Array
     payload: Array
+    contact: Array
     propellant: Array
     wheels: Array
     tail: Array
