@@ -13,10 +13,12 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
@@ -35,6 +37,7 @@ PAGE = ROOT / "CONTRIBUTING.md"
 MARK = "<!-- pictures -->"
 KEYS = ((0.5, "q", 1.5), (1.5, "a", 1.5), (3.0, "s", 1.0), (4.5, "w", 1.0), (6.0, "d", 1.0))
 FPS, SECONDS = 10, 8.0  # of teleop.gif
+BERTHED = 5  # seed of BerthingContact.gif
 
 
 STUDIO = """(async () => {
@@ -149,6 +152,29 @@ def episode(task: str, target: Path) -> None:
     training.animate(config)
 
 
+def berthing(target: Path) -> None:
+    """An episode of the reference controller, to the end of its hold."""
+    import gymnasium as gym
+
+    from ves_gym.baselines.registry import get_controller
+
+    def pictures() -> Iterator[Any]:
+        env: Any = gym.make_vec("ves/BerthingContact-v0", num_envs=1, render_mode="rgb_array")
+        controller, (observation, _) = get_controller("resolved"), env.reset(seed=BERTHED)
+        controller.reset(env.unwrapped, np.arange(1))
+        for step in range(env.unwrapped.task.steps):
+            if step % 8 == 0:
+                yield env.render()[0]
+            action = controller.act(env.unwrapped, observation)
+            observation, _, _, _, info = env.step(action)
+            if info["success"][0]:
+                break
+        yield env.render()[0]
+        env.close()
+
+    training.write_gif(pictures(), target)
+
+
 def curves(target: Path) -> None:
     """Learning curves that are stored in docs/training."""
     done = [c for c in training.configs() if (training.PLACE / f"{c.name}.json").exists()]
@@ -218,6 +244,7 @@ FIGURES: dict[str, Figure] = {
     "energy_thesis.png": Figure(
         partial(benchmark, "energy.png", THESIS), f"`ves-gym benchmark {' '.join(THESIS)}`"
     ),
+    "BerthingContact.gif": Figure(berthing, "an episode of the controller `resolved`"),
     "laboratory.gif": Figure(
         partial(animation, ("--mode", "emulated"), "640x320", "3"),
         "`ves-gym simulate --mode emulated`, `ves-gym view`",

@@ -138,23 +138,28 @@ def _compared(
 
 def animate(config: TrainConfig) -> None:
     """The released policy through one episode, as a GIF."""
-    from PIL import Image
-
     policy = load_policy(released(config.env)[config.label])
     settings = policy.settings(gym.spec(config.env))
     env: Any = gym.make(config.env, render_mode="rgb_array", **settings)
     every = round(1 / FPS / env.unwrapped.task.system.control_dt)
+    write_gif(_episode(env, policy, every), PICTURES / f"{task(config)}.gif")
+    env.close()
+
+
+def write_gif(pictures: Iterable[Any], target: Path) -> None:
+    """Write pictures (height, width, 3) as a GIF; the last one is seen for longer."""
+    from PIL import Image
+
     frames = [
         Image.fromarray(frame).resize((WIDTH, WIDTH * frame.shape[0] // frame.shape[1]))
-        for frame in _episode(env, policy, every)
+        for frame in pictures
     ]
-    env.close()
     palette = frames[len(frames) // 2].quantize(COLOURS, Image.Quantize.MAXCOVERAGE)
     first, *others = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
-    held = [round(1000 / FPS)] * len(others) + [1500]  # ms; the end is seen for longer
+    held = [round(1000 / FPS)] * len(others) + [1500]  # ms
     buffer = io.BytesIO()
     first.save(buffer, "GIF", save_all=True, append_images=others, duration=held, loop=0)
-    write_bytes(PICTURES / f"{task(config)}.gif", buffer.getvalue())
+    write_bytes(target, buffer.getvalue())
 
 
 def _episode(env: Any, policy: Policy, every: int) -> Iterable[Any]:

@@ -14,6 +14,7 @@ import pytest
 
 from tests import contact_mjcf
 from tests.free_bodies import NO_ARM, rebound
+from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.attitude import conjugate, from_angles, rotate
@@ -109,6 +110,46 @@ def test_friction_slides_and_rolls_as_coulomb_says(speed, friction, closed):
     print(f"{closed}: {s.velocity[0, 0]:.5f} m/s of {expected:.5f}")
     assert s.velocity[0, 0] == pytest.approx(expected, rel=0.01)
     assert s.spin[0, 1] * 0.4 * 0.05 == pytest.approx(speed - s.velocity[0, 0], rel=0.03)
+
+
+@pytest.mark.parametrize("damping", [0.0, 40.0])
+def test_a_pin_that_rattles_in_a_tube_keeps_its_energy_or_loses_it_and_gains_none(damping):
+    """Scores of impacts, wall to wall: no step of the chatter makes energy."""
+    tube = ContactShape(form="cone", size=(0.08, 0.08, 0.6))
+    system = wall(2.0, (0.0, 0.0), {"stiffness": 1e5, "damping": damping}, 2.5e-4).system
+    contact = replace(system.contact, tool=(PAD,), target=(tube,))
+    at_tool, v = (0.1, 0.0, 0.0), np.array([1.8, 0.6, 0.0])
+    payload = replace(system.payload, position=at_tool, velocity=tuple(v.tolist()))
+    system = system.replace(contact=contact, payload=payload, control_dt=1e-3)
+    sim, energies, pushed = Simulator(system, servo=None), [], []
+    for _ in range(1500):
+        sim.step()
+        (wrench, stored), body = sim.contact.measured(), sim.payload.state
+        moving = 2.0 * (body.velocity**2).sum() + 0.4 * 2.0 * 0.05**2 * (body.spin**2).sum()
+        energies.append((0.5 * moving + stored[0]) / (v @ v))
+        pushed.append(wrench.any())
+    impacts, change = np.count_nonzero(np.diff(np.array(pushed, int)) > 0), np.diff(energies)
+    print(f"{impacts} impacts, {min(energies):.4f} to {max(energies):.6f} of what it had")
+    assert impacts >= 12
+    assert change.max() <= 2e-4
+    if damping:
+        assert energies[-1] <= 0.1
+    else:
+        assert np.abs(np.array(energies) - 1).max() <= 2e-3
+
+
+def test_the_longest_step_that_is_taken_makes_no_energy():
+    """With the springs between the lightest that both can show; a longer one is refused."""
+    law, stiffness = {"damping": 0.0}, 2.0
+    sim = wall(2.0, (0.3, 0.0), {"stiffness": stiffness, **law}, 2.5e-4)
+    with pytest.raises(ParameterError, match="physics_dt must be") as refused:
+        wall(2.0, (0.3, 0.0), {"stiffness": 1e12, **law}, 2.5e-4)
+    most = 1e12 * (float(str(refused.value).split("<= ")[1].split(" s")[0]) / 2.5e-4) ** 2
+    sim = wall(2.0, (0.3, 0.0), {"stiffness": 0.98 * most, **law}, 2.5e-4)
+    through(sim, GAP / 0.3 + 0.02)
+    out = sim.payload.state.velocity[0, 2] / 0.3
+    print(f"stiffness {most:.3g} N/m at 0.25 ms rebounds with {out:.3f}")
+    assert 0.3 < out <= 1.02
 
 
 def meeting(shape: ContactShape, tool: ContactShape = PAD, **law) -> System:

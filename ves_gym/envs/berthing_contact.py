@@ -56,10 +56,11 @@ class BerthingContact(ArmTask):
 
     The tool is a ball of 3 cm, the client a cube that drifts, with a funnel of 12 cm on one of
     its faces: where they touch they push on each other by a spring, a damper and friction, and
-    the base feels it. A client that is hit bounces off. The latch closes once the ball is
-    within its reach (12 mm) of the funnel's end and slower against it than `catch`. Solved: the
-    client has been carried, and slower than `rest`, for the last `hold` seconds. Failed: a
-    force above `strength`, a client farther than `lost` from where it is met, a joint limit.
+    the base feels it; the links touch nothing. A client that is hit bounces off. The latch
+    closes once the ball is within its reach (12 mm) of the funnel's end and slower against it
+    than `catch`. Solved: the client has been carried, and slower than `rest`, for the last
+    `hold` seconds. Failed: a force above `strength`, a client farther than `lost` from where it
+    is met, a joint limit.
 
     Drawn: joint angles of the meeting from zero +- `span`, where the arm is `dexterous`; the
     start, near them and at least `away` before the funnel's end; the funnel's axis, up to
@@ -71,6 +72,10 @@ class BerthingContact(ArmTask):
     Reward, summed over an episode: minus the mean distance from the ball to the funnel's end in
     `far`, until the latch has closed; minus `gentle` times the mean of the contact's force; and
     minus `energy` times the mean of the base's energy E.
+
+    Measured, 100 starts of seed 0: the controller resolved, which aims 4 cm beyond the end of
+    the funnel as it is seen, solves all, and 6 where the funnel does not push; no motion and
+    random actions solve none. Median returns: -0.27, -0.79 and -2.2.
 
     Only in mode ideal: in the laboratory nothing floats.
     """

@@ -279,7 +279,9 @@ class Drawing:
         if payload is None:
             return
         place, turn = pose[:3], to_matrix(pose[3:])
+        size = 0.12  # of the grip
         if contact is not None and contact.on == "payload":
+            size = 0.03
             for shape in contact.target:
                 for solid in solids(shape, place, turn):
                     self._show(*solid, _PAYLOAD)
@@ -287,7 +289,7 @@ class Drawing:
             middle = place + turn @ np.array(payload.inertial.com)
             self._show(mujoco.mjtGeom.mjGEOM_BOX, payload.edges / 2, middle, turn, _PAYLOAD)
         grip = place + turn @ np.array(payload.grip.position)
-        self.ball(grip, 0.12 * float(payload.edges.min()), _TOOL)
+        self.ball(grip, size * float(payload.edges.min()), _TOOL)
 
     def add_path(self, poses: Array, extent: float) -> None:
         """Add the path of a point on the plate's rim.

@@ -35,7 +35,7 @@ def solids(
         yield _KINDS[shape.form], np.r_[size, 0.0, 0.0][:3], at, axes
         return
     low, high, length = size
-    wall = 0.03 * length
+    wall = 0.06 * length
     for angle in np.linspace(0.0, 2 * np.pi, _STAVES, endpoint=False):
         out = np.array([np.cos(angle), np.sin(angle), 0.0])
         along = np.array([0.0, 0.0, length]) + (high - low) * out

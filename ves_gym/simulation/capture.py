@@ -357,7 +357,7 @@ class PayloadHandler(NotingPart):
             return []
         self._require(index, carried=False)
         closed = directions_of(directions)
-        motion, rates = self._motion(index)
+        motion, rates, _ = self._motion(index)
         t = self.target(index)
         for k in np.flatnonzero(t.reached == 0).tolist():
             i, payload = int(index[k]), self.described[index[k]]
@@ -440,9 +440,9 @@ class PayloadHandler(NotingPart):
 
     def ledger(self, ids: Index) -> tuple[Array, Array, Array]:
         """Return `momentum` (k, 6) and the two of `energy` (k,) of some simulations."""
-        motion, rates = self._motion(ids)
+        motion, rates, y = self._motion(ids)
         M, twist, com = self._bodies(ids)
-        own = momentum_of(motion.mass, rates, self.machines.state.y[ids])
+        own = momentum_of(motion.mass, rates, y)
         energies = quadratic(motion.mass, rates), quadratic(M, twist)
         return own + body_momentum(M, twist, com), *energies
 
@@ -464,10 +464,10 @@ class PayloadHandler(NotingPart):
         """State of some payloads."""
         return PayloadState(*(part[ids] for part in self.state))
 
-    def _motion(self, ids: Index) -> tuple[ToolMotion, Array]:
-        """Tool and rates (k, N) of some simulations, of arm and base as they really are."""
-        state, base = self.machines.state, self.machines.base_twist
-        at, rate = self.machines.backend.internal_state()
+    def _motion(self, ids: Index) -> tuple[ToolMotion, Array, Array]:
+        """Tool, rates (k, N) and base pose (k, 6), of arm and base as they really are."""
+        state, base = self.machines.rows(ids)
+        at, rate = (part[ids] for part in self.machines.backend.internal_state())
 
         def moved(system: System, which: Index) -> tuple[Array, ...]:
             some = slice(0, len(system.arm.geared) + len(system.base.carried))
@@ -478,12 +478,12 @@ class PayloadHandler(NotingPart):
             return (*motion, np.concatenate(joined, axis=1))
 
         *parts, rates = self._of_systems(ids, moved)
-        return ToolMotion(*parts), rates
+        return ToolMotion(*parts), rates, state.y
 
     def _tool(self, ids: Index) -> ToolState:
         """Tools of some simulations in space, inertial axes, without any mass matrix."""
-        state, base = self.machines.state, self.machines.base_twist
-        at, rate = self.machines.backend.internal_state()
+        state, base = self.machines.rows(ids)
+        at, rate = (part[ids] for part in self.machines.backend.internal_state())
 
         def moved(system: System, which: Index) -> tuple[Array, ...]:
             q, v, geared = state.q[which], state.v[which], list(system.arm.geared)
@@ -496,11 +496,16 @@ class PayloadHandler(NotingPart):
     def _of_systems(
         self, ids: Index, values: Callable[[System, Index], tuple[Array, ...]]
     ) -> list[Array]:
-        """Arrays (k, ...) of simulations, asked of those alike in arm and vehicle together."""
+        """Arrays (k, ...) of simulations, asked of those alike in arm and vehicle together.
+
+        Args:
+            ids: (k,) which.
+            values: of a system and of rows of `ids`.
+        """
         groups = self.machines.alike(ids)
         if len(groups) == 1:
-            return list(values(groups[0][0], ids))
-        found = [(rows, values(system, ids[rows])) for system, rows in groups]
+            return list(values(*groups[0]))
+        found = [(rows, values(system, rows)) for system, rows in groups]
         out = [np.empty((len(ids), *part.shape[1:])) for part in found[0][1]]
         for rows, parts in found:
             for full, part in zip(out, parts, strict=True):

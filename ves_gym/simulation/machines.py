@@ -186,6 +186,17 @@ class Machines(Part):
         y, yd = self.charts.outside(z[:, :6], zd[:, :6])
         return State(time, y, yd, z[:, 6:], zd[:, 6:])
 
+    def rows(self, ids: Index) -> tuple[State, Array]:
+        """Return the state of simulations (k,), inertial axes, and the twists of their bases.
+
+        (k, 6), in the bases' own axes, whatever frame their angles are in.
+        """
+        time, z, zd = self.backend.read()
+        pose, rate = self.charts.outside(z[:, :6], zd[:, :6])
+        angles, rates = z[ids, 6:], zd[ids, 6:]
+        moving = twist(z[ids, :6], zd[ids, :6])
+        return State(time[ids], pose[ids], rate[ids], angles, rates), moving
+
     @property
     def last_state(self) -> State:
         """State after the last step or reset."""
@@ -203,12 +214,6 @@ class Machines(Part):
             return ydd
         _, z, zd = self.backend.read()
         return self.charts.acceleration(z[:, :6], zd[:, :6], ydd)
-
-    @property
-    def base_twist(self) -> Array:
-        """(n, 6) of the bases in their own axes, whatever frame their angles are in."""
-        _, z, zd = self.backend.read()
-        return twist(z[:, :6], zd[:, :6])
 
     @property
     def wheel_speed(self) -> Array:

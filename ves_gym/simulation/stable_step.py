@@ -40,15 +40,15 @@ def require_stable_step(system: System, servo: JointServo | None) -> None:
         sure = system.integrator == "rk4" and loop.bound().max() * system.physics_dt <= _SURE
         if not sure:
             _require_stable_loop(system, loop)
-    if system.contact is not None:
-        _require_stable_contact(system, system.contact)
+    if system.contact is not None and _contact_rate(system)[0] * system.physics_dt > 1.0:
+        _refuse_contact(system, system.contact)
 
 
 def with_stable_step(system: System, servo: JointServo = OWN_GAINS) -> System:
     """Return a system with a physics step for its arm, under its servos, on its vehicle.
 
     Its own step, or the longest part of the control period that is no longer than the time
-    constant of the fastest motion.
+    constant of the fastest motion and will do for its contact.
 
     Args:
         system: with the longest step that will do.
@@ -57,22 +57,27 @@ def with_stable_step(system: System, servo: JointServo = OWN_GAINS) -> System:
     motors = system.drive == "motor"
     gains = servo.for_arm(system.arm, system.vehicle) if motors else None
     loop = _Loop.of(system.actual, gains)
-    bound = float(loop.bound().max()) if loop.M.size else 0.0
-    if bound * system.physics_dt <= 1.0:
+    rate = float(loop.bound().max()) if loop.M.size else 0.0
+    touching = 0.0 if system.contact is None else _contact_rate(system.actual)[0]
+    if max(rate, touching) * system.physics_dt <= 1.0:
         return system
-    steps = math.ceil(system.control_dt * float(np.abs(loop.poles()).max()))
+    if rate * system.physics_dt > 1.0:
+        rate = float(np.abs(loop.poles()).max())
+    steps = math.ceil(system.control_dt * max(rate, touching))
     if steps <= system.substeps:
         return system
     return system.replace(physics_dt=system.control_dt / steps)
 
 
-def _require_stable_contact(system: System, contact: Contact) -> None:
-    """Refuse a step too long for the contact's springs between the lightest they can push.
+def _contact_rate(system: System) -> tuple[float, float]:
+    """Least steps a second that the contact's springs need, and 1 / mass that they push.
 
-    The inverse mass at a point of a body grows with its distance r from where the body's
-    inverse inertia is taken: at most (sqrt(linear) + r sqrt(angular))^2.
+    Between the lightest masses that tool and payload can show, all points at once. The inverse
+    mass at a point of a body grows with its distance r from where the body's inverse inertia
+    is taken: at most (sqrt(linear) + r sqrt(angular))^2.
     """
-    arm, base = system.arm, system.base
+    arm, base, contact = system.arm, system.base, system.contact
+    assert contact is not None
     q = drawn_configurations(arm)[:_JUDGED]
     hidden = np.zeros((len(q), len(arm.geared) + len(base.carried)))
     inertia = PRESCRIBED_INERTIA if system.drive == "prescribed" else 0.0
@@ -91,12 +96,17 @@ def _require_stable_contact(system: System, contact: Contact) -> None:
     damping = max(contact.damping, contact.tangential_damping)
     share = contact.points * lightness
     fastest = float(np.abs(np.roots([1.0, damping * share, contact.stiffness * share])).max())
-    if fastest * system.physics_dt > _SURE:
-        raise ParameterError(
-            f"physics_dt must be <= {_SURE / fastest:.3g} s for a contact of"
-            f" {contact.stiffness:g} N/m and {damping:g} N s/m (up to {contact.points}"
-            f" points on {1 / lightness:.3g} kg), got {system.physics_dt:g} s"
-        )
+    return fastest / _SURE, lightness
+
+
+def _refuse_contact(system: System, contact: Contact) -> None:
+    rate, lightness = _contact_rate(system)
+    damping = max(contact.damping, contact.tangential_damping)
+    raise ParameterError(
+        f"physics_dt must be <= {1 / rate:.3g} s for a contact of {contact.stiffness:g} N/m"
+        f" and {damping:g} N s/m (up to {contact.points} points on {1 / lightness:.3g} kg), got"
+        f" {system.physics_dt:g} s"
+    )
 
 
 @dataclass
