@@ -247,24 +247,28 @@ class CommandDelay(Effect):
 
 
 class EncoderDelay(Effect):
-    """The servo of one joint gets q and v of s ago (a line between steps of 1.25 ms)."""
+    """The servo of one joint gets q and v of s ago (lines between steps of 1.25 ms).
+
+    The line's change over s is added to what is there now: nothing is left of it at s = 0.
+    """
 
     delays = True
 
+    def line(self, c: SimpleNamespace, back: SX, row: int, slope: SX) -> SX:
+        """A recorded number, `back` steps before this one began; on from it where negative."""
+        hats = [ca.fmax(0, 1 - ca.fabs(back - k)) for k in range(len(c.hist))]
+        before = sum(w * h[row] for w, h in zip(hats, c.hist, strict=True))
+        return ca.if_else(back < 0, c.hist[0][row] - back * slope, before)
+
     def measured(self, c: SimpleNamespace, s: SX, z: SX, q: SX, v: SX) -> tuple[SX, SX]:
         j, n = self.where, c.n
-        back = (s - (c.i.tau - H * ca.floor(c.i.tau / H + 1e-6))) / H  # steps before hist[0]
-        hats = [ca.fmax(0, 1 - ca.fabs(back - k)) for k in range(len(c.hist))]
-        now_q, now_v = c.hist[0][j], c.hist[0][n + j]
-        slope = now_v - c.hist[1][n + j]
-        ahead = ca.fmax(-back, 0)
-        qd = sum(w * h[j] for w, h in zip(hats, c.hist, strict=True))
-        vd = sum(w * h[n + j] for w, h in zip(hats, c.hist, strict=True))
-        # less than a step ago: a line on from the last one
-        qd = ca.if_else(back < 0, now_q + ahead * H * now_v, qd)
-        vd = ca.if_else(back < 0, now_v + ahead * slope, vd)
+        now = (H * ca.floor(c.i.tau / H + 1e-6) - c.i.tau) / H
         q, v = ca.SX(q), ca.SX(v)
-        q[j], v[j] = qd, vd
+        for x, row, slope in (
+            (q, j, H * c.hist[0][n + j]),
+            (v, n + j, c.hist[0][n + j] - c.hist[1][n + j]),
+        ):
+            x[j] += self.line(c, now + s / H, row, slope) - self.line(c, now, row, slope)
         return q, v
 
 

@@ -106,6 +106,9 @@ def test_an_effect_moves_the_log_by_its_multiple(name):
     there = cases.rows_without_noise(plant, path, rows, [size], 1)
     near = 0.15 if name == "packet loss" else 0.05  # whole rows are lost
     assert max(cases.gap(there, without).values()) == pytest.approx(10.0, rel=near)
+    if not effect.gears:  # a gear without compliance is no gear, and stiffer than the step
+        hardly = cases.rows_without_noise(plant, path, rows, [size / 1000], 1)
+        assert max(cases.gap(hardly, without).values()) < 0.2
 
 
 def test_noise_is_as_loud_as_stated_and_coloured():
