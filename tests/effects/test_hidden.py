@@ -5,6 +5,7 @@ import pytest
 import scipy
 
 from tests.effects.values import effect
+from tests.free_bodies import momentum_of
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import BaseExtraMode, JointBacklash, JointElasticity
 from ves_gym.engine.linear import linearise_ideal
@@ -12,7 +13,6 @@ from ves_gym.hardware.admittance import admittance_matrices
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.gravity import GRAVITY
-from ves_gym.mechanics.latch import momentum_of
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.spatial import twist
 from ves_gym.mechanics.vehicle import (

@@ -6,14 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.free_bodies import momentum_of
 from ves_gym._util.optional import installed
 from ves_gym._util.params import ParameterError
 from ves_gym.effects.joint_drive import JointElasticity
 from ves_gym.effects.payload import PayloadMass
 from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.attitude import rotate
+from ves_gym.mechanics.latch import body_momentum
 from ves_gym.mechanics.payload import Payload
-from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
+from ves_gym.mechanics.spatial import quadratic
+from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, SERVICER_FLEXIBLE
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
@@ -118,6 +121,26 @@ def test_gears_that_give_way_take_their_part_of_the_impulse():
         assert (energy - np.add(*sim.payload.energy))[0] == pytest.approx(event.lost, rel=1e-9)
         ends.append(played(sim))
     assert np.ptp(ends, axis=0).max() <= 1e-9
+
+
+@pytest.mark.parametrize("vehicle", [SERVICER_FLEXIBLE, BENT_THESIS, FREE_FLOATING])
+def test_the_ledger_is_the_mass_matrix_of_the_latch(vehicle):
+    """Compiled, and as the latch has arm, base, gears, wheels and appendages in NumPy."""
+    gear = JointElasticity(compliance=(1e-4,) * 3, damping=(5.0,) * 3)
+    free = replace(PAYLOAD, spin=(0.1, 0.0, 0.2))
+    sim = Simulator(System(vehicle=vehicle, payload=free, effects=(gear,)), 2)
+    rng = np.random.default_rng(3)
+    sim.reset(q=rng.uniform(-1, 1, (2, 3)), v=rng.uniform(-1, 1, (2, 3)),
+              y=rng.uniform(-0.5, 0.5, (2, 6)), yd=rng.uniform(-0.1, 0.1, (2, 6)))  # fmt: skip
+    sim.step(np.ones((2, 3)))
+    ids = np.arange(2)
+    motion, rates = sim.payload._motion(ids)
+    M, of_body, com = sim.payload._bodies(ids)
+    own = momentum_of(motion.mass, rates, sim.state.y) + body_momentum(M, of_body, com)
+    momentum, energy, payload = sim.payload.ledger(ids)
+    np.testing.assert_allclose(momentum, own, rtol=1e-11, atol=1e-10)
+    np.testing.assert_allclose(energy, quadratic(motion.mass, rates), rtol=1e-11)
+    np.testing.assert_allclose(payload, quadratic(M, of_body), rtol=1e-11)
 
 
 def test_in_the_laboratory_a_stand_holds_it_and_the_estimate_does_not_know_it():

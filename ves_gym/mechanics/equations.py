@@ -21,6 +21,7 @@ from ves_gym.mechanics.dynamics import inertia_parts, newton_euler
 from ves_gym.mechanics.gravity import GRAVITY
 from ves_gym.mechanics.spatial import (
     base_motion,
+    cross,
     matvec,
     rate_matrix,
     room,
@@ -168,6 +169,35 @@ def touch(model: Model, x: Array) -> ContactLoad | None:
     )
     b, bd = (k[..., size + model.hidden :] for k in (x[..., :half], x[..., half:]))
     return contact_load(model.contact, model.chain, pose, moving, b, bd)
+
+
+def momenta(
+    model: Model, z: Array, zd: Array, hidden: Array, rate: Array
+) -> tuple[Array, Array]:
+    """Return the momentum of arm and base about the origin (..., 6), and their kinetic energy.
+
+    [kg m/s, kg m^2/s] and [J]. Internal modes of the base have no part in it.
+
+    Args:
+        model: in space.
+        z, zd: (..., 6 + n) state and its rate.
+        hidden, rate: (..., h) what is hidden, and its rates.
+    """
+    (d, c, _), (dd, cd, _) = model.parted(hidden), model.parted(rate)
+    pose, moving = along_the_chain(model, z, d), along_the_chain(model, zd, dd)
+    none = 0.0 * moving
+    mass, loads = balance_of_forces(model, pose, moving, none[..., :6], none[..., 6:])
+    if model.carried:
+        mass, _ = with_carried(model, mass, loads, pose, moving, c, cd)
+    rates = np.concatenate([moving, cd], axis=-1)
+    p = matvec(mass, rates)
+    # the angles' axes in space times angular momentum are p of the angles
+    about_x, about_y, about_z = (p[..., k] for k in (3, 4, 5))
+    (sy, cy), (sz, cz) = ((np.sin(k), np.cos(k)) for k in (z[..., 4], z[..., 5]))
+    flat = (about_x + sy * about_z) / cy
+    turning = np.stack([cz * flat - sz * about_y, sz * flat + cz * about_y, about_z], axis=-1)
+    turning = turning + cross(z[..., :3], p[..., :3])
+    return np.concatenate([p[..., :3], turning], axis=-1), 0.5 * (rates * p).sum(axis=-1)
 
 
 def along_the_chain(model: Model, z: Array, d: Array) -> Array:

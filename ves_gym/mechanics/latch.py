@@ -322,25 +322,6 @@ def to_point(com: Array, at: Array) -> Array:
     return X
 
 
-def momentum_of(mass: Array, rates: Array, y: Array) -> Array:
-    """Return linear and angular momentum of an arm with its base about the inertial origin.
-
-    Conjugate to the base's twist, so with a vehicle of constant M that too counts; of a
-    satellite it is the momentum of all bodies, rotors' own turning excepted.
-
-    Args:
-        mass: (..., N, N) of `tool_motion`.
-        rates: (..., N) base twist in its own axes, joints and gears.
-        y: (..., 6) base pose [m, rad].
-
-    Returns:
-        (..., 6) [kg m/s, kg m^2/s], inertial axes.
-    """
-    at_base, R = matvec(mass[..., :6, :], rates), rotation(y)
-    linear, angular = matvec(R, at_base[..., :3]), matvec(R, at_base[..., 3:])
-    return np.concatenate([linear, angular + np.cross(y[..., :3], linear)], axis=-1)
-
-
 def body_momentum(mass: Array, twist: Array, com: Array) -> Array:
     """Return linear and angular momentum of a free body about the inertial origin.
 

@@ -11,6 +11,8 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError
 from ves_gym.engine.kernel.compiled_function import CompiledFunction, Piece, lanes, unlane
+from ves_gym.engine.kernel.maps import momentum_function
+from ves_gym.engine.kernel.numbers import parameters
 from ves_gym.mechanics.attitude import (
     conjugate,
     from_angles,
@@ -28,7 +30,6 @@ from ves_gym.mechanics.latch import (
     flown,
     free_mass,
     inelastic,
-    momentum_of,
     named,
     target,
     to_point,
@@ -357,7 +358,7 @@ class PayloadHandler(NotingPart):
             return []
         self._require(index, carried=False)
         closed = directions_of(directions)
-        motion, rates, _ = self._motion(index)
+        motion, rates = self._motion(index)
         t = self.target(index)
         for k in np.flatnonzero(t.reached == 0).tolist():
             i, payload = int(index[k]), self.described[index[k]]
@@ -440,11 +441,29 @@ class PayloadHandler(NotingPart):
 
     def ledger(self, ids: Index) -> tuple[Array, Array, Array]:
         """Return `momentum` (k, 6) and the two of `energy` (k,) of some simulations."""
-        motion, rates, y = self._motion(ids)
+        own, energy = self._momenta(ids)
         M, twist, com = self._bodies(ids)
-        own = momentum_of(motion.mass, rates, y)
-        energies = quadratic(motion.mass, rates), quadratic(M, twist)
-        return own + body_momentum(M, twist, com), *energies
+        return own + body_momentum(M, twist, com), energy, quadratic(M, twist)
+
+    def _momenta(self, ids: Index) -> list[Array]:
+        """Momentum (k, 6) and kinetic energy (k,) of arm and base as they really are."""
+        machines = self.machines
+        _, z, zd = (part[ids] for part in machines.backend.read())
+        hidden = [part[ids] for part in machines.backend.internal_state()]
+
+        def moved(system: System, which: Index) -> tuple[Array, ...]:
+            space = system.ideal()
+            some = len(system.arm.geared) + len(space.base.carried)
+            rest = np.zeros((len(which), space.base.m))  # modes take no part
+            h, hd = (np.hstack([part[which, :some], rest]) for part in hidden)
+            numbers = parameters(space)[1]
+            out = momentum_function(space)(z[which], zd[which], h, hd, numbers)
+            return out[:, :6], out[:, 6]
+
+        out, energy = self._of_systems(ids, moved)
+        turn, place = machines.charts.turn[ids], machines.charts.place[ids]
+        linear, angular = rotate(turn, out[:, :3]), rotate(turn, out[:, 3:])
+        return [np.hstack([linear, angular + np.cross(place, linear)]), energy]
 
     def _bodies(self, ids: Index) -> tuple[Array, Array, Array]:
         """Mass matrix (k, 6, 6), twist and centre of mass of payloads in space."""
@@ -464,8 +483,8 @@ class PayloadHandler(NotingPart):
         """State of some payloads."""
         return PayloadState(*(part[ids] for part in self.state))
 
-    def _motion(self, ids: Index) -> tuple[ToolMotion, Array, Array]:
-        """Tool, rates (k, N) and base pose (k, 6), of arm and base as they really are."""
+    def _motion(self, ids: Index) -> tuple[ToolMotion, Array]:
+        """Tool and rates (k, N) of some simulations, of arm and base as they really are."""
         state, base = self.machines.rows(ids)
         at, rate = (part[ids] for part in self.machines.backend.internal_state())
 
@@ -478,7 +497,7 @@ class PayloadHandler(NotingPart):
             return (*motion, np.concatenate(joined, axis=1))
 
         *parts, rates = self._of_systems(ids, moved)
-        return ToolMotion(*parts), rates, state.y
+        return ToolMotion(*parts), rates
 
     def _tool(self, ids: Index) -> ToolState:
         """Tools of some simulations in space, inertial axes, without any mass matrix."""

@@ -75,6 +75,12 @@ def contact_function(system: System) -> CompiledFunction:
     return CompiledFunction(f"contact {structure(system)}", _traced("contact", system))
 
 
+@lru_cache(maxsize=64)
+def momentum_function(system: System) -> CompiledFunction:
+    """(z, z', h, h', p) -> momentum of arm and base, kinetic energy (`trace.momentum`)."""
+    return CompiledFunction(f"momentum {structure(system)}", _traced("momentum", system))
+
+
 class InertiaMap:
     """H(q) of at most n configurations, over and over (`dynamics.inertia`)."""
 

@@ -24,6 +24,7 @@ from ves_gym.mechanics.equations import (
     drive_torque,
     driven_torque,
     mode_forces,
+    momenta,
     motion,
     residual,
     spring_torque,
@@ -65,9 +66,10 @@ def equations(system: System) -> Equations:
     h, size = model.hidden + model.floating, 6 + model.n
     implicit = system.integrator == "implicitfast"
     if h and implicit:
+        other = "rk4" if model.floating else "backend mujoco"
         raise ParameterError(
             "backend kernel integrates gears, flexures, wheels, appendages, internal modes and"
-            " payloads that are touched by rk4 or euler, got implicitfast: use another"
+            f" payloads that are touched by rk4 or euler, got implicitfast: use {other}"
         )
     x, u = symbols("x", (2 * (size + h),)), symbols("u", (size,))
     observed = motion(model, x, u)  # what is observed
@@ -96,6 +98,17 @@ def contact(system: System) -> casadi.Function:
     assert load is not None
     out = column(load.wrench, load.energy)
     return ca.Function("contact", [column(x), column(p)], [ca.cse(out)])
+
+
+def momentum(system: System) -> casadi.Function:
+    """(z, z', h, h', p) -> `equations.momenta` of arm and base: momentum, kinetic energy."""
+    import casadi as ca
+
+    model, _, p = symbolic_model(system)
+    sizes = {"z": 6 + model.n, "zd": 6 + model.n, "h": model.hidden, "hd": model.hidden}
+    state = [symbols(name, (k,)) for name, k in sizes.items()]
+    out = column(*momenta(model, *state))
+    return ca.Function("momentum", [column(k) for k in (*state, p)], [ca.cse(out)])
 
 
 @dataclass(frozen=True)
