@@ -15,6 +15,7 @@ from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.kinematics import joint_positions, tool_frame, tool_twists
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.side_by_side import side_by_side
+from ves_gym.mechanics.tool_pose import joints_for
 from ves_gym.mechanics.vehicle import BENT, Satellite, get_vehicle
 from ves_gym.planners.obstacles import Surroundings, collisions
 from ves_gym.simulation.playback import play_motions
@@ -150,3 +151,14 @@ def test_two_arms_that_share_a_link_and_other_refusals(tmp_path):
     ):
         with pytest.raises(ParameterError, match=message):
             refused()
+
+
+def test_inverse_kinematics_moves_the_arm_whose_tool_it_is():
+    rng = np.random.default_rng(4)
+    near = rng.uniform(-1, 1, (3, 12))
+    aim = near.copy()
+    aim[:, 6:] += rng.uniform(-0.5, 0.5, (3, 6))
+    points = tool_frame(TWO, aim)[0]
+    found, miss = joints_for(TWO, points, near)
+    assert miss.max() < 1e-6
+    np.testing.assert_array_equal(found[:, :6], near[:, :6])

@@ -72,6 +72,7 @@ REFERENCES = {
     "PumaDamp": "lqi",
     "BeamLQR": "lqr",
     "FreeFlyerReach": "resolved",
+    "DualArmReach": "resolved",
     "MacroMicro": "resolved",
     "PoseReach": "resolved-pose",
     "PayloadTransfer": "resolved",

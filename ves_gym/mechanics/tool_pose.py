@@ -113,10 +113,9 @@ def configurations_at(
     Raises:
         ParameterError: no starts.
     """
-    at = _starts(arm, starts)
-    if near is not None:
-        at = np.vstack([finite(near, (arm.n,), "near"), at])
-    return _distinct(*towards_pose(arm, pose, at))
+    first = arm.home if near is None else finite(near, (arm.n,), "near")
+    at = _beside(first[None], _starts(arm, starts))[0]
+    return _distinct(*towards_pose(arm, pose, at[1:] if near is None else at))
 
 
 def configurations_at_each(
@@ -141,19 +140,29 @@ def configurations_at_each(
 
 
 def _beside(near: Array, starts: Array) -> Array:
-    """(m, 1 + k, n) starts of m searches: one of their own (m, n), then k (k, n) of all."""
-    wide = np.broadcast_to(starts, (len(near), *starts.shape))
-    return np.concatenate([near[:, None], wide], axis=1)
+    """(m, 1 + k, n) starts of m searches: one of their own (m, n), then k of all (k, last).
+
+    These are of the last joints alone, those of the arm whose tool it is; others stay.
+    """
+    wide = np.repeat(near[:, None], 1 + len(starts), axis=1)
+    wide[:, 1:, near.shape[1] - starts.shape[1] :] = starts
+    return wide
+
+
+def _own_range(arm: Arm) -> tuple[Array, Array]:
+    """Lower and upper limits of the joints that move the tool [rad]."""
+    own = arm.spans[-1]
+    return arm.column("q_min")[own], arm.column("q_max")[own]
 
 
 def _starts(arm: Arm, count: int) -> Array:
-    """(count, n) points of Halton's over the joints' ranges [rad]."""
+    """(count, n) points of Halton's over the ranges of the joints that move the tool [rad]."""
     if count < 1:
         raise ParameterError(f"starts must be >= 1, got {count}")
-    low, high = arm.column("q_min"), arm.column("q_max")
+    low, high = _own_range(arm)
     from scipy.stats import qmc  # half a second, which no `gym.make` needs
 
-    points = qmc.Halton(arm.n, scramble=False).random(count)
+    points = qmc.Halton(len(low), scramble=False).random(count)
     return np.asarray(qmc.scale(points, low, high), dtype=np.float64)
 
 
@@ -225,8 +234,8 @@ def _candidates(
 
     The first start is `near` (k, n); the way from it is in seconds at full speed.
     """
-    low, high = arm.column("q_min"), arm.column("q_max")
-    grid = low + (high - low) * np.array(list(itertools.product(_GUESSES, repeat=arm.n)))
+    low, high = _own_range(arm)
+    grid = low + (high - low) * np.array(list(itertools.product(_GUESSES, repeat=len(low))))
     start = np.asarray(near, float)
     goal = np.asarray(points, float)[:, None]
     q, miss = _towards(arm, goal, None, _beside(start, grid), rounds=40)

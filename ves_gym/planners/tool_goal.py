@@ -72,8 +72,6 @@ def choose_goals(query: Query, pose: ToolPose) -> Array:
     arm = query.system.arm
     start, _ = query.ends
     goals = configurations_at(arm, pose, near=start, starts=_STARTS)
-    others = arm.roots[-1].first
-    goals[:, :others] = start[:others]  # arms beside the one whose tool it is
     if query.surroundings is not None:
         checker = collisions(query.system.ideal(), query.surroundings)
         goals = np.array([q for q in goals if checker.is_clear(q)]).reshape(-1, arm.n)
