@@ -4,7 +4,9 @@ In: rows of `hub` (rigid bodies: mass, centre, inertia, 13 numbers), `links` (ro
 position of each joint in the one before, then the body, 25), `wheels` (axis, inertia, viscous,
 coulomb), `panels` (hinge: point, axis, stiffness, damping, body), `slosh` (axis, mass, place,
 stiffness, damping), `jets` (place, direction, thrust); a loop as of `servo_loop`, with
-`wheel_torque` and `on` (periods, ...). Out: `path`, as of `servo_loop`.
+`wheel_torque` and `on` (periods, ...); `command`, `start_q`, `start_u` have runs in front.
+Out: `path` (runs, periods, ...), as of `servo_loop`; `E`, `strain` (runs, periods): energy of
+the base with arm and wheels locked at that instant, what springs hold of it [J].
 """
 
 import itertools
@@ -23,8 +25,6 @@ from Basilisk.simulation import (
     thrusterDynamicEffector,
 )
 from Basilisk.utilities import RigidBodyKinematics, SimulationBaseClass, macros, simIncludeRW
-
-STEP = 0.625e-3  # s
 
 
 def body(row):
@@ -48,20 +48,69 @@ def column(vector):
     return [[float(k)] for k in vector]
 
 
+def links_at(given, q):
+    """Rotation and position of each link's frame in the hub's axes."""
+    R, p, out = np.eye(3), np.zeros(3), []
+    for row, angle in zip(given["links"], q, strict=True):
+        p, R = p + R @ row[9:12], R @ row[:9].reshape(3, 3) @ turned([0, 0, 1], angle)
+        out.append((R, p))
+    return out
+
+
+def turned(axis, angle):
+    """A rotation (Rodrigues)."""
+    x = np.cross(np.eye(3), axis)
+    return np.eye(3) + np.sin(angle) * x + (1 - np.cos(angle)) * x @ x
+
+
 def bodies(given):
     """Mass, centre and velocity of all bodies at the start, in the hub's axes."""
     v, spin, rates = given["start_u"][:3], given["start_u"][3:6], given["start_u"][6:]
     fixed = [*given["hub"], *(row[8:] for row in given["panels"])]
     fixed += [row[3:7] for row in given["slosh"]]
-    out = [(row[0], row[1:4], v + np.cross(spin, row[1:4])) for row in fixed]
-    R, p = np.eye(3), np.zeros(3)
-    for row, q, rate in zip(given["links"], given["start_q"], rates, strict=True):
-        step, R = R @ row[9:12], R @ row[:9].reshape(3, 3)
-        p, v, spin = p + step, v + np.cross(spin, step), spin + rate * R[:, 2]
-        R = R @ np.array([[np.cos(q), -np.sin(q), 0], [np.sin(q), np.cos(q), 0], [0, 0, 1]])
-        c = R @ row[13:16]
+    out, before = (
+        [(row[0], row[1:4], v + np.cross(spin, row[1:4])) for row in fixed],
+        np.zeros(3),
+    )
+    for row, rate, (R, p) in zip(
+        given["links"], rates, links_at(given, given["start_q"]), strict=True
+    ):
+        v, spin = v + np.cross(spin, p - before), spin + rate * R[:, 2]
+        c, before = R @ row[13:16], p
         out.append((row[12], p + c, v + np.cross(spin, c)))
     return out
+
+
+def energy(given, v, w, q, ways, rates):
+    """Energy of the base, arm and wheels locked, and what springs hold of it.
+
+    Args:
+        v, w: velocity of the hub's origin and its spin, its axes.
+        q: joints.
+        ways, rates: of panels, then of sloshing masses.
+    """
+    total, strain = 0.0, 0.0
+
+    def add(m, c, I, v, w):
+        nonlocal total
+        total += 0.5 * m * v @ v + 0.5 * w @ I @ w
+
+    for m, c, I in map(body, given["hub"]):
+        add(m, c, I, v + np.cross(w, c), w)
+    for row, (R, p) in zip(given["links"], links_at(given, q), strict=True):
+        m, c, I = body(row[12:])
+        c = p + R @ c
+        add(m, c, R @ I @ R.T, v + np.cross(w, c), w)
+    k = len(given["panels"])
+    for row, at, rate in zip(given["panels"], ways[:k], rates[:k], strict=True):
+        R, point, axis, (m, c, I) = turned(row[3:6], at), row[:3], row[3:6], body(row[8:])
+        arm, strain = R @ (c - point), strain + 0.5 * row[6] * at**2
+        moved = v + np.cross(w, point + arm) + rate * np.cross(axis, arm)
+        add(m, c, R @ I @ R.T, moved, w + rate * axis)
+    for row, at, rate in zip(given["slosh"], ways[k:], rates[k:], strict=True):
+        c, strain = row[4:7] + at * row[:3], strain + 0.5 * row[7] * at**2
+        add(row[3], c, np.zeros((3, 3)), v + np.cross(w, c) + rate * row[:3], w)
+    return total + strain, strain
 
 
 def arm_of(given):
@@ -161,7 +210,7 @@ def burns(on):
 
 
 def main(given):
-    """Play the loop; the path after each period."""
+    """Play one run: path, energy and strain energy after each period."""
     craft = hub_of(given)
     arm, wheels, jets = arm_of(given), wheels_of(given, craft), jets_of(given)
     panels, slosh = map(panel_of, given["panels"]), map(slosh_of, given["slosh"])
@@ -170,7 +219,7 @@ def main(given):
         craft.addStateEffector(effector)
     craft.addDynamicEffector(jets)
     simulation = SimulationBaseClass.SimBaseClass()
-    task = simulation.CreateNewTask("t", macros.sec2nano(STEP))
+    task = simulation.CreateNewTask("t", macros.sec2nano(float(given["step"])))
     simulation.CreateNewProcess("p").addTask(task)
     for k, model in enumerate((wheels, jets, arm, *passive, craft)):
         model.ModelTag = f"model{k}"
@@ -192,21 +241,40 @@ def main(given):
             burn.write(messaging.THRArrayOnTimeCmdMsgPayload(OnTimeRequest=lit), now)
         simulation.ConfigureStopTime(macros.sec2nano((k + 1) * period))
         simulation.ExecuteSimulation()
-        out.append(path_of(craft, arm, wheels, len(given["wheels"]), passive))
-    return np.array(out)
+        out.append(path_of(given, craft, arm, wheels, passive))
+    return [np.array(k) for k in zip(*out, strict=True)]
 
 
-def path_of(craft, arm, wheels, w, passive):
-    """Joints, position, quaternion, wheels' speeds, ways of panels and sloshing masses."""
-    state = craft.scStateOutMsg.read()
-    quaternion = RigidBodyKinematics.MRP2EP(np.array(state.sigma_BN))
-    speeds = wheels.rwSpeedOutMsg.read().wheelSpeeds[:w]
-    names = [arm.getNameOfThetaState()]
-    names += [getattr(k, "nameOfThetaState", None) or k.nameOfRhoState for k in passive]
-    # messages of effectors are of the step before
-    ways = [np.ravel(craft.dynManager.getStateObject(k).getState()) for k in names]
-    return np.concatenate([ways[0], state.r_BN_N, quaternion, speeds, *ways[1:]])
+def path_of(given, craft, arm, wheels, passive):
+    """Joints, position, quaternion, wheels' speeds, ways of panels and masses; energies."""
+
+    def value(name):  # messages of effectors are of the step before
+        return np.ravel(craft.dynManager.getStateObject(name).getState())
+
+    state, panels = craft.scStateOutMsg.read(), len(given["panels"])
+    sigma, v = np.array(state.sigma_BN), np.array(state.v_BN_N)
+    q = value(arm.getNameOfThetaState())
+    names = ["Theta" if i < panels else "Rho" for i in range(len(passive))]
+    ways, rates = (
+        np.array([
+            value(getattr(k, f"nameOf{name}{dot}State"))[0]
+            for k, name in zip(passive, names, strict=True)
+        ])
+        for dot in ("", "Dot")
+    )  # fmt: skip
+    speeds = wheels.rwSpeedOutMsg.read().wheelSpeeds[: len(given["wheels"])]
+    pose = [q, state.r_BN_N, RigidBodyKinematics.MRP2EP(sigma)]
+    v = RigidBodyKinematics.MRP2C(sigma) @ v
+    held = energy(given, v, np.array(state.omega_BN_B), q, ways, rates)
+    return np.concatenate([*pose, speeds, ways]), *held
 
 
 if __name__ == "__main__":
-    np.savez(sys.argv[2], path=main(dict(np.load(sys.argv[1]))))
+    given = dict(np.load(sys.argv[1]))
+    varied = ("command", "start_q", "start_u")
+    runs = [
+        main({**given, **{k: given[k][i] for k in varied}})
+        for i in range(len(given["command"]))
+    ]
+    path, E, strain = (np.array(k) for k in zip(*runs, strict=True))
+    np.savez(sys.argv[2], path=path, E=E, strain=strain)

@@ -1,11 +1,43 @@
-"""A servo loop on a free base, as commands that another program can play."""
+"""Arms as rows of numbers, and a servo loop on a free base as commands to play."""
+
+from dataclasses import replace
 
 import numpy as np
 
-from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.motion import QUINTIC_PEAK_SPEED, Motion
 from ves_gym.simulation.simulator import Simulator
 
 START = np.array([0.01, -0.02, 0.03, 0.02, -0.03, 0.05])  # of the base: m/s, rad/s
+
+
+def row(body):
+    """Mass, centre of mass and inertia about it, (13,)."""
+    return np.concatenate([[body.mass], body.com, np.ravel(body.inertia)])
+
+
+def link_rows(arm):
+    """Rotation and position of each joint in the one before, then the body there, (n, 25)."""
+    return np.array([
+        np.concatenate([R.ravel(), p, row(link.inertial_at_joint)])
+        for (R, p), link in zip(arm.placements, arm.links, strict=False)
+    ])  # fmt: skip
+
+
+def without_rotors(arm):
+    """The arm as programs have it that know no rotors; its motors alone feel them."""
+    return replace(arm, links=tuple(replace(k, rotor_inertia=0.0) for k in arm.links))
+
+
+def queries(arm, duration, count=5):
+    """Ends (2, 3) whose straight line keeps the speed limits."""
+    rng, out = np.random.default_rng(round(10 * duration)), []
+    width = 0.6 * np.array([np.pi, np.pi / 2, np.pi / 2])
+    while len(out) < count:
+        ends = rng.uniform(-1, 1, (2, 3)) * width
+        speed = np.abs(ends[1] - ends[0]) * QUINTIC_PEAK_SPEED / duration
+        if (speed < arm.column("v_max")).all():
+            out.append(ends)
+    return out
 
 
 def servo_loop(system, seconds, asked=lambda k: {}, **start):

@@ -5,19 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import ves_gym as vg
 from tests.foreign.conftest import difference
-from tests.foreign.servo_loop import servo_loop
-from ves_gym.mechanics.arm_library import get_arm
+from tests.foreign.servo_loop import link_rows, queries, row, servo_loop, without_rotors
+from ves_gym.mechanics.arm_library import PUMA_560, get_arm
 from ves_gym.mechanics.pointing import allocated, wrench_matrix
 from ves_gym.mechanics.vehicle import SERVICER_FLEXIBLE
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.energy import TAIL
 from ves_gym.system.system import System
 
 pytestmark = pytest.mark.slow
 SECONDS = 8.0
-
-
-def row(body):
-    return np.concatenate([[body.mass], body.com, np.ravel(body.inertia)])
 
 
 def physics(system):
@@ -25,13 +24,9 @@ def physics(system):
     vehicle, arm = system.vehicle, system.arm
     hinges = [k for k in vehicle.appendages if k.joint == "hinge"]
     slides = [k for k in vehicle.appendages if k.joint == "slide"]
-    links = [
-        np.concatenate([R.ravel(), p, row(link.inertial_at_joint)])
-        for (R, p), link in zip(arm.placements, arm.links, strict=False)
-    ]
     return {
         "hub": [row(vehicle.body), row(arm.base)],
-        "links": links,
+        "links": link_rows(arm),
         "wheels": [[*k.axis, k.inertia, k.viscous, k.coulomb] for k in vehicle.wheels],
         "panels": [[*k.point, *k.axis, k.stiffness, k.damping, *row(k.body)] for k in hinges],
         "slosh": [[*k.axis, k.body.mass, *k.body.com, k.stiffness, k.damping] for k in slides],
@@ -59,15 +54,11 @@ def test_a_servicer_that_acts_while_its_arm_moves(foreign):
         lambda k: {"base_wrench": wrench[k], "wheel_torque": torque[k]},
         wheel_speed=speeds,
     )
+    loop |= {k: loop[k][None] for k in ("command", "start_q", "start_u")}
     theirs = foreign(
-        "basilisk",
-        "basilisk_servicer",
-        **physics(system),
-        **loop,
-        wheel_torque=torque,
-        on=on,
-        wheel_speed=speeds,
-    )["path"]
+        "basilisk", "basilisk_servicer", **physics(system), **loop, wheel_torque=torque, on=on,
+        wheel_speed=speeds, step=system.physics_dt / 2,
+    )["path"][0]  # fmt: skip
     kinds = {"joints": 6, "position": 3, "quaternion": 4, "wheels": 4, "arrays": 2, "slosh": 2}
     ends = np.cumsum(list(kinds.values()))
     for name, a, b in zip(
@@ -75,3 +66,40 @@ def test_a_servicer_that_acts_while_its_arm_moves(foreign):
     ):
         print(f"{name}: {difference(a, b):.1e}")
         assert difference(a, b) < 1e-6
+
+
+@pytest.mark.parametrize("duration", [2.0, 4.0])
+def test_plans_on_arrays_and_slosh(foreign, duration):
+    """Predicted over their E_mean, and `refined` over the straight line's there, five queries.
+
+    Wheels idle, jets off; an arm without rotors, which Basilisk does not know. E_mean is the
+    mean over the motion and ten seconds after it.
+    """
+    vehicle = replace(SERVICER_FLEXIBLE, pointing=None)
+    system, runs, predicted = vg.System(arm=without_rotors(PUMA_560), vehicle=vehicle), [], []
+    count = round((duration + TAIL) / system.control_dt)
+    times = np.arange(count) * system.control_dt
+    sim = Simulator(system)
+    for start, goal in queries(system.arm, duration):
+        for planner in ("straight", "refined"):
+            plan = vg.plan(start, goal, duration=duration, planner=planner, system=system)
+            middle = plan.motion.at(times + system.control_dt / 2)  # held
+            torque = sim.servo.torque_feedforward(system.arm, middle)
+            command = sim.servo_command(middle.q[None], middle.v[None], torque[None])[0]
+            runs.append((command, plan.motion.start, np.zeros(6 + system.arm.n)))
+            predicted.append(plan.predicted.E_mean)
+    command, start_q, start_u = (np.array(k) for k in zip(*runs, strict=True))
+    theirs = foreign(
+        "basilisk", "basilisk_servicer", **physics(system), kp=sim.servo.kp, kd=sim.servo.kd,
+        command=command, period=system.control_dt, start_q=start_q, start_u=start_u,
+        wheel_torque=np.zeros((count, 4)), on=np.zeros((count, len(vehicle.jets)), bool),
+        wheel_speed=np.zeros(4), step=system.physics_dt,
+    )  # fmt: skip
+    E = theirs["E"].mean(axis=1).reshape(-1, 2)
+    found = np.array(predicted).reshape(-1, 2) / E
+    strain = theirs["strain"].mean(axis=1).reshape(-1, 2)
+    print(f"{duration:g} s: predicted over theirs {found.min():.3f} to {found.max():.3f}")
+    for name, part in (("E", E), ("strain", strain)):
+        print(f"refined over straight, {name}: {np.round(part[:, 1] / part[:, 0], 3)}")
+    assert ((found > 0.97) & (found < 1.03)).all()
+    assert np.median(E[:, 1] / E[:, 0]) < 0.18
