@@ -231,6 +231,8 @@ def schematic(target: Path) -> None:
 
 THESIS = ("--suite", "thesis")
 REACH = ("--vehicle", "bent-thesis", "--planners", "hotspot-q,hotspot-qt,direct")
+PARETO = ("--planners", "direct,refined", "--bounds", "acceleration_peak=0.5,0.7,1,2",
+          "--first", "4", "--durations", "1,2,4")  # fmt: skip
 BOARD = ROOT / "docs" / "leaderboard" / "index.html"
 ANIMATED = ("BeamLQR", "FreeFlyerReach", "PoseReach", "PumaDamp", "PumaReach", "PumaReachGoal",
             "PumaTrack")  # fmt: skip
@@ -255,6 +257,9 @@ FIGURES: dict[str, Figure] = {
     "new_tasks.png": Figure(
         lambda target: new_tasks.draw(new_tasks.stored(), target),
         "docs/training/new_tasks.json",
+    ),
+    "pareto.png": Figure(
+        partial(benchmark, "pareto.png", PARETO), f"`ves-gym benchmark {' '.join(PARETO)}`"
     ),
     "ratio_reach100.png": Figure(
         partial(benchmark, "ratio.png", REACH), f"`ves-gym benchmark {' '.join(REACH)}`"

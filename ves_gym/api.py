@@ -124,14 +124,14 @@ def plan(
     *,
     case: Case | None = None,
     duration: float | None = None,
-    planner: str | Planner = "direct",
+    planner: str | Planner = "calm",
     system: System | None = None,
     v_max: npt.ArrayLike | None = None,
     a_max: npt.ArrayLike | None = None,
     surroundings: Surroundings | str | os.PathLike[str] | None = None,
     servo: JointServo | None = None,
     weight: FrequencyWeight | None = None,
-    weights: Mapping[str, float] | None = None,
+    bounds: Mapping[str, float] | None = None,
     seed: int | None = None,
 ) -> Plan:
     """Find one path with one planner, as `ves-gym plan` does.
@@ -147,15 +147,16 @@ def plan(
             smooth motions: `direct`, `refined`, `damp`, `robust`; others hold them still).
         case: a query, or a system alone.
         duration: of the motion [s]; default 2.
-        planner: name (`ves-gym list planners`) or planner.
+        planner: name (`ves-gym list planners`) or planner; by default the least energy that
+            shakes the base no more than the straight line does.
         system: arm and vehicle; default `System()`.
         v_max: limits of joint speed (n,) [rad/s]; default those of the arm, "none" for none.
         a_max: limits of joint acceleration (n,) [rad/s^2]; default none.
         surroundings: what not to touch, or the file that says it.
         servo: what will move the joints; default the arm's own.
         weight: filter of the measure `E_weighted`; default what is above 1 Hz.
-        weights: of disturbance measures that count beside the energy (`direct`, `refined`), as
-            in {"acceleration_peak": 0.03}; 1 is the straight line's energy at its measure.
+        bounds: of `calm` on disturbance measures, as shares of the straight line's: as in
+            {"acceleration_peak": 0.5}, beside the usual ones of 1; inf for none.
         seed: of planners that search; default 0.
 
     Returns:
@@ -170,7 +171,7 @@ def plan(
     from ves_gym.planners.case import Case, speed_limits, whole_goal
     from ves_gym.planners.obstacles import read_surroundings
     from ves_gym.planners.query import Query, solve
-    from ves_gym.planners.registry import weighted
+    from ves_gym.planners.registry import bounded
 
     case = Case() if case is None else case
     system = _system(case.system if system is None else system)
@@ -208,7 +209,7 @@ def plan(
         usual["servo"] = case.servo if arm == case.system.arm else OWN_GAINS
         parts = {**usual, **parts}
         query = Query(system=system, **{"goal": parts["start"], **parts})
-    method = _planner(planner) if weights is None else weighted(_planner(planner), weights)
+    method = _planner(planner) if bounds is None else bounded(_planner(planner), bounds)
     seed = case.seed if seed is None else seed
     if pose is not None:
         from ves_gym.planners.tool_goal import solve_to_tool
@@ -224,7 +225,7 @@ def compare(
 
     Args:
         query: ends, duration and system; of a plan, its query.
-        planners: names or planners; default straight, hotspot-qt, direct and refined.
+        planners: names or planners; default straight, hotspot-qt, refined and calm.
         seed: of planners that search.
 
     Returns:
@@ -242,7 +243,7 @@ def compare(
         raise ParameterError(f"compare needs a Query or a Plan, got {query!r}")
     if isinstance(planners, str):
         planners = [planners]
-    names = ("straight", "hotspot-qt", "direct", "refined") if planners is None else planners
+    names = ("straight", "hotspot-qt", "refined", "calm") if planners is None else planners
     return compare_planners(query, [_planner(name) for name in names], seed=seed)
 
 

@@ -76,14 +76,15 @@ plan --tool 0.5,0.3 | three lengths in m
 plan --tool 5,0,0 | must be within reach of puma560
 plan --goal 1,1,1 --algorithm rrtstar | --algorithm is for planners
 plan --goal 1,1,1 --planner ompl-time --algorithm prm | must be one of rrtstar
-plan --goal 1,1,1 --weight tpi=1 | tip
-plan --goal 1,1,1 --weight tip | NAME=VALUE
-plan --goal 1,1,1 --planner bad-path --weight tip=1 | direct,
-plan --goal 1,1,1 --planner straight:tip=1 | weights are for planners
+plan --goal 1,1,1 --bound tpi=1 | tip
+plan --goal 1,1,1 --bound tip | NAME=SHARE
+plan --goal 1,1,1 --bound tip=-1 | bound tip must be a number > 0, got -1.0
+plan --goal 1,1,1 --planner bad-path --bound tip=1 | bounds are for planner calm
+plan --goal 1,1,1 --planner straight:tip=1 | bounds are for planner calm
 plan --goal 1,1,1 --frequency-weight 1 | HZ:GAIN
 plan --goal 1,1,1 --obstacles none.toml | none.toml
 plan --goal 1,1,1 --robust-from none.toml | none.toml
-benchmark --weights 0.1,0.2 | --weights must be like
+benchmark --bounds 0.1,0.2 | --bounds must be like
 benchmark --planners straight,best | planner must be one of
 benchmark --obstacles some | obstacles must be one of off, on, both
 benchmark --suite thesis --obstacles on | thesis has no obstacles

@@ -120,9 +120,9 @@ def asked_otherwise() -> dict[str, Probe]:
         "straight among obstacles": Probe(lambda: among("straight")),
         "ompl-time among obstacles": Probe(lambda: among("ompl-time"), relative=SEARCH),
         "direct within limits": Probe(planned("direct", "bent", **fast), relative=SEARCH),
-        "direct, weighed": Probe(
-            planned("direct", "bent-thesis", weights={"acceleration_peak": 0.03}),
-            relative=SEARCH,
+        "calm on bent": Probe(planned("calm", "bent"), relative=SEARCH),
+        "calm, less of the peak": Probe(
+            planned("calm", "bent-thesis", bounds={"acceleration_peak": 0.8}), relative=SEARCH
         ),
         "direct to a tool's place": Probe(to_a_tool, relative=SEARCH),
         "planners compared": Probe(compared, relative=SEARCH),

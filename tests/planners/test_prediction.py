@@ -1,4 +1,4 @@
-"""The linear prediction of base energy and disturbance, as forms and as weights of a plan."""
+"""The linear prediction of base energy and disturbance, and the form that E_mean is."""
 
 import dataclasses
 
@@ -15,19 +15,16 @@ from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS, get_vehicle
-from ves_gym.planners.direct import Direct
 from ves_gym.planners.linear_response import predict_disturbance
-from ves_gym.planners.objective import ENERGY, WEIGHTS, MeanEnergy, Objective, checked_weights
+from ves_gym.planners.objective import MeanEnergy
 from ves_gym.planners.prediction import (
     BaseState,
     LinearBase,
     predict,
     spectral_energy,
 )
-from ves_gym.planners.query import Query, solve
-from ves_gym.planners.refine import Refined
+from ves_gym.planners.query import Query
 from ves_gym.simulation.playback import play_motions
-from ves_gym.system.disturbance import MEASURES
 from ves_gym.system.energy import TAIL
 from ves_gym.system.frequency_weight import FrequencyWeight
 from ves_gym.system.system import System
@@ -127,7 +124,7 @@ def test_a_base_state_that_is_none():
               base=BaseState(u=(0.1,), ud=(0.0,)))  # fmt: skip
 
 
-# ------------------------------------------------------------------ disturbance and its weights
+# ------------------------------------------------------------------ disturbance
 
 NEAR = START + np.array([1e-3, -2e-3, 1.5e-3])  # inertia hardly changes
 ARM = dataclasses.replace(
@@ -197,101 +194,6 @@ def test_the_prediction_is_scipys_linear_simulation(vehicle):
     assert found == pytest.approx(expected, rel=4e-3)
 
 
-@pytest.mark.parametrize("vehicle", ["bent-thesis", "bent", "free-floating"])
-def test_forms_are_the_prediction_where_inertia_is_constant(vehicle):
-    """Means and ends to 1 %; a peak by its power mean is 0.7 to 1 of itself.
-
-    But for the rotation of the finite-element beam's light flange, whose 31 Hz samples every
-    10 ms show to 15 %.
-    """
-    query = query_of(vehicle)
-    objective = everything(query)
-    u = objective.linear.load(query.straight, objective.t).ravel()
-    expected = predict_disturbance(query, query.straight)
-    for name in MEASURES:
-        value = objective.measure(name, u)
-        true = getattr(expected, name)
-        if name.endswith("peak"):
-            low = 0.3 if (vehicle, name) == ("bent", "angular_peak") else 0.7
-            assert low * true <= value <= 1.01 * true, name
-        else:
-            off = 0.15 if (vehicle, name) == ("bent", "angular") else 0.01
-            assert value == pytest.approx(true, rel=off), name
-
-
-def everything(query, **weights):
-    """An objective with all measures in it."""
-    energy = MeanEnergy(query.system, query.start, query.duration, HIGH_GAINS, base=query.base)
-    return Objective(
-        energy,
-        checked_weights(dict.fromkeys(WEIGHTS, 1.0) | weights),
-        query.straight,
-        query.weight,
-        query.base,
-    )
-
-
-def test_a_weight_of_one_makes_each_measure_as_dear_as_the_energy():
-    query = query_of()
-    objective, mean = everything(query), everything(query).mean.of(query.straight)
-    assert objective.of(query.straight) == pytest.approx(len(WEIGHTS) * mean, rel=1e-9)
-    twice = everything(query, tip=2.0, energy=0.0)
-    assert twice.of(query.straight) == pytest.approx(len(WEIGHTS) * mean, rel=1e-9)
-
-
-@pytest.mark.parametrize("base", [None, MOVING], ids=["at rest", "moving"])
-def test_slope_and_curvature_are_those_of_the_value(base):
-    """Central differences along ten smooth directions; 1e-6 of their size."""
-    query = query_of(goal=START + 0.3, base=base)
-    objective = everything(query)
-    rng, s = np.random.default_rng(0), objective.t
-    u = objective.linear.load(query.straight, s)
-    ways = np.sin(np.pi * np.arange(1, 11)[:, None] * s)[..., None] * rng.normal(
-        size=(10, 1, 6)
-    )
-    slopes = ways.reshape(10, -1).T * np.abs(u).max()
-    u, h = u.ravel(), 1e-5
-    ahead = [objective.value(u + h * k) for k in slopes.T]
-    back = [objective.value(u - h * k) for k in slopes.T]
-    force = objective.force(u) @ slopes
-    np.testing.assert_allclose(np.subtract(ahead, back) / (2 * h), force, rtol=1e-6)
-    bend = [
-        (objective.force(u + h * k) - objective.force(u - h * k)) @ slopes for k in slopes.T
-    ]
-    W = objective.curvature(u, slopes)
-    np.testing.assert_allclose(np.array(bend) / (2 * h), W, atol=1e-5 * np.abs(W).max())
-    assert np.linalg.eigvalsh(W)[0] > 0
-
-
-@pytest.mark.parametrize(
-    ("vehicle", "name"),
-    [
-        ("bent-thesis", "acceleration_peak"),
-        ("free-floating", "attitude_end"),
-        pytest.param("bent-thesis", "E_weighted", marks=pytest.mark.slow),
-        pytest.param("bent", "angular", marks=pytest.mark.slow),
-    ],
-)
-def test_a_weight_buys_less_of_its_measure_for_more_energy(vehicle, name):
-    query = query_of(vehicle, goal=(1.0, 0.3, -0.2))
-    plans = [solve(Direct(free=8, weights={name: w}), query) for w in (0.0, 0.1, 1.0)]
-    assert all(plan.feasible for plan in plans)
-    measured = [getattr(predict_disturbance(query, plan.motion), name) for plan in plans]
-    assert measured[0] > measured[1] > measured[2]
-    energies = [plan.predicted.E_mean for plan in plans]
-    assert energies[0] <= 1.001 * energies[1] and energies[1] <= 1.001 * energies[2]
-
-
-@pytest.mark.slow
-def test_refined_takes_weights_on_a_moving_base_too():
-    query = query_of(goal=START + 0.3, base=MOVING)
-    plain, calm = (
-        solve(Refined(8, 2, weights=w), query) for w in (None, {"acceleration": 1.0})
-    )
-    before, after = (predict_disturbance(query, k.motion) for k in (plain, calm))
-    assert after.acceleration < before.acceleration
-
-
 def test_the_filter_of_a_query_is_that_of_its_measure():
     query = query_of(goal=START + 0.3)
     whole = dataclasses.replace(query, weight=FrequencyWeight(corners=(), gains=(1.0,)))
@@ -299,18 +201,3 @@ def test_the_filter_of_a_query_is_that_of_its_measure():
     mean = predict(query.system, query.straight, HIGH_GAINS, parts=10).E_mean
     assert found == pytest.approx(mean, rel=1e-3)
     assert predict_disturbance(query, query.straight).E_weighted < 0.9 * mean
-
-
-@pytest.mark.parametrize(
-    ("weights", "why"),
-    [
-        ({"acceleraton": 1.0}, "did you mean 'acceleration'|\"acceleration\""),
-        ({"tip": -1.0}, ">= 0"),
-        ({"tip": float("nan")}, ">= 0"),
-        ({"tip": "much"}, "a number"),
-        ({ENERGY: 0.0}, "all zero"),
-    ],
-)
-def test_weights_that_are_none_are_refused(weights, why):
-    with pytest.raises(ParameterError, match=why):
-        Refined(weights=weights)

@@ -53,19 +53,19 @@ def test_a_paper_gets_lines_instead_of_pixels(tmp_path, result, form, start):
     assert first.startswith(start) and first == second
 
 
-def test_weights_are_joined_in_their_order(result):
-    """Energy against two accelerations: a line through the weights, a point per planner."""
+def test_bounds_are_joined_in_their_order(result):
+    """Energy against two accelerations: a line through the bounds, a point per planner."""
     some = result["summary"][0]
     names = {row["planner"] for row in result["summary"]}
     result["summary"] = [r for r in result["summary"] if r["duration"] == some["duration"]]
-    for weight in (0.3, 0.03):
-        name = f"{some['planner']}:tip={weight}"
+    for bound in (3.0, 0.03):
+        name = f"{some['planner']}:tip={bound:g}"
         result["planners"].append({"name": name, "summary": ""})
-        result["summary"].append({**some, "planner": name, "ratio_median": weight})
+        result["summary"].append({**some, "planner": name, "ratio_median": bound})
     for axes in pareto_figure(result).axes:
         (joined,) = [line for line in axes.lines if len(line.get_xdata()) == 3]
-        assert list(joined.get_xdata()) == [some["ratio_median"], 0.03, 0.3]
-        assert {text.get_text() for text in axes.texts} == {"0.03", "0.3"}
+        assert list(joined.get_xdata()) == [0.03, some["ratio_median"], 3.0]
+        assert {text.get_text() for text in axes.texts} == {"0.03", "1", "3"}
         assert {line.get_label() for line in axes.lines} >= names
 
 

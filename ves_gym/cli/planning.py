@@ -37,13 +37,13 @@ from ves_gym.cli.flags import (
 from ves_gym.cli.machine import MACHINE
 from ves_gym.mechanics.kinematics import ToolPose
 from ves_gym.planners.benchmark import run_benchmark
+from ves_gym.planners.bounds import USUAL, parse_bounds
 from ves_gym.planners.case import Case
 from ves_gym.planners.comparison import report_plan
-from ves_gym.planners.objective import WEIGHTS, parse_weights
 from ves_gym.planners.obstacles import read_surroundings
 from ves_gym.planners.ompl_search import ALGORITHMS, Ompl
 from ves_gym.planners.query import Planner
-from ves_gym.planners.registry import PLANNERS, get_planner, weighted
+from ves_gym.planners.registry import DEFAULT, PLANNERS, bounded, get_planner
 from ves_gym.planners.robust import Robust, Uncertainty, read_uncertainty
 from ves_gym.planners.suites import OBSTACLES, SUITES, get_suite, part_of
 from ves_gym.report.benchmark import benchmark_text, write_page
@@ -83,7 +83,7 @@ def plan(
     goal: Any = None,
     tool: ToolPose | None = None,
     planner: str | None = None,
-    weights: Sequence[str] = (),
+    bounds: Sequence[str] = (),
     robust_from: tuple[str, Uncertainty] | None = None,
     algorithm: str | None = None,
     evaluations: int | None = None,
@@ -104,7 +104,7 @@ def plan(
                 )
             case = Case(system=uncertain.estimate, seed=case.seed)
     else:
-        method = get_planner(planner or "direct")
+        method = get_planner(planner or DEFAULT)
     budget = {"algorithm": algorithm, "evaluations": evaluations, "seconds": seconds}
     budget = {name: value for name, value in budget.items() if value is not None}
     for option in budget if not isinstance(method, Ompl) else ():
@@ -115,7 +115,7 @@ def plan(
         case=case,
         goal=goal if tool is None else tool,
         planner=method,
-        weights=parse_weights("+".join(weights)) if weights else None,
+        bounds=parse_bounds("+".join(bounds)) if bounds else None,
         **how,
     )
     if tool is not None:
@@ -165,15 +165,15 @@ def _planners(value: str, place: Place) -> list[str]:
     return [get_planner(name).name for name in names(value, place)]
 
 
-def _weights(value: str, place: Place) -> list[str]:
-    """Names of `refined` without weights and with each of these."""
+def _bounds(value: str, place: Place) -> list[str]:
+    """Names of `refined`, and of `calm` as it is and with each of these bounds."""
     name, equals, values = value.partition("=")
     if not equals:
         raise ParameterError(
-            f"{place.name} must be like acceleration_peak=0.003,0.03,0.3, got {value!r}"
+            f"{place.name} must be like acceleration_peak=0.3,1,3, got {value!r}"
         )
-    weights = [parse_weights(f"{name}={part}") for part in values.split(",")]
-    return ["refined", *(weighted(get_planner("refined"), w).name for w in weights)]
+    bounds = [parse_bounds(f"{name}={part}") for part in values.split(",")]
+    return ["refined", *(bounded(get_planner("calm"), each).name for each in bounds)]
 
 
 def benchmark(
@@ -182,7 +182,7 @@ def benchmark(
     suite: str = "reach100",
     vehicle: str | None = None,
     planners: list[str] | None = None,
-    weights: list[str] | None = None,
+    bounds: list[str] | None = None,
     weight: FrequencyWeight = FAST,
     obstacles: str = "off",
     quick: bool = False,
@@ -197,8 +197,8 @@ def benchmark(
     )
     chosen = part_of(chosen, durations, first=first, skip=skip)
     queries = tuple((name, replace(q, weight=weight)) for name, q in chosen.queries)
-    if weights is not None:
-        planners = list(dict.fromkeys([*(planners or chosen.planners), *weights]))
+    if bounds is not None:
+        planners = list(dict.fromkeys([*(planners or chosen.planners), *bounds]))
     result = run_benchmark(
         replace(chosen, queries=queries),
         planners=planners,
@@ -245,7 +245,7 @@ TABLE = {
              " leaves the base least energy is chosen", against="goal"),
         DURATION,
         Flag("--planner", "P", text,
-             f"{', '.join(PLANNERS)} (direct; robust with --robust-from)"),
+             f"{', '.join(PLANNERS)} ({DEFAULT}; robust with --robust-from)"),
         Flag("--v-max", "A,B,C", _v_max,
              "joint speed limits [deg/s], or none (default: those of the arm)"),
         Flag("--a-max", "A,B,C", per_joint("deg/s^2"),
@@ -253,10 +253,10 @@ TABLE = {
         Flag("--obstacles", "FILE", read(read_surroundings),
              "surroundings in TOML or JSON: clearance [m], obstacles (spheres, boxes); the"
              " arm's own links, platform and beam then count too", to="surroundings"),
-        Flag("--weight", "NAME=W", text,
-             "minimise a disturbance measure as well (direct, refined; repeatable), W times the"
-             f" straight line's energy at the straight line's value: {', '.join(WEIGHTS)}",
-             to="weights", many=True),
+        Flag("--bound", "NAME=SHARE", text,
+             "at most this share of the straight line's measure (calm; repeatable; inf: no"
+             f" bound; usual: 1 for {', '.join(USUAL)}): {', '.join(MEASURES)}",
+             to="bounds", many=True),
         WEIGHT,
         Flag("--robust-from", "FILE", read(lambda file: (file, read_uncertainty(file))),
              "what is uncertain, for planners robust and robust-worst: diagnosis.json of"
@@ -294,9 +294,9 @@ TABLE = {
         Flag("--first", "N", integer(1), "only N queries per duration"),
         Flag("--skip", "N", integer(), "leave out N of each first (0)"),
         Flag("--quick", help="ten queries per duration"),
-        Flag("--weights", "NAME=W,W,...", _weights,
-             "also `refined` with each of these weights of a disturbance measure (pareto.png):"
-             f" {', '.join(MEASURES)}"),
+        Flag("--bounds", "NAME=SHARE,SHARE,...", _bounds,
+             "also `refined` and `calm` with each of these bounds on a disturbance measure"
+             f" (pareto.png): {', '.join(MEASURES)}"),
         WEIGHT,
         replace(WORKERS, help="planning processes"),
         Flag("--no-figures", help="skip figures and report"),

@@ -11,39 +11,30 @@ limits on the moving base, not on one that stands still.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.motion_problem import MotionProblem
-from ves_gym.planners.objective import (
-    checked_weights,
-    weighted_name,
-)
 from ves_gym.planners.query import Query, first_violation, require_time
-from ves_gym.planners.sequential import about_itself, minimise
+from ves_gym.planners.sequential import minimise
 
 
 class Direct:
     """Minimise the predicted E_mean over B-spline motions by sequential programming."""
 
+    name = "direct"
     summary = "minimise predicted E_mean over a smooth motion inside all joint limits"
 
-    def __init__(self, free: int = 12, weights: Mapping[str, float] | None = None) -> None:
-        self.free, self.weights = free, checked_weights(weights)
-        self.name = weighted_name("direct", self.weights)
-
-    def weighted(self, weights: Mapping[str, float]) -> Direct:
-        """Return the planner with weights of the energy and of disturbance measures."""
-        return Direct(self.free, weights)
+    def __init__(self, free: int = 12) -> None:
+        self.free = free
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
         """Minimise from one start, the straight line; deterministic."""
         require_time(query)
-        problem = MotionProblem(query, self.free, weights=self.weights)
-        minimum = about_itself(problem, minimise(problem, problem.straight))
+        problem = MotionProblem(query, self.free)
+        minimum = minimise(problem, problem.straight)
         return problem.motion(minimum.x), minimum.info()
 
 

@@ -4,8 +4,8 @@ The base of `prediction` under its load u(t), with a filter's states l beside it
 
     s = (x, v, l),   x' = v,   M v' = -u' - (D + M') v - K x,   l_j' = w_j (z - l_j).
 
-Everything here is affine in the samples of u, so the same text gives the motion under one u
-and, with a column per sample, the matrices of quadratic forms in u.
+Everything here is linear in the samples of u, so the same text gives the motion under one u
+and, with a column per unknown, its derivative. A measure is the largest norm of its `rows`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
 from ves_gym._util.params import Array
@@ -34,7 +33,8 @@ from ves_gym.system.disturbance import Disturbance, mount_of
 from ves_gym.system.energy import TAIL
 from ves_gym.system.frequency_weight import FrequencyWeight
 
-# Measures of a disturbance, and the quantities whose means, ends and peaks they are.
+# Measures of a disturbance, and the quantities whose means, ends and peaks they are; the mean
+# of `filtered` is a root here, and an energy in `Disturbance`.
 MEANS = {
     "acceleration": "acceleration",
     "angular": "angular",
@@ -49,66 +49,87 @@ PEAKS = {
     "displacement_peak": "displacement",
     "rotation_peak": "rotation",
 }
+QUANTITIES = MEANS | ENDS | PEAKS
 
 
 class Quantity(NamedTuple):
-    """A vector of r entries that is affine in the columns of a response."""
+    """A vector of r entries, linear in the state and in the rate of the load."""
 
-    nodes: Array  # (N, r, C) while the joints move
+    state: Array  # (N or 1, r, S) while the joints move
+    rate: Array | None  # (N, r, k) per rate of the load
     after: Array  # (r, S) per state afterwards
 
 
+class Course(NamedTuple):
+    """The base's motion under C columns of load."""
+
+    s: Array  # (N, S, C) states at the nodes
+    rate: Array  # (N, k, C) of the load
+    later: Array  # (J, S, C) states after the motion
+
+
 class LinearResponse:
-    """Motion of the linear base at even nodes, per column of its input.
+    """Motion of the linear base under an arm that moves along a path or near it.
 
     Args:
         linear: the base under the arm.
-        at: (n,) configuration whose inertia holds [rad], or a motion: that along it.
-        path: of the joints, for the place of the tool.
-        t: (N,) nodes, even [s]; the joints are at rest afterwards.
-        u: (N, k, C) load of the motion (`LinearBase.load`), linear between nodes.
+        path: of the joints, for the inertia and the place of the tool.
+        t: (N,) nodes [s]; the joints are at rest afterwards.
         weight: filter of the quantity `filtered`.
-        base: its motion at the start, in the last column; None: at rest.
-        parts: steps between nodes that share one inertia.
+        after: (J,) times after the motion at which peaks are looked for, ascending [s].
+        parts: even steps between nodes that share one inertia.
     """
 
     def __init__(
         self,
         linear: LinearBase,
-        at: npt.ArrayLike | Motion,
         path: Motion,
         t: Array,
-        u: Array,
         weight: FrequencyWeight,
-        *,
-        base: BaseState | None = None,
+        after: Array,
         parts: int = 1,
     ) -> None:
-        self.linear, self.path, self.t, self.u, self.weight = linear, path, t, u, weight
-        self.M, middle = inertia_along(linear, at, t)
-        self.change = slope(self.M, t[1]) if len(self.M) > 1 else np.zeros_like(self.M)
-        size, b = linear.size, linear.b
-        self.s = np.zeros((len(t), 2 * size + b * len(weight.rates), u.shape[-1]))
-        if base is not None:
-            z, zd = linear.coordinates(base)
-            self.s[0, :b, -1], self.s[0, size : size + b, -1] = z, zd
-            for k in range(len(weight.rates)):  # the filter begins on the base's position
-                self.s[0, self._low(k), -1] = z
-        change = self.change
-        if len(middle) > 1:
-            middle = middle[(parts - 1) // 2 :: parts]
-            change = (change[:-1] + change[1:])[(parts - 1) // 2 :: parts] / 2
-        Phi, push = self._steps(middle, change)
-        for k, du in enumerate(np.diff(u, axis=0)):
-            i = k // parts if len(Phi) > 1 else 0
-            self.s[k + 1] = Phi[i] @ self.s[k] + push[i] @ du
+        self.linear, self.path, self.t, self.weight = linear, path, t, weight
+        self.M, middle = inertia_along(linear, path, t)
+        self.change = slope(self.M, t)
+        self.inverse = np.linalg.inv(self.M)[:, :, linear.driven]
+        self.size = 2 * linear.size + linear.b * len(weight.rates)
+        self._parts, first = parts, (parts - 1) // 2
+        change = (self.change[:-1] + self.change[1:])[first::parts] / 2
+        self._steps = self._exact(middle[first::parts], change, np.diff(t)[first::parts])
+        self._after = np.diff(after, prepend=0.0).round(12)
+        self._quantities: dict[str, Quantity] = {}
+        self._tails: dict[str, Array] = {}
 
-    def _steps(self, M: Array, change: Array) -> tuple[Array, Array]:
-        """Exact steps (k, S, S) under constant M and u', and their push per change of u."""
-        A, size = self._plant(M, change), self.linear.size
-        n, dt, driven = A.shape[-1], self.t[1], self.linear.driven
+    def course(self, u: Array, base: BaseState | None = None) -> Course:
+        """Move the base.
+
+        Args:
+            u: (N, k, C) load of the motion (`LinearBase.load`), linear between nodes.
+            base: its motion at the start, of the first column; None: at rest.
+        """
+        s = np.zeros((len(self.t), self.size, u.shape[-1]))
+        if base is not None:
+            b, (z, zd) = self.linear.b, self.linear.coordinates(base)
+            s[0, :b, 0], s[0, self.linear.size : self.linear.size + b, 0] = z, zd
+            for k in range(len(self.weight.rates)):  # the filter begins on the base's position
+                s[0, self._low(k), 0] = z
+        Phi, push = self._steps
+        pushed = np.repeat(push, self._parts, axis=0) @ np.diff(u, axis=0)
+        for k, added in enumerate(pushed):
+            s[k + 1] = Phi[k // self._parts] @ s[k] + added
+        exact = {h: scipy.linalg.expm(self._tail_dynamics * h) for h in set(self._after)}
+        later = np.empty((len(self._after), *s.shape[1:]))
+        last = s[-1]
+        for k, h in enumerate(self._after):
+            last = later[k] = exact[h] @ last
+        return Course(s, slope(u, self.t), later)
+
+    def _exact(self, M: Array, change: Array, dt: Array) -> tuple[Array, Array]:
+        """Steps (k, S, S) under constant M and u', and their push per change of u."""
+        n, size, driven = self.size, self.linear.size, self.linear.driven
         block = np.zeros((len(M), n + len(driven), n + len(driven)))
-        block[:, :n, :n] = A * dt
+        block[:, :n, :n] = self._plant(M, change) * dt[:, None, None]
         block[:, size : 2 * size, n:] = -np.linalg.inv(M)[:, :, driven]
         E = scipy.linalg.expm(block)
         return E[:, :n, :n], E[:, :n, n:]
@@ -125,7 +146,7 @@ class LinearResponse:
             M: (k, size, size) inertia. change: its rate.
         """
         size, b = self.linear.size, self.linear.b
-        A = np.zeros((len(M), self.s.shape[1], self.s.shape[1]))
+        A = np.zeros((len(M), self.size, self.size))
         A[:, :size, size : 2 * size] = np.eye(size)
         A[:, size : 2 * size, : 2 * size] = self._forced(M, change)
         for k, w in enumerate(self.weight.rates):
@@ -146,40 +167,37 @@ class LinearResponse:
         Args:
             name: acceleration, angular, tip, displacement, rotation or filtered.
         """
-        if name == "tip":
-            return self._tip()
-        if name == "filtered":
-            return self._filtered()
+        if name not in self._quantities:
+            made = {"tip": self._tip, "filtered": self._filtered}.get(name)
+            self._quantities[name] = made() if made else self._of_the_mount(name)
+        return self._quantities[name]
+
+    def _of_the_mount(self, name: str) -> Quantity:
         size = self.linear.size
         rows = np.eye(3, size, 3 if name in ("angular", "rotation") else 0)
         if name in ("acceleration", "displacement"):
             rows[:, 3:6] = -skew(mount_of(self.linear.system.arm))
         if name in ("displacement", "rotation"):
-            return Quantity(rows @ self.s[:, :size], self._widened(rows))
-        constant = self._forced(self.M[-1:], np.zeros_like(self.M[-1:]))[0]
-        return Quantity(rows @ self._acceleration, self._widened(rows @ constant))
+            wide = self._widened(rows)
+            return Quantity(wide[None], None, wide)
+        still = self._forced(self.M[-1:], np.zeros_like(self.M[-1:]))[0]
+        moving = self._widened(rows @ self._forced(self.M, self.change))
+        return Quantity(moving, -rows @ self.inverse, self._widened(rows @ still))
 
     def _widened(self, rows: Array) -> Array:
         """Rows for x, or (x, v), as rows for the whole state."""
-        return np.hstack([rows, np.zeros((len(rows), self.s.shape[1] - rows.shape[1]))])
-
-    @cached_property
-    def _acceleration(self) -> Array:
-        """v' at the nodes (N, size, C), from the equation of motion."""
-        out = self._forced(self.M, self.change) @ self.s[:, : 2 * self.linear.size]
-        out -= np.linalg.inv(self.M)[:, :, self.linear.driven] @ slope(self.u, self.t[1])
-        return np.asarray(out, np.float64)
+        missing = self.size - rows.shape[-1]
+        return np.concatenate([rows, np.zeros((*rows.shape[:-1], missing))], axis=-1)
 
     def _tip(self) -> Quantity:
         """Way of the tool: the base's, its turn about the tool's place, the joints' way."""
-        linear = self.linear
-        rows = linear.tool(self.path.at(self.t).q)
-        return Quantity(rows @ self.s[:, : linear.size], self._widened(rows[-1]))
+        wide = self._widened(self.linear.tool(self.path.at(self.t).q))
+        return Quantity(wide, None, wide[-1])
 
     def _filtered(self) -> Quantity:
         """Roots of strain and kinetic energy of the filtered coordinates of the base."""
         b, size, weight = self.linear.b, self.linear.size, self.weight
-        rows = np.zeros((2 * b, self.s.shape[1]))  # filtered z and z' per state
+        rows = np.zeros((2 * b, self.size))  # filtered z and z' per state
         rows[:b, :b] = rows[b:, size : size + b] = weight.gains[-1] * np.eye(b)
         for k, (w, step) in enumerate(zip(weight.rates, weight.steps, strict=True)):
             low = self._low(k)
@@ -189,22 +207,36 @@ class LinearResponse:
         roots = np.zeros((len(self.M), 2 * b, 2 * b))
         roots[:, :b, :b] = root(self.linear.base_stiffness / 2)
         roots[:, b:, b:] = [root(self.linear.base_mass(M) / 2) for M in self.M]
-        return Quantity(roots @ (rows @ self.s), roots[-1] @ rows)
+        return Quantity(roots @ rows, None, roots[-1] @ rows)
 
     # --------------------------------------------------------------------- measures
 
-    def mean_square(self, name: str) -> tuple[Array, Array]:
-        """Rows R and G with the mean square |R c|^2 + c^T G c of the columns' sum by c (C,).
+    def rows(self, measure: str, course: Course) -> Array:
+        """Vectors (G, r, C) of which a measure is the largest norm.
 
-        Over the motion and the tail, as `E_mean` is; G is for the tail, (C, C).
+        Of a peak one for every node and time after the motion, of others one: a mean is over
+        the motion and the tail, as `E_mean` is.
         """
-        quantity = self.quantity(name)
-        span = float(self.t[-1]) + TAIL
-        share = np.full(len(self.t), self.t[1] / span)
-        share[[0, -1]] /= 2
-        rows = (np.sqrt(share)[:, None, None] * quantity.nodes).reshape(-1, self.u.shape[-1])
-        S = gramian(self._tail_dynamics, quantity.after.T @ quantity.after, TAIL) / span
-        return rows, self.s[-1].T @ S @ self.s[-1]
+        quantity = self.quantity(QUANTITIES[measure])
+        nodes = quantity.state @ course.s
+        if quantity.rate is not None:
+            nodes = nodes + quantity.rate @ course.rate
+        if measure in ENDS:
+            return nodes[-1:]
+        if measure in PEAKS:
+            return np.concatenate([nodes, quantity.after @ course.later])
+        steps = np.diff(self.t, prepend=self.t[0], append=self.t[-1])
+        share = np.sqrt((steps[:-1] + steps[1:]) / 2 / (self.t[-1] + TAIL))
+        moving = (share[:, None, None] * nodes).reshape(-1, nodes.shape[-1])
+        return np.vstack([moving, self._tail(measure) @ course.s[-1]])[None]
+
+    def _tail(self, measure: str) -> Array:
+        """R (S, S) with |R s|^2 a measure's part of the tail, s the state at its begin."""
+        if measure not in self._tails:
+            after = self.quantity(QUANTITIES[measure]).after
+            S = gramian(self._tail_dynamics, after.T @ after, TAIL)
+            self._tails[measure] = root(S / (self.t[-1] + TAIL))
+        return self._tails[measure]
 
     @cached_property
     def _tail_dynamics(self) -> Array:
@@ -212,24 +244,21 @@ class LinearResponse:
         last = self.M[-1:]
         return np.asarray(self._plant(last, np.zeros_like(last))[0])
 
-    def samples(self, name: str, step: float, span: float) -> Array:
-        """A quantity at the nodes and at even times after them (K, r, C), over a span [s]."""
-        quantity = self.quantity(name)
-        Phi = scipy.linalg.expm(self._tail_dynamics * step)
-        states = [self.s[-1]]
-        for _ in range(int(span / step)):
-            states.append(Phi @ states[-1])
-        return np.concatenate([quantity.nodes, quantity.after @ np.stack(states[1:])])
+
+def slope(values: Array, t: Array) -> Array:
+    """Time derivative of samples (N, ...) at smoothly spaced times (N,), of fourth order."""
+    steps = _stencil(t)  # of time per sample
+    return np.asarray(_stencil(values) / steps.reshape(-1, *(1,) * (values.ndim - 1)))
 
 
-def slope(values: Array, step: float) -> Array:
-    """Time derivative of even samples (N, ...), of fourth order."""
+def _stencil(values: Array) -> Array:
+    """Derivative by the number of the sample, along the first axis."""
     out = np.empty_like(values)
     out[2:-2] = (values[:-4] - 8 * values[1:-3] + 8 * values[3:-1] - values[4:]) / 12
     ends = np.array([[-25.0, 48, -36, 16, -3], [-3, -10, 18, -6, 1]]) / 12
     out[:2] = np.tensordot(ends, values[:5], 1)
     out[-2:] = -np.tensordot(ends, values[:-6:-1], 1)[::-1]
-    return out / step
+    return out
 
 
 _AFTER = 3.0  # s after the motion in which peaks are looked for: a swing of 0.2 Hz
@@ -242,19 +271,12 @@ def predict_disturbance(query: Query, motion: Motion) -> Disturbance:
     """
     linear = LinearBase(query.system, query.servo, motion.start)
     t = np.linspace(0.0, motion.duration, NODES * FINE + 1)
-    u = linear.load(motion, t)
-    response = LinearResponse(
-        linear, motion, motion, t, u[..., None], query.weight, base=query.base, parts=FINE
-    )
+    after = t[1] * np.arange(1, int(_AFTER / t[1]) + 1)
+    response = LinearResponse(linear, motion, t, query.weight, after, parts=FINE)
+    course = response.course(linear.load(motion, t)[..., None], query.base)
 
     out: dict[str, float] = {}
-    for measure, name in MEANS.items():
-        rows, tail = response.mean_square(name)
-        square = float(np.sum(rows**2) + tail[0, 0])
-        out[measure] = square if measure == "E_weighted" else square**0.5
-    for measure, name in ENDS.items():
-        out[measure] = float(np.linalg.norm(response.quantity(name).nodes[-1]))
-    for measure, name in PEAKS.items():
-        samples = response.samples(name, float(t[1]), _AFTER)[..., 0]
-        out[measure] = float(np.linalg.norm(samples, axis=-1).max())
+    for measure in QUANTITIES:
+        largest = float(np.linalg.norm(response.rows(measure, course)[..., 0], axis=-1).max())
+        out[measure] = largest**2 if measure == "E_weighted" else largest
     return Disturbance(**out)

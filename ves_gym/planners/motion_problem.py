@@ -5,12 +5,11 @@ in the samples u of the joint momentum H_bm(q) q' (`MeanEnergy`); from rest g an
 The decision is the inner control points of a B-spline: way-points and their timing at once.
 Position, speed and acceleration limits are linear in them, on the control polygon, so they
 hold at every instant; motor torque and the distance from obstacles are kept at sampled times.
-With weights, disturbance measures are added (`objective`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -27,12 +26,7 @@ from ves_gym.planners.momentum import (
     spring_load,
     torque,
 )
-from ves_gym.planners.objective import (
-    ENERGY,
-    MeanEnergy,
-    Objective,
-    QuadraticForm,
-)
+from ves_gym.planners.objective import MeanEnergy, QuadraticForm
 from ves_gym.planners.obstacles import Collisions, collisions
 from ves_gym.planners.prediction import (
     NODES,
@@ -58,8 +52,7 @@ _STEP = 0.06  # rad in joint space between samples of the distance, about
 class MotionProblem:
     """E_mean of a query's motions, and their limits, by the free control points x.
 
-    `energy` is that of another problem of the same query, which need not be made twice. With
-    `weights` of disturbance measures it is the `Objective`.
+    `energy` is that of another problem of the same query, which need not be made twice.
     """
 
     def __init__(
@@ -68,7 +61,6 @@ class MotionProblem:
         free: int,
         energy: QuadraticForm | None = None,
         nodes: int = NODES,
-        weights: Mapping[str, float] | None = None,
     ) -> None:
         self.nodes = nodes if energy is None else len(energy.t) - 1  # samples of the momentum
         self.query, self.arm = query, query.system.arm
@@ -82,10 +74,8 @@ class MotionProblem:
             self.first = leading_points(self.m, query.duration, self.start, *query.start_motion)
         if energy is None:
             energy = self.form_at((self.start + self.goal) / 2)
-            if weights and set(weights) != {ENERGY}:
-                energy = Objective(energy, weights, query.straight, query.weight, query.base)
         self.energy: QuadraticForm = energy
-        self._bases = self._sampled(self.energy.t / query.duration, 2)
+        self._bases = self._sampled(self.energy.t / query.duration, 3)
         self._torque_times = graded(_SAMPLES * self.m + 1)
         self._torque_bases = self._sampled(self._torque_times, 3)
         self._tau_max = _TORQUE_SHARE * self.arm.column("tau_max")
@@ -191,32 +181,26 @@ class MotionProblem:
 
     def momentum(self, x: Array) -> tuple[Array, Array]:
         """Samples u (N k) of `LinearBase.load`, and their derivative (N k, free n)."""
+        return self._load(x, self._bases, self.energy.t)
+
+    def _load(self, x: Array, bases: Sequence[Array], t: Array) -> tuple[Array, Array]:
+        """The same at other times t (N,); `bases`: of positions, rates, accelerations there."""
         control = self.control(x)
-        position, velocity = self._bases
+        position, velocity = bases[:2]
         sample = momentum(self.arm, position @ control, velocity @ control)
+        u, slope = self.chained(sample, bases)
         if len(self._free.passive) == 0:
-            return self.chained(sample)
-        bases = self._sampled(self.energy.t / self.query.duration, 3)
+            return u, slope
         load = spring_load(self._free, *(b @ control for b in bases))
         by = self._by_points(np.moveaxis(load.by, 1, 0), bases)
-        return self.beside(*self.chained(sample), load.tau, by)
+        return beside(t, u, slope, load.tau, by)
 
-    def beside(self, u: Array, slope: Array, torque: Array, by: Array) -> tuple[Array, Array]:
-        """Samples u (N k) with torques (N, l) integrated over time, and their derivative.
-
-        Args:
-            u, slope: samples and their derivative (N k, free n).
-            torque, by: (N, l) [N m] and their derivative (N, l, free, n).
-        """
-        t = self.energy.t
-        more, its = running_integral(torque, t), running_integral(by, t)
-        samples = np.hstack([u.reshape(len(t), -1), more])
-        slopes = [slope.reshape(len(t), -1, slope.shape[1]), its.reshape(*more.shape, -1)]
-        return samples.ravel(), np.concatenate(slopes, axis=1).reshape(samples.size, -1)
-
-    def chained(self, sample: BaseMomentum) -> tuple[Array, Array]:
+    def chained(
+        self, sample: BaseMomentum, bases: Sequence[Array] | None = None
+    ) -> tuple[Array, Array]:
         """Samples (N k,) and their derivative by the control points (N k, free n)."""
-        slope = self._by_points((sample.by_q, sample.by_v), self._bases)
+        bases = self._bases if bases is None else bases
+        slope = self._by_points((sample.by_q, sample.by_v), bases[:2])
         return sample.u.ravel(), slope.reshape(sample.u.size, -1)
 
     def _by_points(self, slopes: Iterable[Array], bases: Sequence[Array]) -> Array:
@@ -325,6 +309,20 @@ class MotionProblem:
         rows = -10 * at * slope[:, None, :]
         lack = 10 * (least - np.concatenate([k.distance for k in near]))
         return lack, rows.reshape(len(lack), x.size)
+
+
+def beside(t: Array, u: Array, slope: Array, torque: Array, by: Array) -> tuple[Array, Array]:
+    """Samples u (N k) with torques (N, l) integrated over time, and their derivative.
+
+    Args:
+        t: (N,) s.
+        u, slope: samples and their derivative (N k, free n).
+        torque, by: (N, l) [N m] and their derivative (N, l, free, n).
+    """
+    more, its = running_integral(torque, t), running_integral(by, t)
+    samples = np.hstack([u.reshape(len(t), -1), more])
+    slopes = [slope.reshape(len(t), -1, slope.shape[1]), its.reshape(*more.shape, -1)]
+    return samples.ravel(), np.concatenate(slopes, axis=1).reshape(samples.size, -1)
 
 
 def stacked(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:

@@ -1,31 +1,23 @@
-"""What a motion is judged by: E_mean, and with weights the disturbance of base and tool.
+"""What a motion is judged by: E_mean, and bounds on vectors that are linear in its momentum.
 
 With the inertia frozen at one configuration, or taken along one motion, the base is linear and
-E_mean a quadratic form in the joint momentum u (`MeanEnergy`). Other measures are functions of
-u as well: mean squares, the weighted energy and values at the end are quadratic forms; the
-square of a peak is replaced by the smooth, convex (mean |a|^p)^(2/p), a little below it. A
-measure counts as a share of the straight line's,
-
-    J = w_E E_mean + E_mean,0 sum_m w_m (m / m_0)^2     (E_weighted / E_weighted,0 not squared),
-
-so J is an energy, and a weight of 1 makes the straight line's measure as dear as its energy.
+E_mean a quadratic form in the joint momentum u (`MeanEnergy`). Accelerations of the base are
+linear in u, and a bound on their norm is kept by `Lagrangian`.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, ParameterError, require_one_of
+from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.modes import root
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import JointServo
-from ves_gym.planners.linear_response import ENDS, MEANS, PEAKS, LinearResponse
 from ves_gym.planners.prediction import (
     NODES,
     BaseState,
@@ -35,9 +27,7 @@ from ves_gym.planners.prediction import (
     inertia_along,
     running_integral,
 )
-from ves_gym.system.disturbance import MEASURES
 from ves_gym.system.energy import TAIL
-from ves_gym.system.frequency_weight import FrequencyWeight
 from ves_gym.system.system import System
 
 
@@ -177,189 +167,76 @@ class MeanEnergy(QuadraticForm):
         return np.asarray(flat.T @ flat / 2 + last.T @ tail @ last, np.float64)
 
 
-ENERGY = "energy"  # the weight of E_mean
-WEIGHTS = (ENERGY, *MEASURES)
-_POWER = 12.0  # p of a peak
-_AFTER, _SAMPLES = 2.0, 64  # s after the motion in which peaks count, and samples of it
-_SMALL = 0.2  # of a peak: what is below it adds less than 1e-7 to its slope
+class Lagrangian:
+    """E_mean under bounds |y_k| <= 1 on vectors, by an augmented Lagrangian.
 
+    With multipliers m_k, the straight line's energy E_0 and a penalty p,
 
-def checked_weights(weights: Mapping[str, float] | None) -> dict[str, float]:
-    """Return the weights of all measures that count; that of the energy is 1 unless given.
+        L = E_mean + E_0 / (2 p) sum_k (max(0, m_k + p (|y_k| - 1))^2 - m_k^2)
 
-    Raises:
-        ParameterError: a name not in `WEIGHTS`, a negative weight, or none above zero.
-    """
-    out = {ENERGY: 1.0, **(weights or {})}
-    for name, value in out.items():
-        require_one_of("a weight", name, WEIGHTS)
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not (number and value >= 0 and math.isfinite(value)):
-            raise ParameterError(f"weight {name} must be a number >= 0, got {value!r}")
-    if not any(out.values()):
-        raise ParameterError("one weight must be > 0, got all zero")
-    return {name: float(value) for name, value in out.items() if value or name == ENERGY}
-
-
-def parse_weights(text: str) -> dict[str, float]:
-    """Read weights like acceleration_peak=0.03+tip=0.1."""
-    out = {}
-    for part in text.split("+"):
-        name, _, value = part.partition("=")
-        try:
-            out[name.strip()] = float(value)
-        except ValueError:
-            raise ParameterError(
-                f"a weight must be NAME=VALUE like acceleration_peak=0.03, got {part!r}"
-            ) from None
-    checked_weights(out)
-    return out
-
-
-def weighted_name(planner: str, weights: Mapping[str, float]) -> str:
-    """A planner's name with its weights, as `get_planner` reads it."""
-    weighted = {name: w for name, w in weights.items() if (name, w) != (ENERGY, 1.0)}
-    listed = "+".join(f"{name}={w:g}" for name, w in weighted.items())
-    return f"{planner}:{listed}" if listed else planner
-
-
-class Objective(QuadraticForm):
-    """J of motions as a function of their momentum, where `MeanEnergy` is E_mean.
+    is smooth; `update` makes m_k the forces that hold the bounds (Hestenes 1969, Powell 1969).
 
     Args:
-        energy: E_mean of the query's motions, with the frozen inertia.
-        weights: as `checked_weights` returns them.
-        straight: what measures are shares of.
-        filter: of `E_weighted`.
-        base: its motion at the start; None: at rest.
-        path: of the tool while its error is linear in the base's motion; default straight.
+        energy: of the first samples.
+        scale: E_0 [J].
+        parts: (G, r) number and size of the vectors that follow, part by part.
+        penalty: p.
     """
 
     def __init__(
         self,
-        energy: MeanEnergy,
-        weights: Mapping[str, float],
-        straight: Motion,
-        filter: FrequencyWeight,
-        base: BaseState | None = None,
-        path: Motion | None = None,
+        energy: QuadraticForm,
+        scale: float,
+        parts: Sequence[tuple[int, int]],
+        penalty: float,
     ) -> None:
-        self.mean, self.weights, self.straight = energy, weights, straight
-        self.t, self.linear, self.system = energy.t, energy.linear, energy.system
-        self._filter, self._base = filter, base
-        self._start = energy.linear.load(straight, self.t).ravel()
-        self._response = self._linearised(straight)
-        scale = energy.value(self._start)
-        self.shares: dict[str, float] = {}  # of J per unit of the squared measure
-        for name in self._measures:
-            there = self._form(name).value(self._start)
-            self.shares[name] = weights[name] * scale / there if there > 0 else 0.0
-        if path is not None and self.follows_path:
-            self._response = self._linearised(path)
-        w = weights[ENERGY]
-        self.hessian, self.gradient = w * energy.hessian, w * energy.gradient
-        self.constant = w * energy.constant
-        self._peaks: list[tuple[float, _Peak]] = []
-        for name, share in self.shares.items():
-            form = self._form(name)
-            if isinstance(form, _Peak):  # peaks stay what they are
-                self._peaks.append((share, form))
-                continue
-            self.hessian = self.hessian + share * form.hessian
-            self.gradient = self.gradient + share * form.gradient
-            self.constant += share * form.constant
+        self.energy, self.scale, self.penalty = energy, scale, penalty
+        self.t, self._n = energy.t, len(energy.gradient)
+        ends = self._n + np.cumsum([0, *(count * size for count, size in parts)])
+        self._parts = [(slice(*ends[k : k + 2]), shape) for k, shape in enumerate(parts)]
+        self._multipliers = [np.zeros(count) for count, _ in parts]
 
-    @property
-    def _measures(self) -> list[str]:
-        return [name for name in self.weights if name != ENERGY]
-
-    @property
-    def follows_path(self) -> bool:
-        """True where J depends on where the tool is, which is that of one path."""
-        return any(name.startswith("tip") for name in self._measures)
-
-    def about(self, path: Motion) -> Objective:
-        """Return the same with the tool on another path."""
-        settings = self.mean, self.weights, self.straight, self._filter, self._base
-        return Objective(*settings, path=path)
-
-    def _linearised(self, path: Motion) -> LinearResponse:
-        """Response per sample of u, and in the last column to the base's motion."""
-        N, k = len(self.t), len(self.linear.driven)
-        inputs = np.zeros((N, k, k * N + 1))
-        inputs[:, :, :-1] = np.eye(k * N).reshape(N, k, k * N)
-        at = self.mean.at
-        return LinearResponse(
-            self.linear, at, path, self.t, inputs, self._filter, base=self._base
-        )
-
-    def _form(self, name: str) -> QuadraticForm | _Peak:
-        if name in MEANS:
-            rows, after = self._response.mean_square(MEANS[name])
-            return QuadraticForm(rows.T @ rows + after)
-        if name in ENDS:
-            rows = self._response.quantity(ENDS[name]).nodes[-1]
-            return QuadraticForm(rows.T @ rows)
-        step = _AFTER / _SAMPLES
-        return _Peak(self._response.samples(PEAKS[name], step, _AFTER))
-
-    def measure(self, name: str, u: Array) -> float:
-        """One of `MEASURES` of momenta u (6 (N + 1),), a peak by its power mean."""
-        square = self._form(name).value(u)
-        return square if name == "E_weighted" else max(square, 0.0) ** 0.5
+    def _held(self, u: Array) -> Iterator[tuple[slice, Array, Array, Array]]:
+        """Of every part where it lies in u, its vectors (G, r), their norms, and the forces."""
+        for (at, shape), last in zip(self._parts, self._multipliers, strict=True):
+            y = u[at].reshape(shape)
+            size = np.linalg.norm(y, axis=1)
+            yield at, y, size, np.maximum(0.0, last + self.penalty * (size - 1))
 
     def value(self, u: Array) -> float:
-        """J [J] of momenta u (6 (N + 1),)."""
-        return super().value(u) + sum(share * peak.value(u) for share, peak in self._peaks)
+        """L [J] of samples and vectors u."""
+        now = sum(float(force @ force) for *_, force in self._held(u))
+        before = sum(float(m @ m) for m in self._multipliers)
+        extra = self.scale * (now - before) / (2 * self.penalty)
+        return self.energy.value(u[: self._n]) + extra
 
     def force(self, u: Array) -> Array:
-        return sum((w * peak.force(u) for w, peak in self._peaks), start=super().force(u))
+        """Derivative of `value`."""
+        out = np.zeros_like(u)
+        out[: self._n] = self.energy.force(u[: self._n])
+        for at, y, size, force in self._held(u):
+            pull = force / np.maximum(size, _TINY)
+            out[at] = self.scale * (pull[:, None] * y).ravel()
+        return out
 
     def curvature(self, u: Array, slope: Array) -> Array:
-        """slope^T W slope (k, k), W the second derivative of `value` at u."""
-        parts = (w * peak.curvature(u, slope) for w, peak in self._peaks)
-        return sum(parts, start=super().curvature(u, slope))
+        """Second derivative of `value` along `slope` of u (k, k)."""
+        out = self.energy.curvature(u[: self._n], slope[: self._n])
+        for at, y, size, force in self._held(u):
+            on = force > 0
+            rows = slope[at].reshape(*y.shape, -1)[on]
+            pull = force[on] / size[on]  # curves a sphere across, the penalty along its normal
+            normal = np.einsum("kr,krc->kc", y[on] / size[on, None], rows)
+            flat = (np.sqrt(pull)[:, None, None] * rows).reshape(-1, slope.shape[1])
+            out = out + self.scale * (
+                flat.T @ flat + (normal.T * (self.penalty - pull)) @ normal
+            )
+        return np.asarray(out)
+
+    def update(self, u: Array, steeper: float, most: float) -> None:
+        """Make the forces at u the multipliers, and the penalty steeper, up to `most`."""
+        self._multipliers = [force for *_, force in self._held(u)]
+        self.penalty = min(steeper * self.penalty, most)
 
 
-class _Peak:
-    """(mean_k |a_k|^p)^(2/p) of vectors a_k that are affine in u."""
-
-    def __init__(self, rows: Array) -> None:
-        self._rows, self._offset = rows[..., :-1], rows[..., -1]
-
-    def _parts(self, u: Array) -> tuple[float, Array, Array, float]:
-        """Largest |a|, which are not small, their |a| over it, and the mean of its powers."""
-        a = self._rows @ u + self._offset
-        sizes = np.linalg.norm(a, axis=-1)
-        largest = float(sizes.max())
-        if largest == 0:
-            return 0.0, a, sizes, 0.0
-        return largest, a, sizes / largest, float(np.mean((sizes / largest) ** _POWER))
-
-    def value(self, u: Array) -> float:
-        largest, _, _, mean = self._parts(u)
-        return largest**2 * mean ** (2 / _POWER)
-
-    def force(self, u: Array) -> Array:
-        _, a, x, mean = self._parts(u)
-        if not mean:
-            return np.zeros(len(u))
-        large = x > _SMALL
-        pull = x[large, None] ** (_POWER - 2) * a[large] / len(x)
-        out: Array = np.tensordot(pull, self._rows[large], 2)
-        return 2 * mean ** (2 / _POWER - 1) * out
-
-    def curvature(self, u: Array, slope: Array) -> Array:
-        largest, a, x, mean = self._parts(u)
-        if not mean:
-            return np.zeros((slope.shape[1],) * 2)
-        large = x > _SMALL
-        rows = self._rows[large] @ slope
-        weight, a = x[large] ** (_POWER - 2) / len(x), a[large]
-        along = np.einsum("kr,krc->kc", a / np.linalg.norm(a, axis=1)[:, None], rows)
-        flat = (np.sqrt(weight)[:, None, None] * rows).reshape(-1, slope.shape[1])
-        steep = np.sqrt((_POWER - 2) * weight)[:, None] * along
-        pull = np.tensordot(weight[:, None] * a, rows, 2)
-        out: Array = flat.T @ flat + steep.T @ steep
-        out -= (_POWER - 2) / (mean * largest**2) * np.outer(pull, pull)
-        return 2 * mean ** (2 / _POWER - 1) * out
+_TINY = 1e-12  # of a bound

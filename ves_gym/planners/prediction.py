@@ -389,12 +389,11 @@ def predict(
 
 
 def running_integral(samples: Array, t: Array) -> Array:
-    """Integrate samples (N, ...) at even times t (N,) from the first on.
+    """Integrate samples (N, ...) at times t (N,) from the first on.
 
     Simpson: trapezoids hide what a good motion leaves of a boom's swing.
     """
-    step = float(t[1] - t[0])
-    out = scipy.integrate.cumulative_simpson(samples, dx=step, axis=0, initial=0.0)
+    out = scipy.integrate.cumulative_simpson(samples, x=t, axis=0, initial=0.0)
     return np.asarray(out, np.float64)
 
 
@@ -408,7 +407,7 @@ def inertia_along(
     if not isinstance(at, Motion):
         M = linear.mass(linear.inertia(at))[None]
         return M, M
-    half = np.linspace(0, t[-1], 2 * len(t) - 1)
+    half = np.interp(np.arange(2 * len(t) - 1) / 2, np.arange(len(t)), t)
     M = linear.mass(linear.inertia(at.at(half).q))
     return M[::2], M[1::2]
 

@@ -123,7 +123,8 @@ class Planner(Protocol):
             seed: of whatever is random, >= 0.
 
         Returns:
-            The motion, and plain data for `Plan.info`.
+            The motion, and plain data for `Plan.info`; `unmet` in it says why the motion is
+            no answer by a rule of the planner's own.
 
         Raises:
             NoPlan: there is none, or none was found.
@@ -153,7 +154,7 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
             if query.free_joints:  # the answer is to the ends that it chose
                 query = replace(query, goal=motion.control[-1])
             predicted = predict(query.system, motion, query.servo, base=query.base, parts=FINE)
-            failure = first_violation(query, motion)
+            failure = first_violation(query, motion) or info.get("unmet")
     seconds = time.perf_counter() - begin
     return Plan(planner.name, query, motion, predicted, seconds, failure, info, seed)
 

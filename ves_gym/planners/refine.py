@@ -8,7 +8,7 @@ the answer keeps speed, acceleration and torque, and the clearance, checked agai
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,6 @@ from ves_gym._util.optional import require
 from ves_gym._util.params import Array
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.motion_problem import MotionProblem
-from ves_gym.planners.objective import checked_weights, weighted_name
 from ves_gym.planners.ompl_search import Ompl
 from ves_gym.planners.paths import time_path
 from ves_gym.planners.query import (
@@ -27,9 +26,9 @@ from ves_gym.planners.query import (
     min_duration,
     require_possible,
 )
-from ves_gym.planners.sequential import Minimum, about_itself, minimise, rank
+from ves_gym.planners.sequential import Minimum, minimise, rank
 
-_FREE = 24  # control points: at 2 s, 12 leave 3 % more energy, 32 take 0.5 % off
+FREE = 24  # control points: at 2 s, 12 leave 3 % more energy, 32 take 0.5 % off
 _DETOURS = (0.3, 0.7)  # rad, by turns: sizes of the random detours started from
 _TOO_MUCH = 0.5  # of a limit that a start may break it by
 _FIRST_LOOK = 15  # iterations after which starts are compared
@@ -43,23 +42,12 @@ _LARGE = 100  # variables: of larger problems starts are compared with half the 
 class Refined:
     """The best of several refined starts."""
 
-    def __init__(
-        self,
-        free: int = _FREE,
-        starts: int = 5,
-        name: str = "refined",
-        weights: Mapping[str, float] | None = None,
-    ) -> None:
-        self.free, self.starts, self.weights = free, starts, checked_weights(weights)
-        self._plain, self.name = name, weighted_name(name, self.weights)
+    def __init__(self, free: int = FREE, starts: int = 5, name: str = "refined") -> None:
+        self.free, self.starts, self.name = free, starts, name
         self.summary = (
             f"least predicted E_mean over smooth motions ({free} free points, {starts}"
             " starts), inside all limits, clear of obstacles"
         )
-
-    def weighted(self, weights: Mapping[str, float]) -> Refined:
-        """Return the planner with weights of the energy and of disturbance measures."""
-        return Refined(self.free, self.starts, self._plain, weights)
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
         """Refine several starts; the seed chooses the detours, and the search among obstacles.
@@ -68,7 +56,7 @@ class Refined:
             NoPlan: no way was found, and the straight one could not be bent around.
         """
         require_possible(query)
-        problem = MotionProblem(query, self.free, weights=self.weights)
+        problem = MotionProblem(query, self.free)
         if query.surroundings is None or first_violation(query, query.straight) is None:
             compared = problem
             if problem.straight.size > _LARGE and self.free > 1:
@@ -134,7 +122,7 @@ def _best(
     stands = False
     for k in order[: max(1, sum(map(_is_feasible, looks)))]:
         x = looks[k].x if first is problem else problem.of(first.motion(looks[k].x))
-        minimum = about_itself(problem, minimise(problem, x, tolerance=_FINE))
+        minimum = minimise(problem, x, tolerance=_FINE)
         motion = problem.motion(minimum.x)
         stands = first_violation(problem.query, motion) is None
         if best is None or stands:

@@ -9,7 +9,7 @@ from typing import Any, TypeVar, cast
 
 from ves_gym._util.own import require_free
 from ves_gym._util.params import ParameterError, require_one_of
-from ves_gym.planners.objective import parse_weights
+from ves_gym.planners.bounds import parse_bounds
 from ves_gym.planners.query import Planner
 
 P = TypeVar("P", bound=Planner | type[Planner])
@@ -27,6 +27,7 @@ _HOMES: dict[str, tuple[str, dict[str, Any]]] = {
     "ompl-q": ("ompl_search:Ompl", {"objective": "q"}),
     "ompl-qt": ("ompl_search:Ompl", {"objective": "qt"}),
     "ompl-time": ("ompl_search:Ompl", {"objective": "time"}),
+    "calm": ("calm:Calm", {}),
     "direct": ("direct:Direct", {}),
     "damp": ("direct:DampRelease", {}),
     "refined": ("refine:Refined", {}),
@@ -35,7 +36,7 @@ _HOMES: dict[str, tuple[str, dict[str, Any]]] = {
     "robust": ("robust:Robust", {}),
     "robust-worst": ("robust:Robust", {"objective": "worst", "name": "robust-worst"}),
 }
-_WEIGHTED = ("direct", "refined", "refined-long")
+DEFAULT = "calm"
 
 
 class _Planners(UserDict[str, Any]):
@@ -79,18 +80,16 @@ def get_planner(name: str) -> Planner:
     """A planner by name; unknown names are an error that lists the known ones.
 
     Args:
-        name: of the registry, with weights of disturbance measures after a colon where the
-            planner takes them: `refined:acceleration_peak=0.03+tip=0.1`.
+        name: of the registry, with bounds on disturbance measures after a colon where the
+            planner takes them: `calm:acceleration_peak=0.5+tip_peak=0.1`.
     """
     plain, colon, text = name.partition(":") if isinstance(name, str) else (name, "", "")
     require_one_of("planner", plain, PLANNERS)
-    return weighted(PLANNERS[plain], parse_weights(text)) if colon else PLANNERS[plain]
+    return bounded(PLANNERS[plain], parse_bounds(text)) if colon else PLANNERS[plain]
 
 
-def weighted(planner: Planner, weights: Mapping[str, float]) -> Planner:
-    """Return a planner that also minimises measures, see `planners.objective.WEIGHTS`."""
-    if not hasattr(planner, "weighted"):
-        raise ParameterError(
-            f"weights are for planners {', '.join(_WEIGHTED)}, got {planner.name}"
-        )
-    return cast(Planner, planner.weighted(weights))
+def bounded(planner: Planner, bounds: Mapping[str, float]) -> Planner:
+    """Return a planner that keeps bounds on measures, see `planners.bounds`."""
+    if not hasattr(planner, "bounded"):
+        raise ParameterError(f"bounds are for planner calm, got {planner.name}")
+    return cast(Planner, planner.bounded(bounds))

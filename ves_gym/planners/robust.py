@@ -25,10 +25,10 @@ import scipy.special
 from ves_gym._util.params import Array, ParameterError, read_result, read_table, require_one_of
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import has
-from ves_gym.planners.motion_problem import MotionProblem, stacked
+from ves_gym.planners.motion_problem import MotionProblem, beside, stacked
 from ves_gym.planners.objective import MeanEnergy
 from ves_gym.planners.query import Query, first_violation
-from ves_gym.planners.refine import _FREE, Refined
+from ves_gym.planners.refine import FREE, Refined
 from ves_gym.planners.sequential import minimise
 from ves_gym.system.candidate import Scope
 from ves_gym.system.effect import EFFECTS, ArmEffect, BaseEffect
@@ -70,7 +70,7 @@ class Robust:
         *,
         price: float = 1.15,
         objective: str = "mean",
-        free: int = _FREE,
+        free: int = FREE,
         name: str = "robust",
         around: System | None = None,
     ) -> None:
@@ -357,7 +357,7 @@ class _OtherArm(MotionProblem):
             return u, slope
         bases = self._sampled(self.energy.t / self.query.duration, 3)
         other, fed = self.torque(x, bases), self.torque(x, bases, described)
-        return self.beside(u, slope, other.tau - fed.tau, other.by - fed.by)
+        return beside(self.energy.t, u, slope, other.tau - fed.tau, other.by - fed.by)
 
 
 DIAGNOSIS = "ves-diagnose/1"

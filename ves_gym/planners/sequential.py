@@ -15,10 +15,8 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.planners.motion_problem import MotionProblem
-from ves_gym.planners.objective import Objective
 
 _ROUNDS = 4  # of looking for torque between samples
-_PATHS = 2  # that the tool's error is linearised about, after the straight line
 _NEARLY = 0.01  # of a limit: what breaks it by more is not looked at more closely
 _FIRST = 0.3  # rad: how far control points may move in the first step
 _LEAST_STEP = 1e-6  # rad
@@ -82,19 +80,6 @@ def minimise(
         done, evaluations = done + minimum.iterations, evaluations + minimum.evaluations
         if minimum.excess > _NEARLY or not problem.add_torque_samples(x0):
             break
-    return replace(minimum, iterations=done, evaluations=evaluations)
-
-
-def about_itself(problem: MotionProblem, minimum: Minimum) -> Minimum:
-    """Minimise again with the tool on the path that was found, where its error counts."""
-    energy = problem.energy
-    if not (isinstance(energy, Objective) and energy.follows_path):
-        return minimum
-    done, evaluations = minimum.iterations, minimum.evaluations
-    for _ in range(_PATHS):
-        problem.energy = energy.about(problem.motion(minimum.x))
-        minimum = minimise(problem, minimum.x)
-        done, evaluations = done + minimum.iterations, evaluations + minimum.evaluations
     return replace(minimum, iterations=done, evaluations=evaluations)
 
 

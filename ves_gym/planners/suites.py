@@ -281,7 +281,7 @@ def reach100(
     return Suite(
         name="reach100",
         queries=tuple({"off": queries, "on": among, "both": queries + among}[obstacles]),
-        planners=("straight", "hotspot-q", "hotspot-qt", "direct", "refined"),
+        planners=("straight", "hotspot-q", "hotspot-qt", "direct", "refined", "calm"),
     )
 
 

@@ -39,7 +39,7 @@ Columns = dict[str, Callable[[Result], str]]  # heading -> cell of a row of the 
 _MOST = 10  # stopped runs, and reasons of failures, that are named
 _ENERGIES = """\
 Medians over queries. ratio: E_mean over the straight line's on the same query, with
-the 95 % interval of the median; E_res, E_peak and the base's largest acceleration:
+the 95 % interval of the median; E_res, E_peak and the base's largest accelerations:
 likewise; off: predicted E_mean against the simulated one; success: of all queries;
 plan: median and longest planning time."""
 _EMULATED = """\
@@ -85,6 +85,7 @@ def _energy_columns(result: Result, emulated: bool) -> Columns:
     out["E_res"] = _median("E_res_ratio", ".3f")
     out["E_peak"] = _median("E_peak_ratio", ".3f")
     out["acc.\npeak"] = _median("acceleration_peak_ratio", ".2f")
+    out["angular\npeak"] = _median("angular_peak_ratio", ".2f")
     if emulated:
         out["emulation\nerror"] = lambda row: (
             "stopped" if _stopped(row) else _number(row["emulation_error_median"], "+.2%")

@@ -252,15 +252,15 @@ def prediction_figure(result: Result) -> Figure:
 
 TRADED = {  # measure -> axis label
     "acceleration_peak": "largest acceleration / straight line's",
-    "acceleration": "rms acceleration / straight line's",
+    "angular_peak": "largest angular acceleration / straight line's",
 }
 
 
 def pareto_figure(result: Result) -> Figure:
     """Draw energy against acceleration of the base, medians by planner; a panel each.
 
-    Planners with weights of a disturbance measure are joined in the order of the weights, from
-    the planner without.
+    Planners with a bound on a disturbance measure are joined in the order of the bounds; that
+    without has 1.
     """
     names = _planners(result)
     cases = list(dict.fromkeys((r["vehicle"], r["duration"]) for r in result["summary"]))
@@ -287,19 +287,17 @@ def _tradeoff(axes: Axes, points: dict[str, tuple[float, float]], names: Sequenc
     """Draw planners as labelled points, those of one kind and measure joined by a line."""
     families: dict[tuple[str, str], list[tuple[float, str]]] = {}
     for name in points:
-        plain, _, weights = name.partition(":")
-        measure, _, weight = weights.rpartition("=")
-        if weights and "+" not in weights:
-            families.setdefault((plain, measure), []).append((float(weight), name))
+        plain, _, bounds = name.partition(":")
+        measure, _, bound = bounds.rpartition("=")
+        if bounds and "+" not in bounds:
+            families.setdefault((plain, measure), []).append((float(bound), name))
     joined: set[str] = set()
     for k, ((plain, measure), members) in enumerate(families.items()):
-        ordered = [name for _, name in sorted(members)]
-        joined.update(ordered)
-        at = np.array([points[name] for name in [plain, *ordered] if name in points])
+        joined.update(name for _, name in members)
+        members += [(1.0, plain)] if plain in points else []
+        at = np.array([points[name] for _, name in sorted(members)])
         colour = COLOURS[1 + k % (len(COLOURS) - 1)]
-        axes.plot(
-            *at.T, "-o", color=colour, markersize=4, label=f"{plain}, weight of {measure}"
-        )
+        axes.plot(*at.T, "-o", color=colour, markersize=4, label=f"{plain}, bound on {measure}")
         for value, name in members:
             axes.annotate(f"{value:g}", points[name], (5, 4), color=colour, **_BESIDE)
     for name, point in points.items():

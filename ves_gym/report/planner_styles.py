@@ -29,6 +29,7 @@ STYLES: dict[str, Style] = {
     "bad-path": Style(1, DASHES[2]),
     "hotspot-qt": Style(2),
     "reaction-null": Style(2, DASHES[2]),
+    "calm": Style(6),
     "direct": Style(3),
     "damp": Style(3, DASHES[1]),
     "refined": Style(4),
@@ -38,8 +39,8 @@ STYLES: dict[str, Style] = {
     "ompl-qt": Style(5),
     "ompl-q": Style(5, DASHES[1]),
     "ompl-time": Style(5, DASHES[2]),
-    "shaped-zv": Style(6),
-    "shaped-zvd": Style(6, DASHES[1]),
+    "shaped-zv": Style(0, DASHES[2]),
+    "shaped-zvd": Style(0, DASHES[3]),
 }
 OTHERS = [Style(k, dash) for dash in (DASHES[3], DASHES[2]) for k in (6, 3, 4, 1, 2)]
 
