@@ -55,18 +55,20 @@ class Calm:
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
         """Lead the answer of `refined` inside the bounds; the seed is that of its starts.
 
-        Where that fails and the straight line is an answer, it is the answer; where that is
-        none either, `info["unmet"]` says which bound is not met, and by how much.
+        Where that fails and the straight line is an answer, it is tried from there, and at the
+        worst is the answer; else `info["unmet"]` says which bound is not met, and by how much.
         """
         motion, info = Refined().find(query, seed)
         problem = _BoundedProblem(query, self.bounds)
         if not problem.most:
             return motion, info
-        found, sweeps = _swept(problem, motion)
-        if _stands(problem, found) or not _stands(problem, query.straight):
-            answer = found
-        else:
-            answer, info["message"] = query.straight, "the straight line: no better one found"
+        answer, sweeps = _swept(problem, motion)
+        if not _stands(problem, answer) and _stands(problem, query.straight):
+            problem = _BoundedProblem(query, self.bounds)
+            answer, more = _swept(problem, query.straight)
+            sweeps += more
+            if not _stands(problem, answer):
+                answer, info["message"] = query.straight, "the straight line: no better found"
         reached = problem.reached(answer)
         info |= {"sweeps": sweeps, "bounds": problem.shares, "reached": reached}
         over = {k: v for k, v in reached.items() if v > problem.shares[k]}
