@@ -160,6 +160,18 @@ def test_matlab_of_version_7_3_is_hdf5(tmp_path):
         assert "note" not in got.columns
 
 
+def test_columns_of_parquet(tmp_path):
+    pa = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    words = pa.array(["a"] * len(DATA))
+    columns = {**dict(zip(NAMES, DATA.T, strict=True)), "n": pa.array(range(60)), "s": words}
+    parquet.write_table(pa.table(columns), tmp_path / "log.parquet")
+    got = read_columns(tmp_path / "log.parquet")
+    np.testing.assert_array_equal(np.column_stack([got[k] for k in NAMES]), DATA)
+    assert got["n"].tolist() == list(range(60)) and "s" not in got
+
+
 def test_what_is_no_signal_is_named(tmp_path):
     scipy.io.savemat(tmp_path / "log.mat", {**ARRAYS, "K": np.eye(3)})
     got = read_recording(tmp_path / "log.mat")

@@ -1,4 +1,4 @@
-"""Columns of measured data in the files people have: MATLAB, HDF5, tables in text, folders.
+"""Columns of measured data in the files people have: text, MATLAB, HDF5, Parquet, folders.
 
 Nothing is lost in silence: what was understood of a file beside its plain columns is in
 `Recording.notes`.
@@ -22,7 +22,7 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import named, read_apart, read_bytes
 
 TEXT = (".csv", ".txt", ".tsv", ".dat", ".log")
-ARRAYS = (".mat", ".h5", ".hdf5")
+ARRAYS = (".mat", ".h5", ".hdf5", ".parquet")
 _MARKS = (";", "\t", ",", "|", " ")  # between cells; where two do, the first
 _SAMPLE = 50  # rows that tell how a table is written
 _EMPTY = ("", "nan", "na", "n/a", "null", "none", "-", "--")  # a cell without a number
@@ -45,7 +45,7 @@ def read_columns(path: str | os.PathLike[str]) -> dict[str, Array]:
 
 
 def read_recording(path: str | os.PathLike[str]) -> Recording:
-    """Read all columns of a table in text, a .mat or HDF5 file, or a folder of .csv files.
+    """Read all columns of a table in text, a .mat, HDF5 or Parquet file, or a folder of .csv.
 
     Tables may have any delimiter, decimal commas, comments and a row of units; without a line
     of names, columns are called column_1, column_2 and so on. Matrices of a .mat file are a
@@ -279,9 +279,19 @@ def _folder(path: Path) -> Recording:
 
 
 def arrays_of(path: Path) -> dict[str, Array]:
-    """Arrays of numbers of a .mat or HDF5 file by name, for `read_apart`."""
+    """Arrays of numbers of a .mat, HDF5 or Parquet file by name, for `read_apart`."""
     found: Iterable[tuple[str, Any]]
     try:
+        if path.suffix.lower() == ".parquet":
+            require("Parquet", "pyarrow")
+            from pyarrow import parquet
+
+            table = parquet.read_table(path)
+            return {
+                name: column.to_numpy().astype(float)
+                for name, column in zip(table.column_names, table.columns, strict=True)
+                if str(column.type).startswith(("double", "float", "int", "uint"))
+            }
         if path.suffix.lower() != ".mat":
             raise NotImplementedError
         from scipy.io import loadmat

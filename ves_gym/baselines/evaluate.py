@@ -25,7 +25,7 @@ from ves_gym.baselines.controllers import Controller
 from ves_gym.envs.build import build_task
 from ves_gym.envs.control import for_system
 from ves_gym.envs.vector import VesVectorEnv
-from ves_gym.mechanics.arm_library import get_arm
+from ves_gym.mechanics.arm_library import arm_from
 from ves_gym.system.effect import Effect
 
 ENERGIES = ("E_mean", "E_peak", "E_res", "E_int")
@@ -227,7 +227,10 @@ def make_vector(
 
 
 def with_deviations(
-    id: str, settings: Mapping[str, Any], effects: Sequence[Effect] = (), arm: str | None = None
+    id: str,
+    settings: Mapping[str, Any],
+    effects: Sequence[Effect] = (),
+    arm: str | Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return settings with an arm, whose numbers per joint are its own, and with effects.
 
@@ -235,12 +238,12 @@ def with_deviations(
         id: registered id of the environment.
         settings: that it is made with.
         effects: beside those that it has.
-        arm: name or file; None: the environment's.
+        arm: name, file or plain data; None: the environment's.
     """
     id = id if "/" in id else f"ves/{id}"
     out = dict(settings)
     if arm is not None:
-        described = get_arm(arm)  # refused here, not in a worker
+        described = arm_from(arm)  # refused here, not in a worker
         if "control" in settings:
             task = build_task(**{**spec_of(id).kwargs, **settings})
             system = task.system.replace(arm=described)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import ves_gym.api as vg
 from ves_gym._util.optional import require
-from ves_gym._util.params import ParameterError, read_table, write_text
+from ves_gym._util.params import ParameterError, read_table, to_plain, write_text
 from ves_gym.baselines.config import choose_config
 from ves_gym.baselines.evaluate import with_deviations
 from ves_gym.baselines.registry import CONTROLLERS
@@ -19,6 +19,7 @@ from ves_gym.cli.flags import (
     Answer,
     Context,
     Flag,
+    Place,
     integer,
     integers,
     names,
@@ -26,7 +27,7 @@ from ves_gym.cli.flags import (
     say,
     text,
 )
-from ves_gym.cli.machine import EFFECT, arm_flags
+from ves_gym.cli.machine import EFFECT, arm_flags, arm_option
 from ves_gym.system.effect import Effect
 
 # ------------------------------------------------------------------ learned and compared
@@ -38,7 +39,7 @@ def train(
     *,
     algo: str | None = None,
     seeds: tuple[int, ...] | None = None,
-    arm: str | None = None,
+    arm: str | Mapping[str, Any] | None = None,
     effect: tuple[Effect, ...] = (),
     **how: Any,
 ) -> Answer:
@@ -62,7 +63,7 @@ def evaluate(
     controller: tuple[str, ...] = (),
     policy: tuple[str | Path, ...] = (),
     nominal: bool = False,
-    arm: str | None = None,
+    arm: str | Mapping[str, Any] | None = None,
     effect: tuple[Effect, ...] = (),
     **how: Any,
 ) -> Answer:
@@ -228,7 +229,15 @@ def _report(rows: list[dict[str, Any]]) -> Answer:
 
 # -------------------------------------------------------------------------------- tables
 
-ARM = replace(arm_flags("that of the environment")[0], read=text)  # settings have it by name
+
+def _arm(value: str, place: Place) -> str | dict[str, Any]:
+    """An arm as settings have it: by name or file, or as data where options say more."""
+    plain: dict[str, Any] = to_plain(arm_option(value, place)) if place.beside else {}
+    return plain or value
+
+
+ARM, *BESIDE = arm_flags("that of the environment")
+ARMS = (replace(ARM, read=_arm), *BESIDE)
 POLICY = Flag(
     "POLICY",
     many=True,
@@ -245,7 +254,7 @@ TABLE = {
         replace(WORKERS, help="seeds at once"),
         Flag("--resume", help="go on from the checkpoints"),
         Flag("--tensorboard", "DIR", text, "show the curves as they grow there"),
-        ARM,
+        *ARMS,
         EFFECT,
     )),
     "evaluate": (evaluate, (
@@ -259,7 +268,7 @@ TABLE = {
         Flag("--episodes", "N", integer(), "default 100"),
         Flag("--n-envs", "N", integer(1), "at once; changes no result"),
         Flag("--nominal", help="without randomisation"),
-        ARM,
+        *ARMS,
         EFFECT,
     )),
     "policy export": (export, (POLICY, Flag("--onnx", help="the format (the only one)"))),

@@ -33,7 +33,7 @@ from ves_gym.system.system import DRIVES, INTEGRATORS, MODES, System
 from ves_gym.system.system_library import SYSTEMS, get_system
 
 
-def _arm(text: str, place: Place) -> Arm:
+def arm_option(text: str, place: Place) -> Arm:
     """Read an arm as the options beside it say, and say what came of it."""
     choice = dict(place.beside)
     for name in ("lock", "rotor"):
@@ -75,7 +75,7 @@ def arm_flags(default: str) -> tuple[Flag, ...]:
     beside = (
         replace(flag, of="--arm") for flag in grouped("arm from a URDF or MJCF file", *file)
     )
-    return (Flag("--arm", "A", _arm, f"{help} (default {default})"), *beside)
+    return (Flag("--arm", "A", arm_option, f"{help} (default {default})"), *beside)
 
 
 _NEXT = re.compile(r",\s*(?=[A-Za-z_]\w*\s*=)")  # the comma before another NAME=
