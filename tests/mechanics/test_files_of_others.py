@@ -207,7 +207,7 @@ def test_options_of_a_file_are_those_of_python(urdf, capsys):
 
 
 def test_an_environment_takes_a_file_with_its_options(urdf, tmp_path, capsys):
-    words = ["evaluate", "BeamLQR", "--controller", "zero", "--episodes", "1", "--workers", "1"]
+    words = ["evaluate", "BeamLQR-v0", "--controller", "zero", "--episodes", "1"]
     words += ["--out", str(tmp_path), "--arm", str(urdf(BALANCED)), "--tip", "tool"]
     assert main(words) == 2
     assert "--lock k_balance=0" in capsys.readouterr().err
