@@ -93,6 +93,10 @@ def test_the_arm_that_made_the_logs_is_left_alone(files):
 
 
 @pytest.mark.slow
+@pytest.mark.xfail(
+    strict=True,
+    reason="missed: tolerances of three times their size leave 981 and 884 of 2,160",
+)
 @pytest.mark.parametrize("band", [0.1, 0.5])
 def test_other_bands_leave_much_without_a_name(files, band):
     """The library imitates about half of it: which side of half depends on the band."""
