@@ -18,7 +18,7 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.limits import require_positions
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.servo import OWN_GAINS, JointServo
+from ves_gym.mechanics.servo import OWN_GAINS, OWN_SERVO, JointServo
 from ves_gym.system.energy import TAIL, Energies, log_energies
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
@@ -206,7 +206,7 @@ def plan(
     else:
         usual: dict[str, Any] = {"duration": 2.0, "v_max": speed_limits(arm)}
         usual["start"] = tuple(arm.home.tolist())
-        usual["servo"] = case.servo if arm == case.system.arm else OWN_GAINS
+        usual["servo"] = case.servo if arm == case.system.arm else OWN_SERVO
         parts = {**usual, **parts}
         query = Query(system=system, **{"goal": parts["start"], **parts})
     method = _planner(planner) if bounds is None else bounded(_planner(planner), bounds)
@@ -636,7 +636,7 @@ def _case(
             raise ParameterError(f"{motion.planner} found no motion: {motion.failure}")
         motion = motion.case
     if isinstance(motion, Motion):
-        return Case(system=_system(system), motion=motion, servo=servo or OWN_GAINS)
+        return Case(system=_system(system), motion=motion, servo=servo or OWN_SERVO)
     if not isinstance(motion, Case):
         raise ParameterError(f"simulate needs a Motion, a Plan or a Case, got {motion!r}")
     played = motion.motion

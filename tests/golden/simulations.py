@@ -60,6 +60,10 @@ def system(**table: Any) -> vg.System:
     return vg.System.from_dict(table)
 
 
+# takes the base to stand still; None: that which plays a plan
+STILL = vg.JointServo(kp=(), kd=(), source="the arm's own")
+
+
 def played(
     described: Callable[[], vg.System],
     rows: int = 2,
@@ -71,7 +75,7 @@ def played(
 
     def measure() -> dict[str, Any]:
         on = described()
-        settings = {"settle": 0.25, "record_dt": 0.025, **options}
+        settings = {"settle": 0.25, "record_dt": 0.025, "servo": STILL, **options}
         log = vg.simulate(motion(on.arm, size=way), on, **settings)
         return told(log, rows, names=names)
 
@@ -136,6 +140,9 @@ def otherwise() -> dict[str, Probe]:
         "from a swinging base emulated": ({"mode": "emulated"}, {"y": moving["y"]}),
         "tumbling": ({"vehicle": "free-floating"}, {"yd": TUMBLING, "settle": 2.0}),
         "servicer tumbling": ({"vehicle": "servicer-flexible"}, {"yd": turning}),
+        "foreseen base": ({"vehicle": beam}, {"servo": None}),
+        "foreseen base, moving": ({"vehicle": "servicer"}, {"servo": None, **moving}),
+        "foreseen base emulated": ({"mode": "emulated"}, {"servo": None}),
         "weak servo": ({}, {"servo": vg.JointServo(kp=(1200.0,) * 3, kd=(90.0,) * 3)}),
     }  # fmt: skip
     out = {
@@ -195,7 +202,7 @@ def touched(on: str) -> dict[str, Any]:
     contact = {"tool": [{"form": "sphere", "size": [0.05]}], "target": [ball], "on": on, **law}
     table = {"vehicle": "free-floating", "contact": contact}
     described = system(**table) if payload is None else system(**table, payload=payload)
-    log = vg.simulate(motion(arm), described, settle=0.25, record_dt=0.025)
+    log = vg.simulate(motion(arm), described, servo=STILL, settle=0.25, record_dt=0.025)
     return {**told(log), "pushed": float(np.abs(log.contact).max())}
 
 

@@ -22,7 +22,7 @@ from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import arm_names, get_arm
-from ves_gym.mechanics.servo import OWN_GAINS
+from ves_gym.mechanics.servo import OWN_SERVO
 from ves_gym.mechanics.vehicle import VEHICLES, get_vehicle
 from ves_gym.planners.case import Case, load_case
 from ves_gym.simulation.gravity_calibration import read_calibration
@@ -233,7 +233,7 @@ def case_from(options: Mapping[str, Any], mode: str, seed: int | None) -> Case:
         if system == case.system:
             return case if seed is None else replace(case, seed=seed)
         say(f"the case is of {case.system!r}, this machine is {system!r}", "note")
-    servo = case.servo if "case" in options and system.arm == case.system.arm else OWN_GAINS
+    servo = case.servo if "case" in options and system.arm == case.system.arm else OWN_SERVO
     query = case.query
     if query is not None:
         query = replace(query, system=system, servo=servo)

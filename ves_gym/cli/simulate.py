@@ -31,14 +31,14 @@ from ves_gym.cli.flags import (
 from ves_gym.cli.machine import MACHINE
 from ves_gym.mechanics.limits import require_positions, usual_goal
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.servo import FREE, HIGH_GAINS, OWN_GAINS, PPED_GAINS, JointServo
+from ves_gym.mechanics.servo import FREE, HIGH_GAINS, OWN_SERVO, PPED_GAINS, JointServo
 from ves_gym.planners.case import Case
 from ves_gym.report.machine_figures import run_figure
 from ves_gym.simulation import calibration_poses, learn_gravity, weigh_poses
 from ves_gym.simulation.run_summary import summarise
 from ves_gym.system.energy import TAIL
 
-NAMED = {"own": OWN_GAINS, "high": HIGH_GAINS, "pped": PPED_GAINS, "free": FREE}
+NAMED = {"own": OWN_SERVO, "high": HIGH_GAINS, "pped": PPED_GAINS, "free": FREE}
 
 
 def _gains(text: str, place: Place) -> JointServo:
@@ -49,7 +49,7 @@ def _gains(text: str, place: Place) -> JointServo:
         zero = (0.0,) * n
         return JointServo(kp=zero, kd=zero, feedforward=False, source=FREE.source)
     if text in NAMED:
-        return NAMED[text]
+        return replace(NAMED[text], moving_base=True)
     try:
         kp, kd = (tuple(floats(part)) for part in text.split("/"))
     except ValueError:
@@ -59,7 +59,7 @@ def _gains(text: str, place: Place) -> JointServo:
             f"--gains must be {', '.join(NAMED)}, or kp/kd with 1 or {n} numbers each, like"
             f" 100/10, got {text!r}"
         )
-    return JointServo(kp=kp * (n // len(kp)), kd=kd * (n // len(kd)))
+    return JointServo(kp=kp * (n // len(kp)), kd=kd * (n // len(kd)), moving_base=True)
 
 
 GAINS = Flag("--gains", "G", _gains,

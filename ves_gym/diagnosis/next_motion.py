@@ -381,6 +381,7 @@ def _lockstep(
             kp=tuple(gains["kp"]),
             kd=tuple(gains["kd"]),
             feedforward=gains.get("feedforward", False),
+            moving_base=gains.get("moving_base", False),
         )
     try:
         recording = play_motions(

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Arm, Mechanism, Root, spans
 from ves_gym.mechanics.kinematics import frames, joint_values, twists
-from ves_gym.mechanics.spatial import cross, room
+from ves_gym.mechanics.spatial import base_motion, cross, room
 
 # Spatial inertia (6, 6) by places in (0, m, h, -h, second moments), h the first moment
 _SPATIAL = [
@@ -310,12 +310,15 @@ def inverse_dynamics(
     v: npt.ArrayLike,
     a: npt.ArrayLike,
     gravity: npt.ArrayLike = (0.0, 0.0, 0.0),
+    *,
+    base: Sequence[npt.ArrayLike] = (),
 ) -> tuple[Array, Array]:
-    """Torque and base wrench of a motion on a base that stands still (Newton-Euler).
+    """Torque and base wrench of a motion (Newton-Euler).
 
     Args:
         q, v, a: (..., n) joint angles [rad], rates [rad/s], accelerations [rad/s^2].
         gravity: (..., 3) acceleration of free fall in the platform frame [m/s^2].
+        base: its pose, rate and acceleration (..., 6); none: it stands still.
 
     Returns:
         tau (..., n) [N m], rotors included, and the wrench (..., 6) [N, N m] that the arm
@@ -326,13 +329,17 @@ def inverse_dynamics(
     )
     shape, lift = motion[0].shape[:-1], -np.asarray(gravity, float)
     rows = [x.reshape(-1, arm.n) for x in motion]
-    rows.append(np.broadcast_to(lift, (*shape, 3)).reshape(-1, 3))
+    moves: dict[str, Array] = {"accel": lift}
+    if len(base):
+        _, spin, turn, accel = base_motion(*base)
+        moves = {"spin": spin, "turn": turn, "accel": lift + accel}
+    each = {k: np.broadcast_to(x, (*shape, 3)).reshape(-1, 3) for k, x in moves.items()}
     tau, wrench = np.empty((*shape, arm.n)), np.empty((*shape, 6))
 
-    def part(q: Array, v: Array, a: Array, rising: Array, tau: Array, wrench: Array) -> None:
-        accel = lift if lift.ndim == 1 else rising
-        torque, load = newton_euler(arm, *(x.copy("F") for x in (q, v, a)), accel=accel)
+    def part(q: Array, v: Array, a: Array, tau: Array, wrench: Array, *moved: Array) -> None:
+        by = dict(zip(each, moved, strict=True)) if lift.ndim > 1 or len(base) else moves
+        torque, load = newton_euler(arm, *(x.copy("F") for x in (q, v, a)), **by)
         tau[:], wrench[:] = torque, -load
 
-    _in_chunks(part, *rows, tau.reshape(-1, arm.n), wrench.reshape(-1, 6))
+    _in_chunks(part, *rows, tau.reshape(-1, arm.n), wrench.reshape(-1, 6), *each.values())
     return tau, wrench

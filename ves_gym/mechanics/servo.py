@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -21,12 +22,15 @@ class JointServo:
     """tau = kp (q_cmd - q) + kd (v_cmd - v) + tau_ff, per joint.
 
     The proportional and derivative parts act at every physics step. With `feedforward`
-    tau_ff is the torque the commanded motion needs on a base that stands still.
+    tau_ff is the torque the commanded motion needs: on a base that stands still or, with
+    `moving_base`, on the base as that motion moves it. That takes the whole motion in advance:
+    who knows the present command alone (an environment) takes the base to stand still.
     """
 
     kp: Vector = unit("N m/rad")
     kd: Vector = unit("N m s/rad")
     feedforward: bool = True
+    moving_base: bool = False  # the feed-forward knows how the described base will move
     source: str = "user"
 
     def __post_init__(self) -> None:
@@ -58,25 +62,38 @@ class JointServo:
             ParameterError: gains for another number of joints.
         """
         if not self.kp:
-            return replace(own_gains(arm, vehicle), feedforward=self.feedforward)
+            own = own_gains(arm, vehicle)
+            return replace(own, feedforward=self.feedforward, moving_base=self.moving_base)
         if len(self.kp) != arm.n:
             raise ParameterError(
                 f"servo must have gains for {arm.n} joints, got {len(self.kp)}"
             )
         return self
 
-    def torque_feedforward(self, arm: Arm, command: Samples) -> Array:
+    def holds(self, arm: Arm) -> bool:
+        """True where joints are fed forward against the base, and do not yield to it.
+
+        Args:
+            arm: whose joints; of one that bends nobody foresees what it takes.
+        """
+        return self.feedforward and self.moving_base and not arm.bends
+
+    def torque_feedforward(
+        self, arm: Arm, command: Samples, base: Sequence[Array] = ()
+    ) -> Array:
         """Return the feed-forward torque of a commanded motion; zero without it.
 
         Args:
+            arm: as described.
             command: angles, rates and accelerations (..., n).
+            base: y, yd, ydd (..., 6) of the base meanwhile; none: it stands still.
 
         Returns:
             (..., n) [N m].
         """
         if not self.feedforward:
             return np.zeros_like(command.q)
-        return inverse_dynamics(arm, command.q, command.v, command.a)[0]
+        return inverse_dynamics(arm, command.q, command.v, command.a, base=base)[0]
 
 
 HIGH_GAINS = JointServo(
@@ -86,6 +103,7 @@ PPED_GAINS = JointServo(
     kp=(210.0, 33.0, 20.0), kd=(72.0, 55.0, 17.0), source="thesis eq. 4.5, q = (45, 0, 0) deg"
 )
 OWN_GAINS = JointServo(kp=(), kd=(), source="the arm's own")  # see `own_gains`
+OWN_SERVO = replace(OWN_GAINS, moving_base=True)  # of motions that are known beforehand
 FREE = JointServo(kp=(0.0,) * 3, kd=(0.0,) * 3, feedforward=False, source="no servo")
 
 _RATIO = 0.7  # damping ratio of a joint alone

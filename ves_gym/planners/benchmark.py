@@ -256,7 +256,7 @@ def _unplayed(run: _Run) -> dict[str, Any]:
         "plan_seconds": run.plan.seconds,
         "success": False,
         "failure": run.plan.failure,
-        **dict.fromkeys(("reference_breaks", "arm_breaks")),
+        **dict.fromkeys(("reference_breaks", "arm_breaks", "energy_residual")),
         "info": run.plan.info,
         **dict.fromkeys(_EMULATED_COLUMNS if emulated else ()),
     }
@@ -284,6 +284,7 @@ def _played(
         "failure": why,
         "reference_breaks": plan.reference.reasons,
         "arm_breaks": recording.limit_check(k, v_max=query.v_max).reasons,
+        "energy_residual": recording.energy_residual(k),
     }
     return row if ideal is None else row | _emulation(recording, ideal, k, row, in_space)
 

@@ -31,7 +31,7 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import arm_names, get_arm
 from ves_gym.mechanics.kinematics import ToolPose
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.servo import OWN_GAINS, JointServo
+from ves_gym.mechanics.servo import OWN_SERVO, JointServo
 from ves_gym.mechanics.vehicle import VEHICLES, vehicle_name
 from ves_gym.planners.obstacles import Surroundings, read_surroundings
 from ves_gym.planners.prediction import BaseState
@@ -57,7 +57,7 @@ class Query:
     v_max: Vector | None = unit("rad/s", default=None)  # speed limits, None = none
     a_max: Vector | None = unit("rad/s^2", default=None)  # acceleration limits, None = none
     surroundings: Surroundings | None = None  # what not to touch, None = nothing is checked
-    servo: JointServo = OWN_GAINS  # what will move the joints
+    servo: JointServo = OWN_SERVO  # what will move the joints
     name: str = ""
     base: BaseState | None = None  # how the base moves at the start, None = at rest
     start_rate: Vector | None = unit("rad/s", default=None)  # of the joints, None = at rest
@@ -109,6 +109,12 @@ class Query:
         return any(k is not None and any(k) for k in (self.start_rate, self.start_acceleration))
 
     @property
+    def is_loaded(self) -> bool:
+        """True where limits hold for what the moving base makes of the joints' motion."""
+        moves = self.base is not None or self.servo.holds(self.system.arm)
+        return moves and self.system.drive == "motor"
+
+    @property
     def start_motion(self) -> tuple[Array, Array]:
         """Rate and acceleration of the joints at the start (n,) [rad/s, rad/s^2]."""
         still = np.zeros(self.system.arm.n)
@@ -156,7 +162,7 @@ class Case:
     system: System = field(default_factory=System)
     query: Query | None = None
     motion: Motion | None = None
-    servo: JointServo = OWN_GAINS
+    servo: JointServo = OWN_SERVO
     seed: int = 0
     log: str | None = None
 
@@ -296,7 +302,7 @@ def _read_query(table: Mapping[str, Any], system: System, folder: Path) -> dict[
     for key in _OF_THE_CASE:
         if key in query:
             raise ParameterError(f"query.{key} is said once, as {key} of the case")
-        query[key] = table.get(key, to_plain(OWN_GAINS))
+        query[key] = table.get(key, to_plain(OWN_SERVO))
     limits = speed_limits(system.arm, query.pop("v_max", None))
     if limits is not None:
         query["v_max"] = list(limits)

@@ -18,7 +18,7 @@ import numpy as np
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.motion_problem import MotionProblem
 from ves_gym.planners.query import Query, first_violation, require_time
-from ves_gym.planners.sequential import minimise
+from ves_gym.planners.sequential import against_base, minimise
 
 
 class Direct:
@@ -34,7 +34,7 @@ class Direct:
         """Minimise from one start, the straight line; deterministic."""
         require_time(query)
         problem = MotionProblem(query, self.free)
-        minimum = minimise(problem, problem.straight)
+        minimum = against_base(problem, minimise(problem, problem.straight))
         return problem.motion(minimum.x), minimum.info()
 
 

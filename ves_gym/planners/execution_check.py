@@ -16,6 +16,7 @@ from ves_gym._util.params import Array
 from ves_gym.mechanics.limits import check_limits, middle_of_range
 from ves_gym.planners.obstacles import RESOLUTION, collisions
 from ves_gym.planners.query import Plan, Planner, Query, answer_limits, first_violation, solve
+from ves_gym.simulation.energy_account import TRUSTED
 from ves_gym.simulation.recording import Recording
 
 # Of a speed limit. Motions whose reference lies on it are followed within 1.9 % (`refined` and
@@ -56,6 +57,8 @@ def executed_violation(query: Query, run: Recording, i: int) -> str | None:
             f"the arm: joint {j + 1} is {miss[k, j]:.4f} rad from the goal at t ="
             f" {t[after][k]:.3f} s, at most {AIM:g}"
         )
+    if (gap := run.energy_residual(i) or 0.0) > TRUSTED:
+        return f"the energy account is open by {gap:.2g}, at most {TRUSTED:g}: no such run"
     return _touched(query, q, steps.y)
 
 

@@ -28,13 +28,7 @@ from ves_gym.planners.momentum import (
 )
 from ves_gym.planners.objective import MeanEnergy, QuadraticForm
 from ves_gym.planners.obstacles import Collisions, collisions
-from ves_gym.planners.prediction import (
-    NODES,
-    Response,
-    respond,
-    running_integral,
-    steps_of_joints,
-)
+from ves_gym.planners.prediction import NODES, JointLoads, joint_loads, running_integral
 from ves_gym.planners.query import Query
 from ves_gym.system.system import System
 
@@ -79,7 +73,7 @@ class MotionProblem:
         self._torque_times = graded(_SAMPLES * self.m + 1)
         self._torque_bases = self._sampled(self._torque_times, 3)
         self._tau_max = _TORQUE_SHARE * self.arm.column("tau_max")
-        self._response: Response | None = None  # what the base makes the joints do
+        self._loads: JointLoads | None = None  # what the base makes the joints do
         # the straight quintic lies in the spline space, so its fit is exact
         self.straight = self.of(query.straight)
         self._checker: Collisions | None = None
@@ -113,25 +107,26 @@ class MotionProblem:
         )
 
     def follow(self, motion: Motion) -> None:
-        """Linearise about a motion: inertia along it, limits less what the servo adds there.
+        """Linearise about a motion: inertia along it, limits less what the servo adds there."""
+        self.energy = self.form_at(motion)
+        self.load(motion)
 
-        A base that moves at the start pushes the joints; what their servo gives against it, and
-        how fast they yield, is that of the linear base under the motion. A base at rest is
-        taken to stand still, as where the answer is checked (`query.check_motion`).
+    def load(self, motion: Motion) -> None:
+        """Take from the limits what joints need, and how fast they yield, under a motion.
+
+        As where the answer is checked (`query.check_motion`), by the linear base.
         """
-        self.energy = form = self.form_at(motion)
-        linear = form.linear
-        if self.query.base is not None and len(linear.motors):
-            nodes = steps_of_joints(self.query.duration)
-            self._response = respond(linear, motion, nodes, self.query.base)
+        query = self.query
+        if query.is_loaded:
+            self._loads = joint_loads(query.system, motion, query.servo, query.base)
             self.__dict__.pop("_linear", None)
 
     def _pushed(self, t: Array) -> tuple[Array, Array]:
         """Servo torque (N, n) [N m] and yielding rate [rad/s] of pushed joints at t [s]."""
-        if self._response is None:
+        if self._loads is None:
             zero = np.zeros((len(t), self.n))
             return zero, zero
-        return self._response.at(t, self.query.servo)
+        return self._loads.at(t)
 
     def _sampled(self, u: Array, orders: int) -> list[Array]:
         """Basis functions and their derivatives at times u T: each (N, m)."""
@@ -235,7 +230,8 @@ class MotionProblem:
             polygon = degree * np.diff(polygon, axis=0) / span[:, None]
             if limit is None:
                 continue
-            most = (_SHARE if self._response is None else _MOVED_SHARE) * np.array(limit)
+            exact = self._loads is None or self.query.servo.holds(self.arm)
+            most = (_SHARE if exact else _MOVED_SHARE) * np.array(limit)
             up, down = self._yielding(t, order) / most
             rows = self._at_points(polygon)[:, None] * np.diag(1 / most)[:, None]
             rows = rows.reshape(count * self.n, -1)
@@ -251,12 +247,12 @@ class MotionProblem:
         Only rates (order 1 of the derivative) are limited as the joints move; t: knots.
         """
         count, degree = self.m - order, DEGREE + 1 - order
-        if self._response is None or order != 1:
+        if self._loads is None or order != 1:
             return np.zeros((2, count, self.n))
-        rate = self._pushed(self._response.t)[1]
+        rate = self._loads.rate
         out = np.empty((2, count, self.n))
         for i in range(count):
-            low, high = np.searchsorted(self._response.t, (t[i + order], t[i + degree + order]))
+            low, high = np.searchsorted(self._loads.t, (t[i + order], t[i + degree + order]))
             part = rate[max(low - 1, 0) : high + 1]
             out[:, i] = part.max(axis=0), part.min(axis=0)
         return out

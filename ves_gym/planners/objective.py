@@ -8,6 +8,7 @@ linear in u, and a bound on their norm is kept by `Lagrangian`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -95,6 +96,8 @@ class MeanEnergy(QuadraticForm):
         described: Arm | None = None,
         start: Array | None = None,
     ) -> None:
+        if servo is not None and described not in (None, system.arm):
+            servo = replace(servo, moving_base=False)  # to what it lacks, joints yield
         start = at.start if isinstance(at, Motion) else start
         self.linear = LinearBase(system, servo, start)
         self.inputs, self.described = self.linear.driven, None

@@ -25,7 +25,7 @@ import scipy.linalg
 
 from ves_gym._util.params import Array, Index, ParameterError, Vector, finite, unit
 from ves_gym.mechanics.carried import linear_joints
-from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.linear_motion import LinearMotion
 from ves_gym.mechanics.modes import Modes, natural_modes, sum_quadratic
 from ves_gym.mechanics.motion import Motion
@@ -124,8 +124,9 @@ class LinearBase:
     x = (z, joint error, gears): the base's coordinates z (b) are its pose Y (6), deflections of
     the arm's flexures, and what is hidden in the base (appendages, internal modes). With a
     `servo` on motor drives the motors may give way: their error, with the servo gains as
-    stiffness and damping (feed-forward supplies the nominal joint torque). Otherwise the motors
-    follow exactly. Last are deflections of geared links against their motors.
+    stiffness and damping (feed-forward supplies the torque on a base that stands still).
+    Otherwise, and fed forward against the base as well, motors follow exactly. Last are
+    deflections of geared links against their motors.
 
     A wheel keeps its speed about its axis, whatever the base does, so that its rotor's inertia
     there is none of the base's. A pointing law, whose moment wheels and jets give, is a spring
@@ -147,10 +148,12 @@ class LinearBase:
         self.system = system
         self.free = free = LinearMotion(system.arm, system.base)
         D, K = free.D, free.K
+        if servo is not None and (system.drive != "motor" or servo.holds(system.arm)):
+            servo = None
         moves = np.ones(free.size, bool)
-        moves[free.motors] = servo is not None and system.drive == "motor"
+        moves[free.motors] = servo is not None
         moves[free.wheels] = False
-        if servo is not None and system.drive == "motor":
+        if servo is not None:
             servo = servo.for_arm(system.arm, system.vehicle)
             K[free.motors, free.motors], D[free.motors, free.motors] = servo.kp, servo.kd
         self._at = np.flatnonzero(moves)
@@ -305,15 +308,48 @@ class Response(NamedTuple):
     M: Array  # (N, size, size) inertia of x
     motors: Index  # (n,) places of the motors' errors in x
 
-    def at(self, t: Array, servo: JointServo) -> tuple[Array, Array]:
-        """Servo torque beyond feed-forward [N m] and the joints' yielding [rad/s], (N, n)."""
-        away, rate = self.x[:, self.motors], self.rate[:, self.motors]
-        torque = -(away * np.array(servo.kp) + rate * np.array(servo.kd))
-        torques, rates = (
+
+class JointLoads(NamedTuple):
+    """Torque and motion of the joints beyond those on a base that stands still, (N, n) each."""
+
+    t: Array  # (N,) s
+    torque: Array  # N m
+    away: Array  # rad from the command
+    rate: Array  # rad/s
+
+    def at(self, t: Array) -> tuple[Array, Array]:
+        """Torques [N m] and rates [rad/s] (N, n) at times t (N,) [s]."""
+        torque, rate = (
             np.stack([np.interp(t, self.t, column) for column in part.T], axis=1)
-            for part in (torque, rate)
+            for part in (self.torque, self.rate)
         )
-        return torques, rates
+        return torque, rate
+
+
+def joint_loads(
+    system: System, motion: Motion, servo: JointServo, base: BaseState | None = None
+) -> JointLoads:
+    """Predict what the moving base makes joints on their servo do while a motion is played.
+
+    They yield by their gains or, fed forward against the base, need its motion's torque.
+
+    Args:
+        system, motion, servo: motors.
+        base: its motion at the start; None: at rest.
+    """
+    linear, steps = LinearBase(system, servo, motion.start), steps_of_joints(motion.duration)
+    holds = servo.holds(system.arm)
+    run = respond(linear, motion, steps, base, FINE if holds else 1)
+    if not holds:
+        away, rate = run.x[:, run.motors], run.rate[:, run.motors]
+        torque = -(away * np.array(servo.kp) + rate * np.array(servo.kd))
+        return JointLoads(run.t, torque, away, rate)
+    s, accel = motion.at(run.t), np.gradient(run.rate[:, :6], run.t[1], axis=0, edge_order=2)
+    moved, still = (
+        inverse_dynamics(system.arm, s.q, s.v, s.a, base=at)[0]
+        for at in ((run.x[:, :6], run.rate[:, :6], accel), ())
+    )
+    return JointLoads(run.t, moved - still, 0 * s.q, 0 * s.q)
 
 
 def steps_of_joints(duration: float) -> int:

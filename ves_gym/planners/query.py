@@ -27,11 +27,9 @@ from ves_gym.planners.case import Query as Query
 from ves_gym.planners.obstacles import RESOLUTION, collisions
 from ves_gym.planners.prediction import (
     FINE,
-    LinearBase,
     Prediction,
+    joint_loads,
     predict,
-    respond,
-    steps_of_joints,
 )
 from ves_gym.planners.unmodelled import notes
 
@@ -205,21 +203,25 @@ def answer_limits(query: Query) -> dict[str, Array]:
 def check_motion(query: Query, motion: Motion, limits: Mapping[str, Array]) -> LimitCheck:
     """Check a motion as it is commanded, or as a moving base lets the joints follow it.
 
-    With a moving base angles, rates and torques are those of the joints on their servo, pushed
-    by the linear base. `limits`: see `limits_of`.
+    With a base that moves at the start, and on a servo that is fed forward against the base,
+    angles, rates and torques are those that the linear base makes of them. `limits`: see
+    `limits_of`.
     """
     arm = query.system.arm
-    if query.base is None or query.system.drive != "motor":
+    if not query.is_loaded:
         return check_reference(arm, motion, limits)
-    linear = LinearBase(query.system, query.servo, motion.start)
-    response = respond(linear, motion, steps_of_joints(motion.duration), query.base)
-    s = motion.at(response.t)
-    added, yielding = response.at(response.t, query.servo)
+    loads = joint_loads(query.system, motion, query.servo, query.base)
+    s = motion.at(loads.t)
+    torque = inverse_dynamics(arm, s.q, s.v, s.a)[0] + loads.torque
+    if query.servo.holds(arm):  # the joints are where they are told to be
+        rest = {kind: limit for kind, limit in limits.items() if kind != "torque"}
+        asked = check_limits({"torque": limits["torque"]}, s.t, {"torque": torque})
+        return LimitCheck((*check_reference(arm, motion, rest).extremes, *asked.extremes))
     values = {
-        "position": s.q + response.x[:, linear.motors] - middle_of_range(arm),
-        "velocity": s.v + yielding,
+        "position": s.q + loads.away - middle_of_range(arm),
+        "velocity": s.v + loads.rate,
         "acceleration": s.a,
-        "torque": inverse_dynamics(arm, s.q, s.v, s.a)[0] + added,
+        "torque": torque,
     }
     return check_limits(limits, s.t, values)
 

@@ -26,7 +26,7 @@ from ves_gym.planners.query import (
     min_duration,
     require_possible,
 )
-from ves_gym.planners.sequential import Minimum, minimise, rank
+from ves_gym.planners.sequential import Minimum, against_base, minimise, rank
 
 FREE = 24  # control points: at 2 s, 12 leave 3 % more energy, 32 take 0.5 % off
 _DETOURS = (0.3, 0.7)  # rad, by turns: sizes of the random detours started from
@@ -122,7 +122,7 @@ def _best(
     stands = False
     for k in order[: max(1, sum(map(_is_feasible, looks)))]:
         x = looks[k].x if first is problem else problem.of(first.motion(looks[k].x))
-        minimum = minimise(problem, x, tolerance=_FINE)
+        minimum = against_base(problem, minimise(problem, x, tolerance=_FINE))
         motion = problem.motion(minimum.x)
         stands = first_violation(problem.query, motion) is None
         if best is None or stands:

@@ -17,6 +17,7 @@ from ves_gym._util.params import Array
 from ves_gym.planners.motion_problem import MotionProblem
 
 _ROUNDS = 4  # of looking for torque between samples
+_LOADED = 3  # rounds of taking what the base asks of the joints from their limits
 _NEARLY = 0.01  # of a limit: what breaks it by more is not looked at more closely
 _FIRST = 0.3  # rad: how far control points may move in the first step
 _LEAST_STEP = 1e-6  # rad
@@ -81,6 +82,20 @@ def minimise(
         if minimum.excess > _NEARLY or not problem.add_torque_samples(x0):
             break
     return replace(minimum, iterations=done, evaluations=evaluations)
+
+
+def against_base(problem: MotionProblem, minimum: Minimum) -> Minimum:
+    """Minimise again while what the moving base asks of the joints breaks a limit."""
+    for _ in range(_LOADED if problem.query.is_loaded else 0):
+        problem.load(problem.motion(minimum.x))
+        kept = problem.limits(minimum.x)[0].max(initial=-1.0) <= _BARELY
+        if kept and not problem.add_torque_samples(minimum.x):
+            break
+        again = minimise(problem, minimum.x)
+        done = minimum.iterations + again.iterations
+        evaluations = minimum.evaluations + again.evaluations
+        minimum = replace(again, iterations=done, evaluations=evaluations)
+    return minimum
 
 
 def _minimise(problem: MotionProblem, x0: Array, iterations: int, tolerance: float) -> Minimum:

@@ -15,6 +15,7 @@ from ves_gym.mechanics.motion import Motion, Samples
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix, twist, twist_rate
 from ves_gym.simulation.capture import Capture
+from ves_gym.simulation.energy_account import EnergyAccount
 from ves_gym.simulation.recording import Recording, Watch
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.runlog import RunLog
@@ -59,8 +60,8 @@ def play_motions(
         seed: of sensor noise and drift.
         backend: engine, as `Simulator` takes it.
         watch: look at joints and base between the records, too, until shortly after the
-            motion: at every physics step, in mode emulated every control period (`Watch`).
-            Changes no record.
+            motion: at every physics step, in mode emulated every control period (`Watch`), and
+            keep the energy account (`EnergyAccount`). Changes no record.
         progress: called with the fraction done.
 
     Raises:
@@ -88,8 +89,12 @@ def play_motions(
     moves = [m.at(edges) for m in motions]
     samples = Samples(edges, *(np.stack([move[k] for move in moves]) for k in (1, 2, 3)))
     commands = samples.a  # of a drive that follows its command
+    fed = None  # torque that the log tells, as its commands do not
     if system.drive == "motor":
         tau = sim.servo.torque_feedforward(system.arm, samples)
+        if sim.servo.holds(system.arm) and _is_foreseen(system):
+            last = math.ceil((duration + SETTLING) / dt)
+            tau = fed = _fed_forward(system, sim.servo, samples, last, y, yd)
         commands = sim.servo_command(samples.q, samples.v, tau)
     clock = edges[:: system.substeps]
     follow = table = None
@@ -101,6 +106,8 @@ def play_motions(
 
     rows: list[dict[str, Array]] = []
     watched = Watch(system.arm, n, duration + _OVERSHOOT) if watch else None
+    kept = watch and EnergyAccount.keeps(system)
+    account = EnergyAccount(system, sim.servo, n) if kept else None
     fine = system.substeps if emulated else 1  # steps between looks at the joints
     if table is not None:
         sim.use_gravity(table[:, :1])
@@ -117,6 +124,8 @@ def play_motions(
             watched.weigh(t, *(row[name] for name in ("q", "v", "tau", "y", "yd", "ydd")))
             if t <= duration + SETTLING + 1e-9:
                 watched.look(t, row["q"], row["v"], row["y"])
+        if account is not None and t < duration + _OVERSHOOT:
+            account.enter(t, *(row[name] for name in _ACCOUNTED if name in row))
         if (emulated and len(sim.events) >= n) or k + 1 == records:
             break
         apart = fine if watched is not None and t < duration + SETTLING else stride
@@ -135,6 +144,9 @@ def play_motions(
                 if t < duration + _OVERSHOOT:
                     tau, ydd = sim.evaluate(commands[:, end])
                     watched.weigh(at, q, v, tau, state.y, state.yd, ydd)
+                    if account is not None:
+                        modes = sim.base_modes or ()
+                        account.enter(at, q, v, tau, state.y, state.yd, *modes)
         if progress is not None and k % 32 == 0:
             progress(k / records)
     columns = {name: np.stack([row[name] for row in rows], axis=1) for name in rows[0]}
@@ -153,15 +165,58 @@ def play_motions(
         t=edges[:end:stride],
         q_cmd=samples.q[:, :end:stride],
         v_cmd=samples.v[:, :end:stride],
+        tau_ff=None if fed is None else fed[:, :end:stride],
         **columns,
         captures=tuple(captures),
         events=tuple(sim.events),
         backend=sim.backend_name,
         watch=watched,
+        account=account,
     )
 
 
+def _is_foreseen(system: System) -> bool:
+    """True where the base moves as in space."""
+    return system.mode == "ideal" or system.emulator_settings.operation == "microgravity"
+
+
+def _fed_forward(
+    system: System,
+    servo: JointServo,
+    samples: Samples,
+    last: int,
+    y: npt.ArrayLike,
+    yd: npt.ArrayLike,
+) -> Array:
+    """Feed-forward torque (n, N, joints) of commands on the described base that they move.
+
+    The base is that of a simulation in which the joints are where they are told to be.
+
+    Args:
+        system, servo: what is played.
+        samples: commands at the physics steps.
+        last: step up to which the base is looked at in each; once a control period after it.
+        y, yd: of the base at the start.
+    """
+    told = system.ideal().replace(drive="prescribed", effects=(), payload=None, contact=None)
+    sim, end = Simulator(told, len(samples.q)), len(samples.t) - 1
+    sim.reset(q=samples.q[:, 0], v=samples.v[:, 0], y=y, yd=yd)
+    looks = [*range(min(last, end)), *range(min(last, end), end, system.substeps), end]
+    rows = []
+    for first, until in zip(looks, [*looks[1:], end], strict=True):
+        ydd, state = sim.evaluate(samples.a[:, first])[1], sim.state
+        rows.append((state.y, state.yd, ydd))
+        if until > first:
+            sim.play(samples.a[:, first : until + 1])
+    base = [np.stack(part, axis=1) for part in zip(*rows, strict=True)]
+    t, *seen = samples.t[looks], *(x[:, looks] for x in samples[1:])
+    tau = servo.torque_feedforward(system.arm, Samples(t, *seen), base)
+    between = [[np.interp(samples.t, t, x) for x in run.T] for run in tau]
+    return np.moveaxis(np.array(between), 1, 2)
+
+
 _FOLLOWED = "platform must give poses and rates"
+_ACCOUNTED = ("q", "v", "tau", "y", "yd", "u", "ud")
 _INNER = ("at", "rate", "torque", "wrench")  # of `_row`, to compute `w` from
 
 

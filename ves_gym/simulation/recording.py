@@ -13,6 +13,7 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.limits import LimitCheck, check_limits, limits_of, middle_of_range
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.simulation.capture import Capture
+from ves_gym.simulation.energy_account import EnergyAccount
 from ves_gym.simulation.state import Event
 from ves_gym.system.disturbance import (
     Disturbance,
@@ -120,6 +121,7 @@ class Recording:
     #           laboratory what the force sensor reports, weight included
     wg: Array | None = None  # (n, N, 6) w less the estimated weight; laboratory only
     y_cmd: Array | None = None  # (n, N, 6) pose the platform is told; laboratory only
+    tau_ff: Array | None = None  # (n, N, joints) of a feed-forward that knows the base's motion
     ydd: Array | None = None  # (n, N, 6) acceleration of the base
     u: Array | None = None  # (n, N, m) internal modes of the base, None where it has none
     ud: Array | None = None
@@ -135,6 +137,7 @@ class Recording:
     events: tuple[Event, ...] = ()  # safety stops; a run is meaningful up to its own
     backend: str = ""  # the engine that ran
     watch: Watch | None = None  # of joints and bases, where they were watched
+    account: EnergyAccount | None = None  # of the energies meanwhile, where it is kept
 
     def internal(self, i: Any, part: Any = slice(None)) -> tuple[Array, Array] | None:
         """Return u and u' of the internal modes in run i, None of a base without.
@@ -198,6 +201,14 @@ class Recording:
             weight=weight,
             watched=None if self.watch is None else self.watch.base(i),
         )
+
+    def energy_residual(self, i: int) -> float | None:
+        """Return how far the energy account of run i is open; None where none was kept.
+
+        Args:
+            i: which run.
+        """
+        return None if self.account is None else float(self.account.residual[i])
 
     def _recorded_modes(self, system: System, i: Any) -> tuple[Array, Array] | None:
         """Internal modes of runs; None where effects have added some, not recorded."""
@@ -273,6 +284,7 @@ class Recording:
                 "kp": list(self.servo.kp),
                 "kd": list(self.servo.kd),
                 "feedforward": self.servo.feedforward,
+                **({"moving_base": True} if self.servo.holds(self.system.arm) else {}),
             },
             "initial": initial,
             "noise_std": {},
@@ -284,6 +296,8 @@ class Recording:
             meta["events"] = stops
         if self.watch is not None:
             meta["limits"] = self.limit_check(i).to_dict()
+        if (residual := self.energy_residual(i)) is not None:
+            meta["energy_residual"] = residual
         if self.system.payload is not None:
             captures = [event for event in self.captures if event.simulation == i]
             meta["captures"] = [event.to_dict() for event in captures]

@@ -15,6 +15,7 @@ from ves_gym.mechanics.limits import LimitCheck, check_reference, limits_of
 from ves_gym.mechanics.linear_range import range_sentence
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import vehicle_name
+from ves_gym.simulation.energy_account import TRUSTED
 from ves_gym.simulation.state import Event
 from ves_gym.system.energy import TAIL, Energies, log_energies
 from ves_gym.system.energy_balance import EnergyBalance
@@ -23,7 +24,6 @@ from ves_gym.system.system import System
 
 SCHEMA = "ves-simulate/1"
 _FINE, _APART = 40, 0.2  # modes, and the share by which the flange may start otherwise on them
-TRUSTED = 0.01  # of the work through the base, that the energy account may be open by
 _MEANING = {
     "E_mean": "mean of the base energy over the motion and {tail:g} s after it (the score)",
     "E_res": "at the end of the motion",
@@ -47,7 +47,8 @@ class RunSummary:
     energies_in_space: Energies | None  # None unless it was emulated beside a run in space
     # largest distance from where the base is in space, over its largest
     base_error: float | None
-    ledger: float | None  # relative residual of the energy account, mode ideal
+    ledger: float | None  # relative residual of the log's energy account, mode ideal
+    account: float | None  # of that kept at every physics step of the motion, where it was
     reference: LimitCheck
     simulated: LimitCheck
 
@@ -59,11 +60,14 @@ class RunSummary:
 
     @property
     def trusted(self) -> bool:
-        """False where energy came from nowhere; True too where records are too far apart."""
-        step = float(self.log.t[1] - self.log.t[0])
-        if self.ledger is None or step > 1.5 * self.system.physics_dt:
-            return True
-        return self.ledger < TRUSTED
+        """False where energy came from nowhere; True too where no account can tell."""
+        return self._residual < TRUSTED
+
+    @property
+    def _residual(self) -> float:
+        """The larger of the accounts that can be believed."""
+        close = float(self.log.t[1] - self.log.t[0]) <= 1.5 * self.system.physics_dt
+        return max(self.account or 0.0, (close and self.ledger) or 0.0)
 
     @property
     def warnings(self) -> list[str]:
@@ -71,8 +75,9 @@ class RunSummary:
         out = self.reference.sentences("reference") + self.simulated.sentences("simulated arm")
         if not self.trusted:
             out.append(
-                f"the energy account is open by {self.ledger:.2g} of the work through the base,"
-                f" at most {TRUSTED:g}: do not trust this run; a smaller --physics-dt closes it"
+                f"the energy account is open by {self._residual:.2g} of the work through the"
+                f" base, at most {TRUSTED:g}: do not trust this run; a smaller --physics-dt"
+                " closes it"
             )
         left = range_sentence(self.system.vehicle, self.log.y)
         return [*out, *filter(None, [left, *map(self._stiff_at, self._grasps)])]
@@ -117,6 +122,7 @@ class RunSummary:
             "tail": self.tail,
             "energies": _plain(self.energies),
             "ledger_residual": self.ledger,
+            "energy_residual": self.account,
             "trusted": self.trusted,
             "propellant": self.propellant,
             "limits": {
@@ -193,7 +199,9 @@ def summarise(
     if system.mode == "ideal":
         relative = EnergyBalance.of(log).relative
         ledger = relative if math.isfinite(relative) else None
-    limits = limits_of(system.arm, motor=system.drive == "motor")
+    # a torque that knows how the base moves is the simulated arm's alone
+    still = system.drive == "motor" and log.tau_ff is None
+    limits = limits_of(system.arm, motor=still)
     return RunSummary(
         system=system,
         motion=motion,
@@ -204,6 +212,7 @@ def summarise(
         energies_in_space=None if space is None else log_energies(space, tail=tail),
         base_error=None if space is None else _base_error(log, space),
         ledger=ledger,
+        account=log.meta.get("energy_residual"),
         reference=check_reference(system.arm, motion, limits),
         simulated=LimitCheck.from_dict(log.meta["limits"], system.arm.sliding),
     )

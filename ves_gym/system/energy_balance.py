@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -136,35 +137,48 @@ def _kinetic_at_start(system: System, log: RunLog) -> float:
 
 
 def _drive_work(system: System, log: RunLog) -> Array:
-    """(N,) work of the joint drives [J].
+    """(N,) work of the joint drives [J]."""
+    assert log.tau is not None and log.v is not None
+    gains = log.meta.get("controller", {})
+    of = [np.asarray(gains[k], float) for k in ("kp", "kd")] if gains else []
+    return drive_work(system, of, log.t, log.q, log.v, log.tau)
+
+
+def drive_work(
+    system: System, gains: Sequence[Array], t: Array, q: Array, v: Array, tau: Array
+) -> Array:
+    """Work of the joint drives since the first sample (N, ...) [J].
 
     At the physics step a servo's torque is c - kp q - kd v with the command c linear over
     the step. Simpson's rule would take kp c for as smooth as the motion, and miss
     h^2 / 12 of its curvature: 1e-3 of the work through the port (docs/physics.md).
+
+    Args:
+        system: whose drives and physics step.
+        gains: kp and kd of the servo; none: not known.
+        t: (N,) [s]. q, v, tau: (N, ..., joints).
     """
-    assert log.tau is not None and log.v is not None
-    gains = log.meta.get("controller", {})
-    step = np.diff(log.t)
+    step = np.diff(t)
     at_physics_step = len(step) > 0 and np.allclose(step, system.physics_dt, rtol=1e-6)
-    if system.drive != "motor" or not gains or not at_physics_step:
-        power = np.sum(log.tau * log.v, axis=-1)
-        return np.asarray(
-            scipy.integrate.cumulative_simpson(power, x=log.t, initial=0.0), dtype=np.float64
-        )
-    kp, kd = (np.asarray(gains[k], float) for k in ("kp", "kd"))
-    h, q, v = system.physics_dt, log.q - log.q[0], log.v
-    command = log.tau + kp * q + kd * v
+    if system.drive != "motor" or not len(gains) or not at_physics_step:
+        power = np.sum(tau * v, axis=-1)
+        simple = scipy.integrate.cumulative_simpson(power, x=t, axis=0, initial=0.0)
+        return np.asarray(simple, np.float64)
+    kp, kd = gains
+    h, q = system.physics_dt, q - q[0]
+    command = tau + kp * q + kd * v
     # int c v = [c q] - c' int q, with q of both ends and their slopes known
     area = h / 2 * (q[1:] + q[:-1]) - h**2 / 12 * np.diff(v, axis=0)
     pushed = np.diff(command * q - kp * q**2 / 2, axis=0) - np.diff(command, axis=0) / h * area
     damped = np.diff(
-        scipy.integrate.cumulative_simpson(kd * v**2, x=log.t, axis=0, initial=0.0), axis=0
+        scipy.integrate.cumulative_simpson(kd * v**2, x=t, axis=0, initial=0.0), axis=0
     )
     # a saturated motor gives its limit, whatever the command
-    limited = np.abs(log.tau) > (1 - 1e-9) * system.arm.column("tau_max")
-    clipped = (log.tau[1:] + log.tau[:-1]) / 2 * np.diff(q, axis=0)
+    limited = np.abs(tau) > (1 - 1e-9) * system.arm.column("tau_max")
+    clipped = (tau[1:] + tau[:-1]) / 2 * np.diff(q, axis=0)
     work = np.where(limited[1:] | limited[:-1], clipped, pushed - damped)
-    out: Array = np.r_[0.0, np.cumsum(work.sum(axis=-1))]
+    out = np.zeros(tau.shape[:-1])
+    out[1:] = np.cumsum(work.sum(axis=-1), axis=0)
     return out
 
 

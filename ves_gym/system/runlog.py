@@ -83,6 +83,8 @@ class RunLog(Viewable):
     meta: Mapping[str, Any]  # plain JSON data; a copy
     v: Array | None = None  # (N, n) rad/s, measured
     tau: Array | None = None  # (N, n) N m, motor torque
+    # (N, n) N m, in it, sent ahead by a controller that foresees how the base will move
+    tau_ff: Array | None = None
     y_cmd: Array | None = None  # (N, 6) m, rad
     yd: Array | None = None  # (N, 6) m/s, rad/s: d/dt of y, where it is measured
     w: Array | None = None  # (N, 6) N, N m: force sensor; on Earth it contains the weight

@@ -35,6 +35,7 @@ QUANTITIES = {
     "q": (JOINT, True),
     "v": (JOINT, False),
     "tau": (JOINT, False),
+    "tau_ff": (JOINT, False),
     "y": (POSE, True),
     "y_cmd": (POSE, False),
     "yd": (POSE, False),

@@ -11,19 +11,25 @@ import pytest
 import ves_gym.effects as E
 from tests.diagnosis.logs import NOISE, RIGID, logged
 from ves_gym._util.signals import differentiated
+from ves_gym.diagnosis.data.measured_run import run_of
 from ves_gym.diagnosis.inference.candidates import library
 from ves_gym.diagnosis.inference.fit import fit
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.gear_deflection import deflections
 from ves_gym.diagnosis.machines.rates import low_passed
-from ves_gym.diagnosis.machines.servo import commanded_torque_weight
+from ves_gym.diagnosis.machines.servo import commanded_torque_weight, servo_gap
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.diagnosis.machines.tolerances import StatedErrors
 from ves_gym.diagnosis.machines.torque_balance import winding_noise, windings
-from ves_gym.mechanics.servo import JointServo
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.servo import OWN_SERVO, JointServo
+from ves_gym.mechanics.vehicle import BENT_THESIS
+from ves_gym.simulation.playback import play_motions
+from ves_gym.system.system import System
 
 SOFT = JointServo(kp=(3000.0, 2000.0, 100.0), kd=(50.0, 40.0, 5.0))  # joint 3 as a wrist is
 STIFF = JointServo(kp=(20000.0, 20000.0, 5000.0), kd=(300.0, 300.0, 50.0))
+SWING = Motion.straight([0.3, -0.4, 0.5], [0.9, 0.1, -0.3], 1.0)
 OFFSET = E.JointTorqueOffset(torque=(0.0, 0.0, 0.04))
 
 
@@ -234,3 +240,15 @@ def test_play_is_told_where_it_is_and_not_where_a_neighbour_feels_it(rubs):
     names = [f"joint/backlash at joint {k}" for k in (1, 2, 3)]
     gains = [gained(run, name, [1e-2], machine)[0] for name in names]
     assert gains[2] > 2 * max(gains[:2])
+
+
+def test_a_torque_sent_ahead_is_no_fault_of_the_servo():
+    """What a controller knew of the moving base is in the log, not in its commands."""
+    system = System(vehicle=BENT_THESIS)
+    log = play_motions(system, [SWING], servo=OWN_SERVO, settle=1.0, record_dt=5e-3).log(0)
+    gaps = []
+    for told in (log, dataclasses.replace(log, tau_ff=None)):
+        run = run_of(told, "swing")
+        gap = servo_gap(run, system, system.arm, (), np.zeros_like(run["q"]))
+        gaps.append(float(np.abs(run.window.spectrum(gap)).max()))
+    assert gaps[0] < 0.02 * gaps[1]

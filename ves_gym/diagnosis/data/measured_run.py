@@ -238,7 +238,7 @@ def run_of(log: RunLog, name: str, band: float = BAND) -> Run:
     Raises:
         ParameterError: too short, or sampled too slowly for the band.
     """
-    names = ("q_cmd", "v_cmd", "q", "v", "tau", "y", "y_cmd", "yd", "w")
+    names = ("q_cmd", "v_cmd", "q", "v", "tau", "tau_ff", "y", "y_cmd", "yd", "w")
     signals = {k: getattr(log, k) for k in names if getattr(log, k) is not None}
     if log.w is not None and log.wg is not None:  # both contain the same noise
         signals["weight"] = log.w - log.wg

@@ -21,7 +21,7 @@ def servo_gap(
     """Return the motor torque less what the controller asks for.
 
     Args:
-        run: with q_cmd, v_cmd, q, tau and the controller's gains.
+        run: with q_cmd, v_cmd, q, tau, the controller's gains and, if logged, its tau_ff.
         system: whose delays and lags of signals count.
         arm: as described, for the feed-forward.
         off: errors of kp and kd, relative, (n,) each; none: the gains are as stated.
@@ -36,11 +36,14 @@ def servo_gap(
         for name, error in zip(("kp", "kd"), off or (0.0, 0.0), strict=True)
     )
     delays = system.delays()
-    command = differentiated(run["q_cmd"], run.dt, run.band, ahead=-float(delays.command[0]))
+    ahead = -float(delays.command[0])
+    command = differentiated(run["q_cmd"], run.dt, run.band, ahead=ahead)
     q, v, _ = run.angles
     v = low_passed(v + swing, delays.lag[0], run.dt)
     demand = (command[0] - q) * kp + (command[1] - v) * kd
-    if gains.get("feedforward", False):
+    if "tau_ff" in run:
+        demand = demand + differentiated(run["tau_ff"], run.dt, run.band, ahead=ahead)[0]
+    elif gains.get("feedforward", False):
         demand = demand + inverse_dynamics(arm, *command)[0]
     most = arm.column("tau_max")
     return np.asarray(run["tau"] - np.clip(demand, -most, most))

@@ -108,7 +108,11 @@ def replay_runs(
     q, v = (np.stack([_at(t, run, run[key]) for run in runs]) for key in ("q_cmd", "v_cmd"))
     v[t > np.array([[(run.length - 1) * run.dt] for run in runs])] = 0.0
     samples = Samples(t, q, v, np.gradient(v, system.physics_dt, axis=1))
-    commands = sim.servo_command(q, v, servo.torque_feedforward(system.arm, samples))
+    fed = servo.torque_feedforward(system.arm, samples)
+    for i, run in enumerate(runs):
+        if "tau_ff" in run:
+            fed[i] = _at(t, run, run["tau_ff"])
+    commands = sim.servo_command(q, v, fed)
     follow = None
     if system.mode == "emulated" and system.emulator_settings.operation == "position":
         pose = np.stack([_at(t[:-1:k], run, run["y_cmd"]) for run in runs])

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -21,6 +22,7 @@ from ves_gym.leaderboard.files import Recording
 from ves_gym.leaderboard.problems import DURATIONS, OBSTACLES, Problem, Seeds
 from ves_gym.leaderboard.tracks.base import Answers, BoardTrack, Progress, no_progress
 from ves_gym.mechanics.motion import DEGREE, Motion
+from ves_gym.mechanics.servo import OWN_GAINS
 from ves_gym.planners.execution_check import executed_violation, solve_with_reserve
 from ves_gym.planners.query import Plan, Planner, Query, first_violation, solve
 from ves_gym.planners.registry import PLANNERS
@@ -98,7 +100,8 @@ def path_queries(problem: Problem, seeds: Seeds) -> list[Query]:
         seed=seeds.root,
         durations=(DURATIONS[duration],),
     )
-    return [query for _, query in suite.queries]
+    # the board's servo: it takes the base to stand still
+    return [replace(query, servo=OWN_GAINS) for _, query in suite.queries]
 
 
 @lru_cache(maxsize=16)

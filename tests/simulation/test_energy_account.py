@@ -1,0 +1,62 @@
+"""The energy account is kept whatever is recorded; a run that it doubts is no answer."""
+
+import pytest
+
+import ves_gym as vg
+from ves_gym.effects.joint_friction import JointViscous
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.servo import OWN_SERVO
+from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, FREE_FLOATING, SERVICER
+from ves_gym.planners.execution_check import executed_violation
+from ves_gym.planners.query import Query
+from ves_gym.simulation.energy_account import TRUSTED
+from ves_gym.simulation.playback import play_motions
+from ves_gym.simulation.run_summary import summarise
+from ves_gym.system.energy_balance import EnergyBalance
+from ves_gym.system.system import System
+
+START, GOAL = (0.3, -0.4, 0.5), (0.9, 0.1, -0.3)
+MOTIONS = [Motion.straight(START, GOAL, 1.0), Motion.straight(START, (0.1, -0.3, 0.4), 1.0)]
+SYSTEMS = {
+    "modes": System(vehicle=BENT),
+    "free": System(vehicle=FREE_FLOATING),
+    "friction": System(vehicle=BENT_THESIS, effects=(JointViscous(damping=(20.0,) * 3),)),
+    "euler": System(vehicle=BENT_THESIS, integrator="euler", physics_dt=6.25e-3),
+}
+
+
+def played(system, interval=None, motions=MOTIONS):
+    return play_motions(
+        system, motions, servo=OWN_SERVO, settle=0.2, record_dt=interval, watch=True
+    )
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_it_is_that_of_a_log_of_every_step(name):
+    """Reference: `EnergyBalance`; Simpson's rule begins anew every 256 steps here."""
+    system = SYSTEMS[name]
+    dense, sparse = played(system, system.physics_dt), played(system, 0.1)
+    for i in range(2):
+        log = dense.log(i)
+        kept = log.meta["energy_residual"]
+        print(name, i, kept, EnergyBalance.of(log).relative)
+        assert kept == pytest.approx(EnergyBalance.of(log).relative, rel=0.02, abs=2e-5)
+        assert sparse.energy_residual(i) == pytest.approx(kept, rel=1e-6)
+    assert (kept > TRUSTED) == (name == "euler")
+
+
+def test_a_run_that_it_doubts_is_no_answer_and_says_so():
+    """Euler's rule with long steps, recorded too rarely for the log's own account."""
+    for name in ("euler", "modes"):
+        system = SYSTEMS[name]
+        query = Query(system=system, start=START, goal=GOAL, duration=1.0)
+        run, log = played(system, 0.1), vg.simulate(query.straight, system, record_dt=0.1)
+        summary, why = summarise(log, query.straight), executed_violation(query, run, 0)
+        assert summary.trusted == (why is None) == (name == "modes")
+        assert any("energy account" in k for k in summary.warnings) == (why is not None)
+        assert why is None or "energy account" in why
+
+
+def test_none_is_kept_of_what_it_does_not_know():
+    run = played(System(vehicle=SERVICER))
+    assert run.energy_residual(0) is None and "energy_residual" not in run.log(0).meta
