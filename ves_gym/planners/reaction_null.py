@@ -209,7 +209,7 @@ class ReactionProblem(MotionProblem):
         Momentum (6 (N + 1),); of a free base the angular part about the common centre of mass
         (3 (N + 1),) [kg m^2/s].
         """
-        position, velocity = self._bases
+        position, velocity, _ = self._bases
         control = self.control(x)
         q = position @ control
         sample = momentum(self.arm, q, velocity @ control)
