@@ -1,7 +1,7 @@
 """Columns of measured data in the files people have: text, MATLAB, HDF5, Parquet, folders.
 
 Nothing is lost in silence: what was understood of a file beside its plain columns is in
-`Recording.notes`.
+`FileColumns.notes`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?inf(inity)?", re.
 
 
 @dataclass(frozen=True)
-class Recording:
+class FileColumns:
     """Columns of a file, and how it was understood."""
 
     columns: dict[str, Array]  # (T,) by name; NaN where a cell has no number
@@ -44,7 +44,7 @@ def read_columns(path: str | os.PathLike[str]) -> dict[str, Array]:
     return read_recording(path).columns
 
 
-def read_recording(path: str | os.PathLike[str]) -> Recording:
+def read_recording(path: str | os.PathLike[str]) -> FileColumns:
     """Read all columns of a table in text, a .mat, HDF5 or Parquet file, or a folder of .csv.
 
     Tables may have any delimiter, decimal commas, comments and a row of units; without a line
@@ -89,7 +89,7 @@ def column_of(
 # -------------------------------------------------------------------------- text tables
 
 
-def _table(data: bytes) -> Recording:
+def _table(data: bytes) -> FileColumns:
     text, notes = _decoded(data)
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
     body = [(k, line) for k, line in lines if not line.lstrip().startswith(_COMMENT)]
@@ -122,7 +122,7 @@ def _table(data: bytes) -> Recording:
     units = dict(zip(names, fitting[1], strict=True)) if len(fitting) > 1 else {}
     named = [name for name, keep in zip(names, kept, strict=True) if keep]
     columns = _distinct(named, values, notes)
-    return Recording(columns, units, (*notes, *_missing(columns)))
+    return FileColumns(columns, units, (*notes, *_missing(columns)))
 
 
 def _decoded(data: bytes) -> tuple[str, list[str]]:
@@ -243,7 +243,7 @@ def _missing(columns: Mapping[str, Array]) -> list[str]:
     return [f"{k}: no number in {n} of {len(columns[k])} rows" for k, n in counts.items() if n]
 
 
-def _folder(path: Path) -> Recording:
+def _folder(path: Path) -> FileColumns:
     """Columns under their names, and under "file:name"; a name that means two things under the
     latter alone. Files that hold no table of numbers are left out if others do."""
     files = sorted(k for k in path.iterdir() if k.suffix.lower() == ".csv")
@@ -272,7 +272,7 @@ def _folder(path: Path) -> Recording:
     if refused is not None and not out:
         raise refused
     columns = {name: column for name, column in out.items() if name not in ambiguous}
-    return Recording(columns, units, tuple(notes))
+    return FileColumns(columns, units, tuple(notes))
 
 
 # ------------------------------------------------------------------ arrays by their name
@@ -337,7 +337,7 @@ def _datasets(path: Path) -> list[tuple[str, Any]]:
     return out
 
 
-def _as_columns(arrays: Mapping[str, Array]) -> Recording:
+def _as_columns(arrays: Mapping[str, Array]) -> FileColumns:
     """Columns of arrays: a matrix is a column per signal, its rows or its columns samples."""
     lengths = Counter(n for x in arrays.values() for n in set(x.shape) if n > 1)
     samples = max(lengths, key=lambda n: (lengths[n], n), default=1)
@@ -354,4 +354,4 @@ def _as_columns(arrays: Mapping[str, Array]) -> Recording:
             notes.append(
                 f"left out: {name} of shape {x.shape}, the data have {samples} samples"
             )
-    return Recording(columns, {}, (*notes, *_missing(columns)))
+    return FileColumns(columns, {}, (*notes, *_missing(columns)))

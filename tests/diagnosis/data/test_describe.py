@@ -8,7 +8,7 @@ import pytest
 
 from tests.diagnosis.machines import rigid_arm
 from ves_gym._util.params import ParameterError
-from ves_gym._util.recordings import Recording
+from ves_gym._util.recordings import FileColumns
 from ves_gym.cli.main import main
 from ves_gym.diagnosis.data.describe import describe
 from ves_gym.diagnosis.machines.mapping import read_machine
@@ -73,7 +73,7 @@ def test_the_walk_through_from_data_to_a_verdict(tmp_path, capsys):
 def test_what_is_missing_is_said(columns, said):
     t = np.arange(100) * 0.01
     data = {k: t if clock else np.sin(9 * t) for k, clock in columns.items()}
-    text = describe(Recording(data), "run.csv")
+    text = describe(FileColumns(data), "run.csv")
     assert said in "\n".join(k for k in text.splitlines() if k.startswith("#   - "))
     assert ("the log has 100 Hz" in text) == ("t" in columns)
     tomllib.loads(text)
@@ -83,16 +83,16 @@ def test_a_mapping_that_was_described_is_read_as_it_is(tmp_path):
     t = np.arange(1000) * 5e-3
     t[500:] += 0.1
     data = {"t": t, "arm_1_pos": np.sin(t), "arm_1_vel": np.cos(t)}
-    text = describe(Recording(data), "run.csv")
+    text = describe(FileColumns(data), "run.csv")
     assert "row 502 is 0.105 s after the one before" in text
     (tmp_path / "m.toml").write_text(text)
     machine, _ = read_machine(tmp_path / "m.toml")
     assert [p.name for p in machine.ports] == ["velocity"]
     with pytest.raises(ParameterError, match="no column looks like the position"):
-        describe(Recording({"a": t, "b": t}), "run.csv")
+        describe(FileColumns({"a": t, "b": t}), "run.csv")
     (tmp_path / "robot.urdf").write_text(rigid_arm.urdf())
     with pytest.raises(ParameterError, match=r"has 3 joints .* the data 1"):
-        describe(Recording(data), "run.csv", tmp_path / "robot.urdf")
+        describe(FileColumns(data), "run.csv", tmp_path / "robot.urdf")
 
 
 def test_tolerances_of_a_system_are_stated_in_a_file():

@@ -18,7 +18,7 @@ import numpy as np
 from ves_gym._util.mujoco_loader import read_model
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import named, read_xml
-from ves_gym._util.recordings import Recording
+from ves_gym._util.recordings import FileColumns
 from ves_gym.diagnosis.data.measured_run import BAND
 from ves_gym.diagnosis.machines.mjcf_mapping import SCHEMA
 
@@ -86,7 +86,7 @@ class _Time:
 
 
 def describe(
-    recording: Recording,
+    recording: FileColumns,
     source: str,
     model: Path | None = None,
     written: Path | None = None,
@@ -175,7 +175,7 @@ _SETTINGS = (
 )
 
 
-def _complete(recording: Recording) -> tuple[dict[str, Array], list[str]]:
+def _complete(recording: FileColumns) -> tuple[dict[str, Array], list[str]]:
     """Columns of the samples, their gaps filled, and what is to be told of the data."""
     told, out = list(recording.notes), {}
     lengths = Counter(len(x) for x in recording.columns.values() if len(x) > 1)
@@ -192,7 +192,7 @@ def _complete(recording: Recording) -> tuple[dict[str, Array], list[str]]:
 
 
 def _called(
-    recording: Recording, complete: Mapping[str, Array], called: Sequence[str], source: str
+    recording: FileColumns, complete: Mapping[str, Array], called: Sequence[str], source: str
 ) -> dict[str, _Name]:
     """What the name of each column says; of one that stands again, nothing."""
     columns = recording.columns
