@@ -121,7 +121,12 @@ def test_laws_without_a_plan_reach_every_target_and_spare_the_base(
         ("adaptive", "PumaTrack", None, "leads the reference of task rest_to_rest"),
         ("mppi", "PumaDamp", None, "leads the reference of task rest_to_rest"),
         ("ilqr", "PumaRestToRest", "acceleration", "through control guided, got task"),
-        ("resolved", "PumaRestToRest", None, "tasks reach, track, free_flyer and payload"),
+        (
+            "resolved",
+            "PumaRestToRest",
+            None,
+            "tasks reach, track, free_flyer, payload_transfer and",
+        ),
         ("resolved-pose", "PumaReach", None, "leads the reference of task pose_reach"),
         ("closing-pose", "PumaReach", None, "acts on task pose_reach through"),
         ("closing", "PumaRestToRest", None, "got task rest_to_rest through"),

@@ -23,6 +23,7 @@ UNTRAINED = {
     "PayloadTransfer",
     "PumaRestToRest",
     "ServicerCapture",
+    "DualArmReach",
     "BerthingContact",
 }  # tasks that no policy comes for yet
 

@@ -52,7 +52,9 @@ def ratio_and_limits(system, q, y):
         v_max=tuple(system.arm.column("v_max").tolist()),
     )
     plan = solve(DampRelease(), query)
-    run = play_motions(system, [plan.motion], y=y, settle=SECONDS - MOTION, watch=True)
+    run = play_motions(
+        system, [plan.motion], servo=query.servo, y=y, settle=SECONDS - MOTION, watch=True
+    )
     strain = base_energy(system, run.q[0], run.y[0], run.yd[0], run.internal(0)).strain
     ratio = np.trapezoid(strain, run.t) / held.E_int[0]
     return ratio, [plan.failure, *run.limit_check(0).broken]

@@ -74,9 +74,11 @@ class JointServo:
         """True where joints are fed forward against the base, and do not yield to it.
 
         Args:
-            arm: whose joints; of one that bends nobody foresees what it takes.
+            arm: whose joints; of links that bend and gears that give way nobody foresees what
+                they take.
         """
-        return self.feedforward and self.moving_base and not arm.bends
+        rigid = not (arm.bends or arm.geared)
+        return self.feedforward and self.moving_base and rigid
 
     def torque_feedforward(
         self, arm: Arm, command: Samples, base: Sequence[Array] = ()

@@ -230,7 +230,7 @@ class MotionProblem:
             polygon = degree * np.diff(polygon, axis=0) / span[:, None]
             if limit is None:
                 continue
-            exact = self._loads is None or self.query.servo.holds(self.arm)
+            exact = self.query.base is None  # and so joints yield to nothing
             most = (_SHARE if exact else _MOVED_SHARE) * np.array(limit)
             up, down = self._yielding(t, order) / most
             rows = self._at_points(polygon)[:, None] * np.diag(1 / most)[:, None]

@@ -11,7 +11,7 @@ import numpy as np
 from ves_gym._util.tables import table
 from ves_gym.mechanics.flexible_base import FlexibleBase, with_modes
 from ves_gym.mechanics.latch import base_jump
-from ves_gym.mechanics.limits import LimitCheck, check_reference, limits_of
+from ves_gym.mechanics.limits import LimitCheck, check_limits, check_reference, limits_of
 from ves_gym.mechanics.linear_range import range_sentence
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import vehicle_name
@@ -199,9 +199,6 @@ def summarise(
     if system.mode == "ideal":
         relative = EnergyBalance.of(log).relative
         ledger = relative if math.isfinite(relative) else None
-    # a torque that knows how the base moves is the simulated arm's alone
-    still = system.drive == "motor" and log.tau_ff is None
-    limits = limits_of(system.arm, motor=still)
     return RunSummary(
         system=system,
         motion=motion,
@@ -213,9 +210,22 @@ def summarise(
         base_error=None if space is None else _base_error(log, space),
         ledger=ledger,
         account=log.meta.get("energy_residual"),
-        reference=check_reference(system.arm, motion, limits),
+        reference=_reference_check(system, motion, log),
         simulated=LimitCheck.from_dict(log.meta["limits"], system.arm.sliding),
     )
+
+
+def _reference_check(system: System, motion: Motion, log: RunLog) -> LimitCheck:
+    """Limits of what was asked: the torque that was sent ahead, where it is known."""
+    told = log.tau_ff is not None
+    motor = system.drive == "motor"
+    asked = check_reference(system.arm, motion, limits_of(system.arm, motor=motor and not told))
+    if not motor or log.tau_ff is None:
+        return asked
+    during = log.t <= motion.duration
+    torque = {"torque": log.tau_ff[during]}
+    limit = {"torque": system.arm.column("tau_max")}
+    return LimitCheck((*asked.extremes, *check_limits(limit, log.t[during], torque).extremes))
 
 
 def _base_error(log: RunLog, space: RunLog) -> float:
