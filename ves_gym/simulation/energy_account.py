@@ -41,10 +41,12 @@ class EnergyAccount:
 
     @staticmethod
     def keeps(system: System) -> bool:
-        """True for systems whose account this is: no latch, contact, gears, wheels or jets."""
+        """True for systems whose account this is: no latch, contact, gears, wheels, jets, or
+        modes that an effect hides."""
         acts = has_jets(system.vehicle) or system.base.carried or system.actual.arm.geared
         touches = system.payload is not None or system.contact is not None
-        return system.mode == "ideal" and not (acts or touches)
+        hides = system.actual.base.m != system.base.m
+        return system.mode == "ideal" and not (acts or touches or hides)
 
     def enter(self, t: float, *row: Array) -> None:
         """Take a step into account.
