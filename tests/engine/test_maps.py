@@ -27,9 +27,10 @@ from ves_gym.system.system import System
 from ves_gym.system.system_library import get_system
 
 
-@pytest.mark.parametrize("vehicle", VEHICLES)
+@pytest.mark.parametrize("vehicle", [k for k in VEHICLES if k != "servicer-flexible"])
 def test_coupling_matrices_are_those_of_numpy(vehicle):
-    """Reference: `coupling_matrix` on few configurations, which does not compile."""
+    """Reference: `coupling_matrix` on few configurations, which does not compile; of bases that
+    carry bodies it never does."""
     system = System(vehicle=VEHICLES[vehicle])
     q = np.random.default_rng(0).uniform(-3, 3, (101, 3))
     expected = coupling_matrix(system, q)

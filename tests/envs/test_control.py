@@ -24,7 +24,7 @@ from ves_gym.envs.control import (
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.servo import PPED_GAINS
+from ves_gym.mechanics.servo import OWN_GAINS, PPED_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES
 from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.query import Query
@@ -84,6 +84,7 @@ def test_guided_zero_leaves_the_energy_of_the_planning_benchmark(vehicle):
                 start=tuple(a),
                 goal=tuple(b),
                 duration=2.0,
+                servo=OWN_GAINS,  # an environment knows no motion beforehand
                 name=f"{i}",
             ),
         )

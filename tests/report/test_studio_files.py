@@ -164,7 +164,7 @@ def test_the_drawn_path_is_played_on_its_machine(browser, tmp_path, capsys, vehi
     played = json.loads(capsys.readouterr().out)
     energy = played["energies"]["E_mean"]
     assert energy == pytest.approx(shown, rel=7e-3)
-    run = play_motions(system, [case.motion], settle=10.0, record_dt=0.0125)
+    run = play_motions(system, [case.motion], servo=case.servo, settle=10.0, record_dt=0.0125)
     assert energy == pytest.approx(run.energies()[0].E_mean, rel=1e-3)
     assert browser.errors == []
 

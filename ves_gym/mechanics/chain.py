@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import Array, ParameterError, finite
 from ves_gym.mechanics.arm import (
     BANDWIDTH,
     WEIGHTLESS,
@@ -97,6 +97,7 @@ class Lump:
         about = self.second - square
         if np.abs(about).max() <= _NOTHING * np.abs(square).max(initial=0.0):
             about = np.zeros((3, 3))  # of a point mass, what rounding leaves is no inertia
+        finite(about, (3, 3), "the inertia of fixed links together")  # far ones overflow
         least = np.trace(about) / 2 - np.linalg.eigvalsh(about)[-1]
         if -_NOTHING * np.abs(self.second).max() <= least < 0:
             about = rigid_moments(about)  # of few point masses rounding leaves no body

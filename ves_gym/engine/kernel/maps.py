@@ -48,7 +48,7 @@ def coupling_matrices(system: System, q: Array) -> Array:
     mode's graph has no M, D and K.
 
     Args:
-        system: arm and vehicle.
+        system: arm and vehicle, which carries no appendage: the graph knows none.
         q: (N, n) joint angles [rad].
 
     Returns:
