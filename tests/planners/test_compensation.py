@@ -37,6 +37,7 @@ def test_the_other_arm_takes_the_energy_out_of_the_beam(planner):
     assert left_over(ON_BENT, free) <= 0.1 * left_over(ON_BENT, held)
 
 
+@pytest.mark.slow
 def test_a_tool_pose_leaves_the_other_arm_free():
     place, _ = tool_frame(ON_BENT.arm, np.r_[START[:6], GOAL])
     pose = ToolPose(position=tuple(place.tolist()))

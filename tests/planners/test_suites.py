@@ -65,7 +65,13 @@ def test_every_straight_line_keeps_the_speed_limits(full):
 ARMS = [*map(get_arm, arm_names()), planar_arm(), six_joint_arm(), seven_joint_arm()]
 
 
-@pytest.mark.parametrize("arm", ARMS, ids=lambda k: k.name)
+@pytest.mark.parametrize(
+    "arm",
+    [
+        pytest.param(k, marks=pytest.mark.slow if k.name == "canadarm2" else (), id=k.name)
+        for k in ARMS
+    ],
+)
 def test_reach100_asks_any_arm(arm):
     """From its own limits, and with its own servo gains where it has some.
 
