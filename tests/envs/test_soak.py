@@ -43,7 +43,7 @@ def random_effects(name, noise):
             # the last: stiff or heavily damped gears, for the step of an environment
             known = (
                 "would do nothing", "got a satellite", "physics_dt must be",
-                "the numbers of a rigid body",
+                "the numbers of a rigid body", "needs its rotor_inertia > 0",
             )  # fmt: skip
             assert any(text in str(error) for text in known), error
         else:

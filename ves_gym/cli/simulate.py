@@ -49,7 +49,7 @@ def _gains(text: str, place: Place) -> JointServo:
         zero = (0.0,) * n
         return JointServo(kp=zero, kd=zero, feedforward=False, source=FREE.source)
     if text in NAMED:
-        return replace(NAMED[text], moving_base=True)
+        return NAMED[text]
     try:
         kp, kd = (tuple(floats(part)) for part in text.split("/"))
     except ValueError:
@@ -59,12 +59,13 @@ def _gains(text: str, place: Place) -> JointServo:
             f"--gains must be {', '.join(NAMED)}, or kp/kd with 1 or {n} numbers each, like"
             f" 100/10, got {text!r}"
         )
-    return JointServo(kp=kp * (n // len(kp)), kd=kd * (n // len(kd)), moving_base=True)
+    return JointServo(kp=kp * (n // len(kp)), kd=kd * (n // len(kd)))
 
 
 GAINS = Flag("--gains", "G", _gains,
              f"{', '.join(NAMED)}, or kp/kd like 3000,2000,1000/50,40,30 (default own: the"
-             " arm's)")  # fmt: skip
+             " arm's, fed forward on the base as it will move; others as if it stood still)"
+             )  # fmt: skip
 
 
 def simulate(
