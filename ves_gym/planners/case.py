@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +94,8 @@ class Query:
             self.base.stacked(self.system)
         if self.system.drive == "motor":
             servo = self.servo.for_arm(arm, self.system.vehicle)
+            if self.base is not None:  # motors cannot hold against what moves already
+                servo = replace(servo, moving_base=False)
             object.__setattr__(self, "servo", servo)  # the class is frozen
 
     @property
