@@ -108,6 +108,18 @@ def test_a_case_is_the_same_when_it_is_read(plan, tmp_path):
     assert 'arm = "ur5e"' in text and 'vehicle = "bent"' in text
 
 
+def test_a_case_whose_base_moves_already_is_read(tmp_path):
+    """No motor holds against it, so the usual servo foresees nothing, in query and case."""
+    file = tmp_path / "case.toml"
+    query = "start = [0, 0, 0]\ngoal = [0.3, 0.2, -0.2]\nduration = 2.0"
+    file.write_text(f"[query]\n{query}\n[query.base]\nyd = [0.01, 0, 0, 0, 0, 0]\n")
+    case = vg.load_case(file)
+    assert case.query.base.yd[0] == 0.01
+    assert case.query.servo == case.servo and not case.servo.moving_base
+    file.write_text(f"[query]\n{query}\n")
+    assert vg.load_case(file).servo.moving_base
+
+
 def test_a_person_writes_a_case(tmp_path):
     """Names of the package, files from the case's folder, the arm's own speed limits."""
     write_table(tmp_path / "mast.toml", vg.get_vehicle("bent-thesis"))

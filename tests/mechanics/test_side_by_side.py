@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from tests.two_engines import require_alike
 from ves_gym._util.params import ParameterError
 from ves_gym.engine.mjcf import TO_Y
 from ves_gym.mechanics.arm import Gear, Limb
@@ -18,7 +19,6 @@ from ves_gym.mechanics.side_by_side import side_by_side
 from ves_gym.mechanics.tool_pose import joints_for
 from ves_gym.mechanics.vehicle import BENT, Satellite, get_vehicle
 from ves_gym.planners.obstacles import Surroundings, collisions
-from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.system import System
@@ -102,17 +102,9 @@ def test_a_run_is_the_same_on_both_engines_and_its_ledger_closes(vehicle, geared
     rng = np.random.default_rng(3)
     start = rng.uniform(-1, 1, 12)
     motion = Motion.straight(start, start + rng.uniform(-0.3, 0.3, 12), 1.0)
-    logs = [
-        play_motions(
-            system, [motion], settle=0.5, record_dt=system.physics_dt, backend=name
-        ).log(0)
-        for name in ("kernel", "mujoco")
-    ]
-    for name in ("q", "v", "tau", "y", "yd", "w"):
-        a, b = (getattr(log, name) for log in logs)
-        assert np.abs(a - b).max() <= 1e-9 * max(1.0, np.abs(a).max()), name
+    log = require_alike(system, motion)
     if not geared:
-        assert EnergyBalance.of(logs[0]).relative <= 1e-5
+        assert EnergyBalance.of(log).relative <= 1e-5
 
 
 def test_a_system_of_two_arms_is_written_and_read(tmp_path):

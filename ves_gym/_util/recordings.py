@@ -280,26 +280,10 @@ def _folder(path: Path) -> FileColumns:
 
 def arrays_of(path: Path) -> dict[str, Array]:
     """Arrays of numbers of a .mat, HDF5 or Parquet file by name, for `read_apart`."""
-    found: Iterable[tuple[str, Any]]
-    try:
-        if path.suffix.lower() == ".parquet":
-            require("Parquet", "pyarrow")
-            from pyarrow import parquet
-
-            table = parquet.read_table(path)
-            return {
-                name: column.to_numpy().astype(float)
-                for name, column in zip(table.column_names, table.columns, strict=True)
-                if str(column.type).startswith(("double", "float", "int", "uint"))
-            }
-        if path.suffix.lower() != ".mat":
-            raise NotImplementedError
-        from scipy.io import loadmat
-
-        loaded = loadmat(path, simplify_cells=True)
-        found = _leaves({k: v for k, v in loaded.items() if not k.startswith("__")})
-    except NotImplementedError:  # .mat of version 7.3 is HDF5
-        found = _datasets(path)
+    suffix = path.suffix.lower()
+    if suffix == ".parquet":
+        return _parquet(path)
+    found = _matlab(path) if suffix == ".mat" else _datasets(path)
     out = {
         name: np.asarray(value, float)
         for name, value in found
@@ -308,6 +292,28 @@ def arrays_of(path: Path) -> dict[str, Array]:
     if not out:
         raise ValueError("it holds no variable of numbers")
     return out
+
+
+def _parquet(path: Path) -> dict[str, Array]:
+    require("Parquet", "pyarrow")
+    from pyarrow import parquet
+
+    table = parquet.read_table(path)
+    return {
+        name: column.to_numpy().astype(float)
+        for name, column in zip(table.column_names, table.columns, strict=True)
+        if str(column.type).startswith(("double", "float", "int", "uint"))
+    }
+
+
+def _matlab(path: Path) -> Iterable[tuple[str, Any]]:
+    from scipy.io import loadmat
+
+    try:
+        loaded = loadmat(path, simplify_cells=True)
+    except NotImplementedError:  # version 7.3 is HDF5
+        return _datasets(path)
+    return _leaves({k: v for k, v in loaded.items() if not k.startswith("__")})
 
 
 def _leaves(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:

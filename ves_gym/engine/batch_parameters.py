@@ -185,7 +185,7 @@ class Bodies:
     gamma: Array  # (n, 12, 6)
     mass: Array  # (n,) of the arm [kg]
     P: Array  # (n, p) of its weight's moment [kg m]
-    numbers: Array  # (n, k) of `numbers.parameters` as `maps.inertia_function` takes them
+    numbers: Array  # (n, k) of `numbers.parameters` as `trace.inertia_matrix` takes them
 
     @staticmethod
     def of(system: System, linear: bool, sampled: bool, numbers: Array) -> Bodies:

@@ -471,10 +471,11 @@ class Batch:
             info["base/propellant"] = acts.propellant.copy()
             if acts.wheels:
                 info["base/wheel_momentum"] = self.sim.wheel_speed * acts.rotors
-        pose = self.sim.backend.read()[1][:, :6]
-        used = (np.abs(pose) * self._per_range).max(axis=1)
-        if (beyond := used > 1.0).any():
-            info["base/range"], info["_base/range"] = used, beyond
+        if self._per_range.any():  # a satellite has no range
+            pose = self.sim.backend.read()[1][:, :6]
+            used = (np.abs(pose) * self._per_range).max(axis=1)
+            if (beyond := used > 1.0).any():
+                info["base/range"], info["_base/range"] = used, beyond
         info.update(self.randomized())
         if self.recorder is not None:
             info.update(self.recorder.step(diverged if over is None else diverged & ~over))

@@ -21,7 +21,7 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.backends.gpu_kernel import KINDS
 from ves_gym.engine.backends.kernel import stepper
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
-from ves_gym.engine.kernel.maps import inertia_function, scene_function, torque_function
+from ves_gym.engine.kernel.maps import scene_function, system_function, torque_function
 from ves_gym.engine.kernel.numbers import parameters
 from ves_gym.engine.kernel.scalar import REALS
 from ves_gym.engine.kernel.warp_code import launch, launch_graph
@@ -398,7 +398,7 @@ class DeviceRows:
         kp, kd = (reference[shape.reference[k]].T.contiguous() for k in ("kp", "kd"))
         constants = self._constants
         entries = torch.empty((size * size, len(ids)), dtype=q.dtype, device=q.device)
-        kernel = inertia_function(system).gpu("float64", (1,))
+        kernel = system_function("inertia_matrix", system).gpu("float64", (1,))
         arrays = [self.wp.from_torch(k.contiguous()) for k in (q, constants[0], entries)]
         launch_graph(kernel, arrays, self.device)
         M, D, K, eye = constants[1:]

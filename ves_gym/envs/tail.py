@@ -27,7 +27,7 @@ from ves_gym.engine.kernel.compiled_function import (
     fill,
     unlane,
 )
-from ves_gym.engine.kernel.maps import inertia_function
+from ves_gym.engine.kernel.maps import system_function
 from ves_gym.engine.kernel.numbers import parameters
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import forward, inverted_root, root, sum_quadratic
@@ -124,7 +124,7 @@ class FreeDecay:
         arm = everywhere(parameters(self.system)[1])
         described, roots = everywhere(self.M.ravel()), everywhere(root(self.K).ravel())
         pieces = [
-            inertia_function(self.system).piece(q, arm, blocks_of_arm),
+            system_function("inertia_matrix", self.system).piece(q, arm, blocks_of_arm),
             functions["prepare"].piece(blocks_of_arm, x, described, H, momenta, M),
             functions["whiten"].piece(H, kp, roots, work),
         ]

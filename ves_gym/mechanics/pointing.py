@@ -13,6 +13,7 @@ out of them.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar
@@ -235,8 +236,13 @@ class AttitudeControl:
 
     def gains(self, inertia: Array) -> tuple[Array, Array]:
         """Return kp [N m/rad] and kd [N m s/rad] of an inertia (..., 3, 3), see `moment`."""
-        w = 2 * np.pi * self.bandwidth
-        return inertia * w**2, inertia * (2 * self.damping_ratio * w)
+        kd = inertia * (4 * np.pi * self.damping_ratio * self.bandwidth)
+        return self.rate * kd, kd
+
+    @property
+    def rate(self) -> float:
+        """Spin that is asked for per angle of error, kp / kd [1/s]."""
+        return math.pi * self.bandwidth / self.damping_ratio
 
     def moment(
         self, inertia: Array, target: Array, q: Array, spin: Array, stored: Array
@@ -252,15 +258,15 @@ class AttitudeControl:
         Returns:
             (n, 3) in body axes [N m].
         """
-        w = 2 * np.pi * self.bandwidth
         # kp e = kd (kp / kd) e: a large error asks for a spin, and no more than spin_max
-        request = w / (2 * self.damping_ratio) * attitude.difference(target, q)
+        request = self.rate * attitude.difference(target, q)
         size = np.linalg.norm(request, axis=-1, keepdims=True)
         request = request / np.maximum(size / self.spin_max, 1.0)
-        faster = 2 * self.damping_ratio * w * (request - spin)
         gyroscopic = np.cross(spin, matvec(inertia, spin) + stored)
         out: Array = np.clip(
-            matvec(inertia, faster) + gyroscopic, -self.moment_max, self.moment_max
+            matvec(self.gains(inertia)[1], request - spin) + gyroscopic,
+            -self.moment_max,
+            self.moment_max,
         )
         return out
 

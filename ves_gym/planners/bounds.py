@@ -47,6 +47,5 @@ def parse_bounds(text: str) -> dict[str, float]:
 def bounded_name(planner: str, bounds: Mapping[str, float] | None) -> str:
     """A planner's name with its own bounds, as `get_planner` reads it."""
     own = {name: share for name, share in (bounds or {}).items() if USUAL.get(name) != share}
-    return ":".join(
-        [planner, *(["+".join(f"{k}={v:g}" for k, v in own.items())] if own else [])]
-    )
+    listed = "+".join(f"{name}={share:g}" for name, share in own.items())
+    return f"{planner}:{listed}" if listed else planner

@@ -93,9 +93,7 @@ class Query:
         if self.base is not None:
             self.base.stacked(self.system)
         if self.system.drive == "motor":
-            servo = self.servo.for_arm(arm, self.system.vehicle)
-            if self.base is not None:  # motors cannot hold against what moves already
-                servo = replace(servo, moving_base=False)
+            servo = _of_arm(self.servo, self.system, self.base)
             object.__setattr__(self, "servo", servo)  # the class is frozen
 
     @property
@@ -177,7 +175,8 @@ class Case:
                 f"motion: {arm.name} has {arm.n} joints, got {self.motion.n} in the motion"
             )
         if self.system.drive == "motor":
-            servo = self.servo.for_arm(arm, self.system.vehicle)
+            base = None if self.query is None else self.query.base
+            servo = _of_arm(self.servo, self.system, base)
             object.__setattr__(self, "servo", servo)  # the class is frozen
         query = self.query
         if query is not None and (query.system != self.system or query.servo != self.servo):
@@ -237,6 +236,12 @@ class Case:
             folder = Path(path).resolve().parent
             plain["log"] = Path(os.path.relpath(Path(self.log).resolve(), folder)).as_posix()
         write_table(path, plain)
+
+
+def _of_arm(servo: JointServo, system: System, base: BaseState | None) -> JointServo:
+    """A servo with the arm's gains; against a base that moves already motors cannot hold."""
+    own = servo.for_arm(system.arm, system.vehicle)
+    return own if base is None else replace(own, moving_base=False)
 
 
 def whole_goal(arm: Arm, start: Any, goal: Any) -> tuple[Any, tuple[int, ...] | None]:

@@ -88,8 +88,7 @@ def _of_pointing(query: Query, vehicle: Satellite, motion: Motion) -> list[str]:
                 f"the pointing law asks {most:.3g} N m, {remaining:.3g} N m beyond what wheels"
                 " and jets give"
             )
-    rate = np.pi * law.bandwidth / law.damping_ratio  # asked for per angle
-    asked = rate * float(np.linalg.norm(turned, axis=1).max())
+    asked = law.rate * float(np.linalg.norm(turned, axis=1).max())
     if asked > law.spin_max:
         out.append(
             f"the pointing law would turn back by {asked:.3g} rad/s, its limit is"

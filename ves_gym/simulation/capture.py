@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError
 from ves_gym.engine.kernel.compiled_function import CompiledFunction, Piece, lanes, unlane
-from ves_gym.engine.kernel.maps import momentum_function
+from ves_gym.engine.kernel.maps import system_function
 from ves_gym.engine.kernel.numbers import parameters
 from ves_gym.mechanics.attitude import (
     conjugate,
@@ -457,7 +457,7 @@ class PayloadHandler(NotingPart):
             rest = np.zeros((len(which), space.base.m))  # modes take no part
             h, hd = (np.hstack([part[which, :some], rest]) for part in hidden)
             numbers = parameters(space)[1]
-            out = momentum_function(space)(z[which], zd[which], h, hd, numbers)
+            out = system_function("momentum", space)(z[which], zd[which], h, hd, numbers)
             return out[:, :6], out[:, 6]
 
         out, energy = self._of_systems(ids, moved)

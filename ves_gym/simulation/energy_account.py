@@ -14,8 +14,8 @@ from ves_gym.system.energy_balance import drive_work
 from ves_gym.system.system import System
 
 TRUSTED = 0.01  # of the work through the base, that the energy account may be open by
-# of the drives' work, that counts as work through the base at least: how a plan that moves the
-# base by a thousandth of it is integrated opens the account by 4 %, and moves E_mean by 5e-4
+# of the drives' work, that counts as work through the base at least: of a plan that leaves the
+# base a thousandth of it, what the rule of integration misses is no fault of the base's energy
 _LEAST = 0.01
 _AT_ONCE = 256  # steps that are added up together
 

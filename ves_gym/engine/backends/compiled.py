@@ -11,7 +11,7 @@ import numpy as np
 from ves_gym._util.params import Array, Index, Mask
 from ves_gym.engine.batch_parameters import ParameterRows, bodies_of
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
-from ves_gym.engine.kernel.maps import contact_function
+from ves_gym.engine.kernel.maps import system_function
 from ves_gym.mechanics.attitude import conjugate, rotate, to_matrix
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.contact import FLOATING, payload_coordinates, payload_of
@@ -236,7 +236,7 @@ class EngineContact:
     def __init__(self, engine: CompiledBackend, system: System) -> None:
         assert system.contact is not None
         self._engine, self._on = engine, system.contact.on
-        self.function: CompiledFunction = contact_function(system)
+        self.function: CompiledFunction = system_function("contact", system)
 
     def bodies(self, com: Array) -> Array:
         """Free payloads (n, `latch.BODY`), with centres of mass (n, 3) in own axes."""

@@ -55,30 +55,13 @@ def coupling_matrices(system: System, q: Array) -> Array:
         (N, n, n) [J/rad^2].
     """
     system, n = system.ideal(), system.arm.n
-    return _coupling(system)(q, parameters(system)[1]).reshape(-1, n, n)
+    return system_function("coupling", system)(q, parameters(system)[1]).reshape(-1, n, n)
 
 
-@lru_cache(maxsize=16)
-def _coupling(system: System) -> CompiledFunction:
-    return CompiledFunction(f"coupling {structure(system)}", _traced("coupling", system))
-
-
-@lru_cache(maxsize=64)
-def inertia_function(system: System) -> CompiledFunction:
-    """(q, p) -> entries of H(q) of arm and base link, row by row (`dynamics.inertia`)."""
-    return CompiledFunction(f"inertia {structure(system)}", _traced("inertia_matrix", system))
-
-
-@lru_cache(maxsize=64)
-def contact_function(system: System) -> CompiledFunction:
-    """(x, p) -> wrench of contact on the tool and energy in its springs (`trace.contact`)."""
-    return CompiledFunction(f"contact {structure(system)}", _traced("contact", system))
-
-
-@lru_cache(maxsize=64)
-def momentum_function(system: System) -> CompiledFunction:
-    """(z, z', h, h', p) -> momentum of arm and base, kinetic energy (`trace.momentum`)."""
-    return CompiledFunction(f"momentum {structure(system)}", _traced("momentum", system))
+@lru_cache(maxsize=128)
+def system_function(name: str, system: System) -> CompiledFunction:
+    """Return a function of `trace` by its name, such as `contact`, for a system's structure."""
+    return CompiledFunction(f"{name} {structure(system)}", _traced(name, system))
 
 
 class InertiaMap:
@@ -86,7 +69,9 @@ class InertiaMap:
 
     def __init__(self, system: System, n: int) -> None:
         self._size = 6 + system.arm.n
-        self._entries = inertia_function(system).buffered(n, parameters(system)[1])
+        self._entries = system_function("inertia_matrix", system).buffered(
+            n, parameters(system)[1]
+        )
 
     def __call__(self, q: Array) -> Array:
         """(m, n joints) -> (m, 6 + n, 6 + n), m at most the number given."""

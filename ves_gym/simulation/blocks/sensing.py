@@ -7,7 +7,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.engine.batch_parameters import Bodies
-from ves_gym.engine.kernel.maps import inertia_function, weight_function
+from ves_gym.engine.kernel.maps import system_function, weight_function
 from ves_gym.engine.kernel.numbers import geometry, parameters
 from ves_gym.engine.kernel.symbolic import Traced, column, traced
 from ves_gym.hardware.admittance import implicit_step
@@ -175,7 +175,7 @@ class ArmInertia(Block):
 
     def __init__(self, system: System) -> None:
         """`system` without effects: the arm as described."""
-        self.system, self._entries = system, inertia_function(system)
+        self.system, self._entries = system, system_function("inertia_matrix", system)
         self.structure = (geometry(system.arm), parameters(system)[0])
 
     def parameters(self, p: LoopParameters, bodies: Bodies) -> dict[str, Array]:
