@@ -5,13 +5,12 @@ with the other held or free. Both motions are simulated on the full nonlinear sy
 the second arm leaves at most 0.2 of what is left while it is held; on a free satellite
 of 800 kg at most 0.2 of what the straight line leaves.
 
-Medians of twenty queries over the straight line's. `bent`: 0.0004 with the second arm free,
-0.027 with it held. Satellite, with `attitude_end` weighing 10 beside the energy: energy 0.19,
-angle in the end 0.041.
+Medians of twenty queries (the slow tests print them). `bent`: 0.019 of what is left while the
+second arm is held. Satellite: 0.071 of the straight line's energy, 0.30 of its angle at the
+end.
 
-Missed: two UR5e on a satellite, energy and angle with the second arm free over those with it
-held, both planned with `attitude_end` weighing 10: promised 0.2, measured 0.21 and 0.30; the
-first arm alone leaves 0.18 of the straight line's angle, at 1.3 times its energy.
+Missed: two UR5e on a satellite, energy and angle at the end with the second arm free over those
+with it held, both planned by `direct`: promised 0.2, measured 0.22 and 0.48.
 """
 
 import numpy as np
@@ -27,11 +26,13 @@ ARMS = [UR5E.at((0.0, 0.5, 0.0)), UR5E.at((0.0, -0.5, 0.0))]
 LOW, HIGH = np.array([-1, -2.2, -1.5, -1, -1, -1]), np.array([1, -0.6, 1.5, 1, 1, 1])
 
 
-def left(system: System, start: np.ndarray, goal: np.ndarray, planner: str) -> float:
-    """E_mean of a planned motion, simulated [J]."""
+def left(system: System, start: np.ndarray, goal: np.ndarray, planner: str) -> np.ndarray:
+    """E_mean of a planned motion, simulated [J], and the base's angle as it ends [rad]."""
     plan = vg.plan(start, goal, system=system, planner=planner)
     assert plan.feasible, plan.failure
-    return vg.energy(vg.simulate(plan, system)).E_mean
+    log = vg.simulate(plan, system)
+    end = np.searchsorted(log.t, plan.motion.duration)
+    return np.array([vg.energy(log).E_mean, np.linalg.norm(log.y[end, 3:])])
 
 
 @pytest.mark.parametrize("count", [3, pytest.param(20, marks=pytest.mark.slow)])
@@ -42,11 +43,13 @@ def left(system: System, start: np.ndarray, goal: np.ndarray, planner: str) -> f
 )
 def test_the_second_arm_takes_the_energy(vehicle, held_by, count):
     system, rng = System(arms=ARMS, vehicle=vehicle), np.random.default_rng(1)
-    ratios = []
+    ratios: dict[str, list[np.ndarray]] = {"straight": [], "direct": []}
     for _ in range(count):
         start = np.r_[rng.uniform(LOW, HIGH), rng.uniform(LOW, HIGH)]
         goal = rng.uniform(LOW, HIGH)
-        held = left(system, start, np.r_[start[:6], goal], held_by)
-        ratios.append(left(system, start, goal, "direct") / held)
-    print(f"{count} queries: E {np.median(ratios):.3g} of held, at most {max(ratios):.3g}")
-    assert np.median(ratios) <= 0.2
+        free = left(system, start, goal, "direct")
+        for planner, found in ratios.items():
+            found.append(free / left(system, start, np.r_[start[:6], goal], planner))
+    for planner, found in ratios.items():
+        print(f"E, angle over {planner}, held: {np.median(found, axis=0).round(3)} of {count}")
+    assert np.median(ratios[held_by], axis=0)[0] <= 0.2
