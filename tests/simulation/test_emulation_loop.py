@@ -163,8 +163,7 @@ def test_the_engines_wrench_is_that_of_newton_and_euler(arm, balance):
     """At rest in a tilted pose, and in full motion: MuJoCo's sensor against our inverse
     dynamics, our gravity model and Pinocchio's.
 
-    Joints are prescribed: a motor would give way. Tolerance: 1e-4 N of 1e3 N; the weight
-    moves joints of 1e8 kg m^2 by 1e-6 rad/s^2.
+    Joints are prescribed: a motor would give way. Tolerance: 1e-4 N of 1e3 N.
     """
     n = arm.n
     rng = np.random.default_rng(0)

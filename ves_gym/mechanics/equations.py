@@ -26,6 +26,7 @@ from ves_gym.mechanics.spatial import (
     rate_matrix,
     room,
     rotation,
+    solve_partly,
     solve_symmetric,
 )
 
@@ -67,7 +68,7 @@ class Model:
     kp: Array  # (n,)
     kd: Array  # (n,)
     limit: Array  # (n,) N m
-    gain: Array  # (n,) of the commands
+    prescribed: bool  # the joints accelerate as commanded, whatever that takes
     laws: tuple[Law, ...]
     modes: InnerModes | None
     carried: tuple[Any, ...]  # wheels and appendages
@@ -136,7 +137,9 @@ def motion(model: Model, x: Array, u: Array, step: float | None = None) -> State
     implicit = None if step is None else _implicit(model, ask, step)
     cdd, sdd, wrench = c, s, z[..., :0]
     if model.emulated:
-        zdd, wrench = on_platform(model, pose, moving, base, joints, implicit)
+        zdd, drive, wrench = on_platform(
+            model, pose, moving, base, joints, drive, u[..., 6:], implicit
+        )
     else:
         push, sdd = mode_forces(model, z, zd, s, sd)
         if load is not None:
@@ -146,7 +149,7 @@ def motion(model: Model, x: Array, u: Array, step: float | None = None) -> State
             mass = mass + implicit
         if model.carried:
             mass, loads = with_carried(model, mass, loads, pose, moving, c, cd)
-        solution = solve_symmetric(mass, loads[..., None])[..., 0]
+        solution, drive = solved(model, mass, loads, drive, u[..., 6:], 6)
         zdd, cdd = solution[..., : pose.shape[-1]], solution[..., pose.shape[-1] :]
     joint = zdd[..., 6:]
     zdd, ddd = (
@@ -214,8 +217,13 @@ def body_fixed(model: Model, z: Array, force: Array) -> Array:
 
 
 def drive_torque(model: Model, z: Array, zd: Array, command: Array) -> tuple[Array, Array]:
-    """Return the torques (..., n) that the servos ask, and that the motors give [N m]."""
-    ask = model.gain * command - model.kp * z[..., 6:] - model.kd * zd[..., 6:]
+    """Return the torques (..., n) that the servos ask, and that the motors give [N m].
+
+    None where joints are prescribed: what holds them there follows from the motion.
+    """
+    if model.prescribed:
+        return 0.0 * command, 0.0 * command
+    ask = command - model.kp * z[..., 6:] - model.kd * zd[..., 6:]
     return ask, np.clip(ask, -model.limit, model.limit)
 
 
@@ -296,6 +304,30 @@ def residual(model: Model, z: Array, zd: Array, zdd: Array, force: Array, tau: A
     return np.concatenate([base, torque - tau], axis=-1)
 
 
+def solved(
+    model: Model, mass: Array, loads: Array, drive: Array, command: Array, first: int
+) -> tuple[Array, Array]:
+    """Return a of M a = loads, and the torque of the drives (..., n) [N m].
+
+    Prescribed joints have the acceleration that they are told; only the rest is solved for, and
+    what is then missing in the joints' own rows is their drives' torque.
+
+    Args:
+        model: whose joints lie from coordinate `first` on.
+        mass, loads: (..., m, m), (..., m); loads of prescribed joints are without their drives.
+        drive: (..., n) torque of motors, within `loads` [N m].
+        command: (..., n) accelerations of prescribed joints [rad/s^2].
+        first: place of the chain's first joint.
+    """
+    if not model.prescribed:
+        return solve_symmetric(mass, loads[..., None])[..., 0], drive
+    told = [first + k for k in model.driven]
+    out = loads.copy()
+    out[..., told] = command
+    out = solve_partly(mass, out[..., None], told)[..., 0]
+    return out, matvec(mass[..., told, :], out) - loads[..., told]
+
+
 def _implicit(model: Model, ask: Array, step: float) -> Array:
     """Mass that an implicit step adds for what resists motion: h (D + kd).
 
@@ -344,13 +376,21 @@ def with_carried(
 
 
 def on_platform(
-    model: Model, z: Array, zd: Array, ydd: Array, tau: Array, implicit: Array | None = None
-) -> tuple[Array, Array]:
-    """Return z'' of the arm on a moving platform under gravity, and its wrench on it.
+    model: Model,
+    z: Array,
+    zd: Array,
+    ydd: Array,
+    tau: Array,
+    drive: Array,
+    command: Array,
+    implicit: Array | None = None,
+) -> tuple[Array, Array, Array]:
+    """Return z'' of the arm on a moving platform under gravity, its drives' torque, its wrench.
 
     Args:
         model, z, zd, tau: see `balance_of_forces`.
         ydd: (..., 6) of the platform.
+        drive, command: see `solved`.
         implicit: added to the mass matrix by an implicit integrator.
     """
     q, v, still = z[..., 6:], zd[..., 6:], 0.0 * zd[..., 6:]
@@ -364,9 +404,9 @@ def on_platform(
     mass = inertia_parts(model.chain, q).joints
     if implicit is not None:
         mass = mass + implicit[..., 6:, 6:]
-    qdd = solve_symmetric(mass, loads[..., None])[..., 0]
+    qdd, drive = solved(model, mass, loads, drive, command, 0)
     _, wrench = newton_euler(model.chain, q, v, qdd, spin=spin, turn=turn, accel=under)
-    return np.concatenate([ydd, qdd], axis=-1), -wrench
+    return np.concatenate([ydd, qdd], axis=-1), drive, -wrench
 
 
 def base_energy(

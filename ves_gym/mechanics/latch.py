@@ -8,7 +8,7 @@ S^T (J z'+ - X v+) = 0 along the directions S that close (docs/physics.md).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -44,7 +44,7 @@ def inelastic(
     twist: Array,
     X: Array,
     closed: npt.ArrayLike | None = None,
-    driven: int = 0,
+    held: Sequence[int] = (),
 ) -> Impulse:
     """Close a latch.
 
@@ -59,14 +59,13 @@ def inelastic(
         twist: (..., 6) of that point before [m/s, rad/s].
         X: (..., 6, 6) from it to the twist at the fixture.
         closed: (6, k) or (..., 6, k) directions S, None for all six.
-        driven: leading coordinates whose motion is prescribed: no impulse changes their rates.
+        held: coordinates whose motion is prescribed: no impulse changes their rates.
     """
     S = np.eye(6) if closed is None else np.asarray(closed, float)
     relative = matvec(J, rates) - matvec(X, twist)
     Jt, Xt, St = (np.swapaxes(part, -1, -2) for part in (J, X, S))
-    arm: Array = np.zeros(Jt.shape)
+    arm = response(mass, Jt, held)
     body: Array = np.asarray(np.linalg.solve(body_mass, Xt), np.float64)
-    arm[..., driven:, :] = np.linalg.solve(mass[..., driven:, driven:], Jt[..., driven:, :])
     compliance = St @ (J @ arm + X @ body) @ S
     gap = matvec(np.broadcast_to(St, (*relative.shape[:-1], *St.shape[-2:])), relative)
     force = np.linalg.solve(compliance, gap[..., None])[..., 0]
@@ -78,6 +77,20 @@ def inelastic(
         0.5 * np.sum(gap * force, axis=-1),
         relative,
     )
+
+
+def response(mass: Array, impulse: Array, held: Sequence[int] = ()) -> Array:
+    """Return the change of the rates (..., N, k) by impulses (..., N, k).
+
+    Args:
+        mass: (..., N, N).
+        impulse: on each coordinate.
+        held: coordinates whose rates stay.
+    """
+    free = np.setdiff1d(np.arange(mass.shape[-1]), held)
+    out = np.zeros(impulse.shape)
+    out[..., free, :] = np.linalg.solve(mass[..., free[:, None], free], impulse[..., free, :])
+    return out
 
 
 def directions_of(names: object) -> Array | None:
@@ -231,9 +244,7 @@ class ToolMotion(NamedTuple):
     mass: Array  # (..., N, N)
 
 
-def tool_motion(
-    arm: Arm, base: BaseModel, y: Array, q: Array, hidden: Array, prescribed: float = 0.0
-) -> ToolMotion:
+def tool_motion(arm: Arm, base: BaseModel, y: Array, q: Array, hidden: Array) -> ToolMotion:
     """Return tool, Jacobian and mass matrix, gears, wheels and appendages as coordinates.
 
     The base's rate is its twist in its own axes, which has no singular attitude. Internal
@@ -245,7 +256,6 @@ def tool_motion(
         y: (..., 6) base pose [m, rad].
         q: (..., n) joint angles [rad].
         hidden: (..., g + c) deflections of gears [rad], coordinates of wheels, appendages.
-        prescribed: inertia added to joints that follow their command [kg m^2].
     """
     n, g, c = arm.n, len(arm.geared), len(base.carried)
     angles = q.copy()
@@ -264,7 +274,6 @@ def tool_motion(
     if base.M.any():
         T = np.linalg.inv(rate_matrix(y))
         H[..., :6, :6] += np.swapaxes(T, -1, -2) @ base.M @ T
-    driven[6 : 6 + n] += prescribed
     mass = P.T @ H @ P + np.diag(driven)
     if c:
         locked, across, joints = carried_inertia(base.carried, hidden[..., g:])
@@ -283,17 +292,20 @@ def tool_motion(
     return ToolMotion(y[..., :3] + matvec(R, place), link, world @ local @ P, mass)
 
 
-def base_jump(arm: Arm, base: BaseModel, y: Array, q: Array, impulse: Array) -> Array:
+def base_jump(
+    arm: Arm, base: BaseModel, y: Array, q: Array, impulse: Array, held: Sequence[int] = ()
+) -> Array:
     """Return the twist that an impulse at the tool leaves in the base, its axes.
 
     Args:
         arm, base, y, q: see `tool_motion`; gears relaxed.
         impulse: (..., 6) on what the tool holds, inertial axes [N s, N m s].
+        held: see `inelastic`.
     """
     hidden = np.zeros((*q.shape[:-1], len(arm.geared) + len(base.carried)))
     at = tool_motion(arm, base, y, q, hidden)
     push = -np.einsum("...ij,...i->...j", at.J, impulse)
-    return np.asarray(np.linalg.solve(at.mass, push[..., None])[..., :6, 0])
+    return response(at.mass, push[..., None], held)[..., :6, 0]
 
 
 def free_mass(mass: Array, inertia: Array, turn: Array) -> Array:

@@ -181,8 +181,8 @@ def solve(A: Array, b: Array) -> Array:
 def solve_symmetric(A: Array, b: Array) -> Array:
     """Return A^-1 b by L D L^T from the last row up, as along a tree.
 
-    An arm is eliminated before its base, so that a joint of 1e8 kg m^2 costs the base no
-    digits. Operators and slices only: one text for numbers and for what is traced.
+    An arm is eliminated before its base, so that heavy joints cost the base no digits.
+    Operators and slices only: one text for numbers and for what is traced.
 
     Args:
         A: (..., m, m) symmetric, positive definite; its lower triangle is read.
@@ -197,6 +197,20 @@ def solve_symmetric(A: Array, b: Array) -> Array:
         b = b[..., :k, :] - factor[..., None] * side[..., None, :]
     for k in range(1, size):
         out[..., k:, :] -= L[..., k:, k - 1, None] * out[..., k - 1, None, :]
+    return out
+
+
+def solve_partly(A: Array, b: Array, known: list[int]) -> Array:
+    """Return x of A x = b where some of x are known: their rows of b are x itself.
+
+    Args:
+        A, b: see `solve_symmetric`.
+        known: places of these.
+    """
+    free = [k for k in range(A.shape[-1]) if k not in known]
+    out = b.copy()
+    rest = b[..., free, :] - A[..., free, :][..., known] @ b[..., known, :]
+    out[..., free, :] = solve_symmetric(A[..., free, :][..., free], rest)
     return out
 
 

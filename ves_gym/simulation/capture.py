@@ -41,7 +41,7 @@ from ves_gym.mechanics.spatial import matvec, quadratic, rate_matrix
 from ves_gym.simulation.machines import ControlPeriod, Machines, NotingPart
 from ves_gym.simulation.state import State, simulation_ids
 from ves_gym.simulation.tool_contact import PayloadState, ToolContact
-from ves_gym.system.system import PRESCRIBED_INERTIA, System
+from ves_gym.system.system import System
 
 _TURN = 3.2e-3  # rad, the most that a free body turns in a step: 1e-13 rad of error
 
@@ -368,9 +368,9 @@ class PayloadHandler(NotingPart):
                 f" {t.distance[k]:.4g} m{_degrees(float(t.angle[k]))} away"
             )
         M, twist, com = self._bodies(index)
-        driven = 6 if self._still else 0  # the platform moves as it is told
         X = to_point(com, motion.place)
-        out = inelastic(motion.mass, rates, motion.J, M, twist, X, closed, driven)
+        held = machines.system.held
+        out = inelastic(motion.mass, rates, motion.J, M, twist, X, closed, held)
         state = machines.state
         kind = "grasp" if closed is None else "touch"
         time, v, yd = state.time[index], state.v[index], state.yd[index]
@@ -490,9 +490,8 @@ class PayloadHandler(NotingPart):
 
         def moved(system: System, which: Index) -> tuple[Array, ...]:
             some = slice(0, len(system.arm.geared) + len(system.base.carried))
-            inertia = PRESCRIBED_INERTIA if system.drive == "prescribed" else 0.0
             where = state.y[which], state.q[which], at[which, some]
-            motion = tool_motion(system.arm, system.base, *where, inertia)
+            motion = tool_motion(system.arm, system.base, *where)
             joined = base[which], state.v[which], rate[which, some]
             return (*motion, np.concatenate(joined, axis=1))
 

@@ -95,7 +95,7 @@ class RunSummary:
         at = self.log.y[k], self.log.q[k], np.array(grasp["impulse"])
         fine = with_modes(vehicle, _FINE)
         own, more = (
-            1e3 * float(np.linalg.norm(base_jump(system.arm, base, *at)[:3]))
+            1e3 * float(np.linalg.norm(base_jump(system.arm, base, *at, system.held)[:3]))
             for base in (system.base, fine.base_model())
         )
         if abs(own - more) <= _APART * more:

@@ -16,10 +16,10 @@ from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.contact import Contact
 from ves_gym.mechanics.dynamics import drawn_configurations
-from ves_gym.mechanics.latch import tool_motion
+from ves_gym.mechanics.latch import response, tool_motion
 from ves_gym.mechanics.linear_motion import LinearMotion
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
-from ves_gym.system.system import PRESCRIBED_INERTIA, System
+from ves_gym.system.system import System
 
 _JUDGED = 9  # configurations: zero and others within the limits
 _SURE = 2.0  # |pole| times step: RK4 is stable in the left half of a disc of 2.6 around 0
@@ -80,9 +80,8 @@ def _contact_rate(system: System) -> tuple[float, float]:
     assert contact is not None
     q = drawn_configurations(arm)[:_JUDGED]
     hidden = np.zeros((len(q), len(arm.geared) + len(base.carried)))
-    inertia = PRESCRIBED_INERTIA if system.drive == "prescribed" else 0.0
-    tool = tool_motion(arm, base, np.zeros((len(q), 6)), q, hidden, inertia)
-    inverse = tool.J @ np.linalg.solve(tool.mass, np.swapaxes(tool.J, -1, -2))
+    tool = tool_motion(arm, base, np.zeros((len(q), 6)), q, hidden)
+    inverse = tool.J @ response(tool.mass, np.swapaxes(tool.J, -1, -2), system.held)
     linear, angular = (
         np.linalg.eigvalsh(inverse[:, k : k + 3, k : k + 3])[:, -1] for k in (0, 3)
     )

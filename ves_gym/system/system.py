@@ -45,7 +45,6 @@ from ves_gym.system.emulator_settings import NOMINAL, EmulatorSettings
 MODES = ("ideal", "emulated")
 DRIVES = ("motor", "prescribed")
 INTEGRATORS = ("rk4", "euler", "implicitfast")
-PRESCRIBED_INERTIA = 1e8  # kg m^2 added to a joint that must follow its command
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,6 +203,12 @@ class System:
         """(1, ...) of the emulation loop, the effects in them."""
         nominal = LoopParameters.nominal(self.arm, self.emulator_settings, 1)
         return nominal.edited(self.effects)
+
+    @property
+    def held(self) -> tuple[int, ...]:
+        """Coordinates of (Y, q) whose motion no force changes: platform, prescribed joints."""
+        first = 0 if self.mode == "emulated" else 6
+        return tuple(range(first, 6 + self.arm.n * (self.drive == "prescribed")))
 
     def delays(self, n: int = 1) -> Delays:
         """Return the delays (n, ...) between joint controller and drives, by the effects."""

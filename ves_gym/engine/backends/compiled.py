@@ -16,7 +16,7 @@ from ves_gym.mechanics.attitude import conjugate, rotate, to_matrix
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.contact import FLOATING, payload_coordinates, payload_of
 from ves_gym.system.effect_rows import EffectRows
-from ves_gym.system.system import PRESCRIBED_INERTIA, System
+from ves_gym.system.system import System
 
 
 class CompiledBackend(ABC):
@@ -35,7 +35,6 @@ class CompiledBackend(ABC):
     def __init__(self, system: System, n: int) -> None:
         self.n, self.joints = n, system.arm.n
         self.emulated = system.mode == "emulated"
-        self.prescribed = system.drive == "prescribed"
         self.dt = system.physics_dt
         self.rows = ParameterRows(system)
         self.names = self.rows.names
@@ -113,10 +112,7 @@ class CompiledBackend(ABC):
     def _accelerations(self, observed: Array) -> tuple[Array, Array]:
         """Drive torque and zdd (`Backend.evaluate`) from what is observed (n, ny)."""
         size = 6 + self.joints
-        zdd, torque = observed[:, :size], observed[:, size : size + self.joints]
-        if self.prescribed:
-            torque = torque - PRESCRIBED_INERTIA * zdd[:, 6:]
-        return torque, zdd
+        return observed[:, size : size + self.joints], observed[:, :size]
 
     def states_of(self, ids: Index, z: Array, zd: Array) -> Array:
         """(k, nx) states: gears relaxed, oscillators at rest on the vehicle.

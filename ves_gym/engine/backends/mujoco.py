@@ -32,7 +32,7 @@ from ves_gym.mechanics.gravity import GRAVITY
 from ves_gym.mechanics.vehicle import ReactionWheel, has_jets
 from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.effect_rows import EffectRows
-from ves_gym.system.system import PRESCRIBED_INERTIA, System
+from ves_gym.system.system import System
 
 if TYPE_CHECKING:
     from ves_gym.engine.backends.compiled import EngineContact
@@ -64,22 +64,42 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_keep_in_a_fork)
 
 
-def compile_model(system: System, full: bool = False, acting: bool = False) -> mujoco.MjModel:
+_FOLLOWING = 1e8  # times the arm's own inertia: what a prescribed joint has more of
+
+
+def following_inertia(system: System) -> float:
+    """Armature [kg m^2, kg] of joints that follow their command: MuJoCo prescribes no motion.
+
+    They stray from it by 1e-8 of itself at most, and the torque of their
+    drives loses 1e-7 of what moves the whole arm to rounding.
+    """
+    held = 0.0 if system.payload is None else system.payload.inertial.mass
+    lever = sum(abs(link.a) + abs(link.d) for link in system.arm.links)
+    own = system.arm.column("rotor_inertia").max()
+    return float(_FOLLOWING * (own + (system.arm.mass + held) * max(lever, 1.0) ** 2))
+
+
+def compile_model(
+    system: System, full: bool = False, acting: bool = False, following: float | None = None
+) -> mujoco.MjModel:
     """Return the MuJoCo model of a system, as the backend runs it.
 
     Args:
-        system, full, acting: see `model_spec`.
+        system, full, acting, following: see `model_spec`.
     """
-    return model_spec(system, full, acting).compile()
+    return model_spec(system, full, acting, following).compile()
 
 
-def model_spec(system: System, full: bool = False, acting: bool = False) -> mujoco.MjSpec:
+def model_spec(
+    system: System, full: bool = False, acting: bool = False, following: float | None = None
+) -> mujoco.MjSpec:
     """Return the MuJoCo specification of a system, before it is compiled.
 
     Args:
         system: what to simulate.
         full: one layout for every model of one structure, see `build_spec`.
         acting: with actuators for the jets of a satellite, and with what the tool touches.
+        following: armature of prescribed joints, by default `following_inertia`.
     """
     if system.mode == "emulated":
         spec = build_laboratory_spec(
@@ -103,11 +123,12 @@ def model_spec(system: System, full: bool = False, acting: bool = False) -> mujo
             add_jets(spec)
     add_hidden(spec, system.arm, system.base if system.mode == "ideal" else None)
     if system.drive == "prescribed":
+        heavy = following or following_inertia(system)
         for i in range(system.arm.n):
-            spec.joint(f"q_{i + 1}").armature += PRESCRIBED_INERTIA
+            spec.joint(f"q_{i + 1}").armature += heavy
             drive = spec.actuator(f"drive_{i + 1}")
             drive.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
-            drive.gainprm[0] = PRESCRIBED_INERTIA  # the command is an acceleration
+            drive.gainprm[0] = heavy  # the command is an acceleration
     return spec
 
 
@@ -163,6 +184,7 @@ class MujocoBackend:
         self.joints = system.arm.n
         self.prescribed = system.drive == "prescribed"
         self.system, self._nthread = system, threads
+        self._following = following_inertia(system)
         ideal = system.mode == "ideal"
         self._carried = system.base.m if ideal else 0
         parts = system.base.carried if ideal else ()
@@ -185,6 +207,10 @@ class MujocoBackend:
         self._limits = np.tile(system.arm.column("tau_max"), (n, 1))
         self._varied: set[str] = set()  # fields of the model that differ, gains apart
         self._load(compile_model(system, acting=True))
+
+    def _compiled(self, system: System) -> mujoco.MjModel:
+        """The model of a system in the layout of all."""
+        return compile_model(system, full=True, acting=True, following=self._following)
 
     def _load(self, model: mujoco.MjModel) -> None:
         """Run this model."""
@@ -243,11 +269,11 @@ class MujocoBackend:
         others = {i for i, k in pairs if bodies_of(k) != bodies_of(self._systems[i])}
         reference = self.model
         if others and not self._full:
-            reference = compile_model(self.system, full=True, acting=True)
+            reference = self._compiled(self.system)
         changes_of: dict[tuple[int, int], dict[str, Any]] = {}  # of the arms and vehicles seen
         for i, system in pairs:
             if i in others and bodies_of(system) not in changes_of:
-                model = compile_model(system, full=True, acting=True)
+                model = self._compiled(system)
                 changes_of[bodies_of(system)] = _changes(
                     reference, model, f"system of simulation {i}"
                 )
@@ -363,7 +389,7 @@ class MujocoBackend:
         acceleration = self._qacc[:, self._order]
         torque = self._force[:, self._drives].copy()
         if self.prescribed:
-            torque -= PRESCRIBED_INERTIA * acceleration[:, 6:]
+            torque -= self._following * acceleration[:, 6:]
         return torque, acceleration
 
     def faults(self) -> Mask:

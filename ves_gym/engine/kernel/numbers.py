@@ -26,7 +26,6 @@ from ves_gym.mechanics.equations import InnerModes, Model, Springs
 from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.vehicle import has_jets
 from ves_gym.system.effect import TorqueEffect
-from ves_gym.system.system import PRESCRIBED_INERTIA
 
 if TYPE_CHECKING:
     import casadi
@@ -140,12 +139,11 @@ def _read(system: System, read: _Reader) -> Model:
     """Walk through the numbers of a system; the order of the walk is the order of p."""
     arm, base, n = system.arm, system.base, system.arm.n
     prescribed, ideal = system.drive == "prescribed", system.mode == "ideal"
-    added = PRESCRIBED_INERTIA if prescribed else 0.0
     links, rotors = [], []
     for i, link in enumerate(arm.links, start=1):
         changes = system.payload is not None and i == n
         links.append(read.body(f"link{i}", link.inertial, changes))
-        rotors.append(read.number(f"link{i}.rotor", link.rotor_inertia + added))
+        rotors.append(read.number(f"link{i}.rotor", link.rotor_inertia))
     arm_base = read.body("base", arm.base)
     flexible, flexures = _flexible(system, read, rotors)
     satellite = base.body if ideal else None
@@ -163,7 +161,6 @@ def _read(system: System, read: _Reader) -> Model:
         read.always("kp", [0.0] * n),
         read.always("kd", [0.0] * n),
         read.always("limit", limits),
-        read.always("gain", [added or 1.0] * n),
     ]
     laws = [
         (effect, read.effect(f"{effect.kind}#{i}", effect))
@@ -201,7 +198,7 @@ def _read(system: System, read: _Reader) -> Model:
         kp=gains[0],
         kd=gains[1],
         limit=gains[2],
-        gain=gains[3],
+        prescribed=prescribed,
         laws=tuple(
             effect.bound({**values, "tau_max": gains[2]}).law
             for effect, values in laws
@@ -394,7 +391,8 @@ def _described(system: System) -> str:
     step = system.physics_dt if system.integrator == "implicitfast" else None
     balance = system.mode == "emulated" and system.emulator_settings.joint_balance
     kinds = [type(e).__qualname__ for e in system.effects if isinstance(e, TorqueEffect)]
-    what: tuple[Any, ...] = (names, kinds, system.mode, system.integrator, step, balance)
+    how = system.mode, system.drive, system.integrator, step, balance
+    what: tuple[Any, ...] = (names, kinds, *how)
     if system.base.carried:
         what = (*what, [replaced(part) for part in system.base.carried])
     if system.contact is not None:

@@ -248,8 +248,7 @@ def _matmul(a: npt.NDArray[np.object_], b: npt.NDArray[np.object_]) -> Any:
 def _solved(A: Any, b: Any) -> Any:
     """A^-1 b (..., m, c) by elimination without exchange, from the last row up.
 
-    The joints are eliminated before their base, so that a joint of 1e8 kg m^2 costs the base
-    no digits.
+    The joints are eliminated before their base, so that heavy ones cost the base no digits.
     """
     rows = []
     for k in reversed(range(A.shape[-1])):

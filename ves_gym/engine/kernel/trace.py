@@ -30,7 +30,7 @@ from ves_gym.mechanics.equations import (
     spring_torque,
     touch,
 )
-from ves_gym.mechanics.spatial import solve_symmetric
+from ves_gym.mechanics.spatial import solve_partly, solve_symmetric
 
 if TYPE_CHECKING:
     import casadi
@@ -127,6 +127,7 @@ class _Balance:
     missing: Any  # r
     energy: Any  # of the base [J]
     mass: Array
+    told: list[int]  # coordinates whose acceleration is prescribed
     solution: Any  # the a of r = 0
 
     @property
@@ -141,7 +142,7 @@ class _Balance:
         value = -ca.substitute(change, self.a, self.solution)
         size = len(self.mass)
         loads = traced(ca.vertsplit(value[:size]), (size, 1))
-        return ca.vertcat(column(solve_symmetric(self.mass, loads)), value[size:])
+        return ca.vertcat(column(solve_partly(self.mass, loads, self.told)), value[size:])
 
 
 def _balance(system: System) -> _Balance:
@@ -170,7 +171,10 @@ def _balance(system: System) -> _Balance:
     mass, loads = mass[order][:, order], loads[order]
     tried = along_the_chain(model, a[:size], model.parted(a[size:])[0])
     missing = residual(model, pose, moving, tried, u[:6] + push, tau)[order]
-    solution = solve_symmetric(mass, loads[:, None])[:, 0]
+    told = list(range(6, size)) if model.prescribed else []
+    if told:  # these rows say that the joints accelerate as commanded
+        loads[told], missing[told] = u[6:], a[told] - u[6:]
+    solution = solve_partly(mass, loads[:, None], told)[:, 0]
     return _Balance(
         names=names,
         x=column(x),
@@ -180,6 +184,7 @@ def _balance(system: System) -> _Balance:
         missing=column(missing, a[len(order) :] - sdd),
         energy=column(base_energy(model, z, zd, at[size:], rate[size:])[0]),
         mass=mass,
+        told=told,
         solution=column(solution, sdd),
     )
 
