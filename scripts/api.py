@@ -18,7 +18,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "api.md"
 GROUPS = {
     "Verbs": (
         "simulate plan compare coupling_map diagnose evaluate train energy check_emulation"
-        " render excitation calibrate"
+        " render export excitation calibrate"
     ),
     "Model": (
         "System Arm Link Inertial PUMA_560 Beam MatrixVehicle Satellite get_vehicle"

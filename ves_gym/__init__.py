@@ -35,6 +35,7 @@ if TYPE_CHECKING:  # for editors and type checkers: the same names as in the tab
         energy as energy,
         evaluate as evaluate,
         excitation as excitation,
+        export as export,
         plan as plan,
         render as render,
         simulate as simulate,
@@ -84,7 +85,7 @@ if TYPE_CHECKING:  # for editors and type checkers: the same names as in the tab
 _TABLE = {  # module -> names; one that is called otherwise there is name=there
     "_util.params": "ParameterError",
     "api": "calibrate check_emulation compare coupling_map diagnose energy evaluate excitation"
-    " plan render simulate train",
+    " export plan render simulate train",
     "baselines.controllers": "Controller",
     "baselines.policy": "Policy load_policy",
     "diagnosis.diagnose": "Diagnosis",

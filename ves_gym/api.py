@@ -613,6 +613,52 @@ def render(
     return Path(path)
 
 
+def export(
+    what: RunLog | Mapping[str, RunLog] | System,
+    path: str | os.PathLike[str],
+    *,
+    servo: JointServo = OWN_GAINS,
+    magnify: float = 1.0,
+) -> Path:
+    """Write a run, or a machine, for the tools of others; the suffix says which.
+
+    .rrd: runs by name, or one, for rerun's viewer (extra `rerun`). .mcap: a run as ROS 2
+    messages (extra `mcap`). .fmu: a system in mode ideal as an FMU, FMI 3.0 co-simulation,
+    compiled for this machine, sources beside it.
+
+    Args:
+        what: a log, logs by name (.rrd), or a system (.fmu).
+        path: of the file.
+        servo: .fmu: gains that its parameters begin with.
+        magnify: .rrd: factor on the base's motion as it is seen.
+
+    Returns:
+        The path.
+
+    Raises:
+        ParameterError: another suffix, or something that the format has no words for.
+    """
+    path, kind = Path(path), Path(path).suffix
+    if isinstance(what, System) and kind == ".fmu":
+        from ves_gym.simulation.fmu import write_fmu
+
+        write_fmu(path, what, servo)
+    elif isinstance(what, RunLog) and kind == ".mcap":
+        from ves_gym.system.runlog_mcap import write_mcap
+
+        write_mcap(path, what)
+    elif isinstance(what, (RunLog, Mapping)) and kind == ".rrd":
+        from ves_gym.rendering.rerun_file import write_rerun
+
+        write_rerun(path, {"run": what} if isinstance(what, RunLog) else what, magnify)
+    else:
+        raise ParameterError(
+            "export takes a run log to .rrd or .mcap, logs by name to .rrd, a System to .fmu;"
+            f" got {type(what).__name__} and {path.name!r}"
+        )
+    return path
+
+
 # ---------------------------------------------------------------------------- arguments
 
 

@@ -34,6 +34,8 @@ PACKAGES = {  # module -> what installs it
     "pandas": Source("pandas", "frames"),
     "pinocchio": Source("pin", "pinocchio", wheels="Linux and macOS"),
     "pyarrow": Source("pyarrow", "parquet"),
+    "rerun": Source("rerun-sdk", "rerun"),
+    "rosbags": Source("rosbags", "mcap"),
     "safetensors": Source("safetensors"),
     "stable_baselines3": Source("stable-baselines3", "rl"),
     "tensorboard": Source("tensorboard", "tensorboard"),

@@ -49,7 +49,8 @@ COMMANDS = {  # name -> its module, loaded when it is asked for, and what it doe
     "emulation-check": ("checks", "is an emulation stable, and how true, before it runs"),
     "list": ("list", "what exists: vehicles, planners, suites, effects"),
     "doctor": ("doctor", "what is broken on this machine"),
-    "view": ("watch", "watch a run log: window, GIF or MP4"),
+    "view": ("watch", "watch a run log: window, GIF, MP4, or rerun"),
+    "export": ("export", "a run as MCAP, a machine as an FMU, for the tools of others"),
     "teleop": ("watch", "drive the arm from the keyboard while the base reacts"),
 }
 EMULATED = ("emulation-check", "list")  # mode of their machine where nothing says it

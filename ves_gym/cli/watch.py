@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +26,7 @@ from ves_gym.cli.machine import MACHINE
 from ves_gym.envs.teleop import Teleop, load_script, read_script
 from ves_gym.rendering.opengl import RenderError, has_display
 from ves_gym.rendering.render import View, render, show
+from ves_gym.rendering.rerun_file import write_rerun
 from ves_gym.system.runlog import RunLog
 
 _AFTER = 2.0  # s that a script goes on after its last key
@@ -34,7 +36,7 @@ _LINES = 4  # of readings, a safety stop included
 
 
 def _movie(value: str, place: Place) -> Path:
-    suffix = place.name.replace("--", ".")
+    suffix = ".rrd" if place.name == "--rerun" else place.name.replace("--", ".")
     if Path(value).suffix != suffix:
         raise ParameterError(f"{place.name} must be a {suffix} name, got {value!r}")
     return Path(value)
@@ -47,26 +49,54 @@ def _size(value: str) -> tuple[int, int]:
 
 def view(
     at: Context,
-    log: Path,
+    log: tuple[Path, ...],
     *,
     gif: Path | None = None,
     mp4: Path | None = None,
+    rerun: Path | None = None,
     window: bool = False,
-    size: tuple[int, int] = (960, 480),
+    size: tuple[int, int] | None = None,
     **how: float,
 ) -> Answer:
-    """Draw or show the log."""
+    """Draw or show the log; several side by side in a recording for rerun."""
+    if rerun is not None:
+        if size is not None or set(how) - {"magnify"}:
+            raise ParameterError(
+                "--rerun has every record: leave out --size, --fps and --speed"
+            )
+        return _recording(Path(at.out or "", rerun), log, **how)
+    if len(log) > 1:
+        raise ParameterError(
+            f"--gif, --mp4 and --window take one LOG, got {len(log)}; --rerun FILE takes many"
+        )
     movie = gif or mp4
-    look = View(width=size[0], height=size[1], **how)
-    recorded = RunLog.load(log)
-    plain = {"schema": "ves-view/1", "log": str(log), "digest": recorded.digest}
+    width, height = size or (960, 480)
+    look = View(width=width, height=height, **how)
+    recorded = RunLog.load(log[0])
+    plain = {"schema": "ves-view/1", "log": str(log[0]), "digest": recorded.digest}
     if window or (has_display() and not (movie or at.out)):
         show(recorded, look)
         return Answer(plain=plain)
-    path = Path(at.out or "", movie) if movie else at.folder("out/view") / f"{log.stem}.gif"
+    path = Path(at.out or "", movie) if movie else at.folder("out/view") / f"{log[0].stem}.gif"
     drawn = render(recorded, path, look, at.progress)
     text = f"{drawn['frames']} frames, drawn with {drawn['backend']}"
     return Answer(text=text, plain={**plain, "file": str(path), **drawn}, files=[path])
+
+
+def _recording(path: Path, logs: tuple[Path, ...], magnify: float = 1.0) -> Answer:
+    """Write runs under the names of their files, with the folder's where these are the same."""
+    stems = Counter(log.stem for log in logs)
+    alone = [stems[log.stem] == 1 for log in logs]
+    full = ["/".join(log.with_suffix("").parts[-2:]) for log in logs]
+    names = [log.stem if k else name for log, k, name in zip(logs, alone, full, strict=True)]
+    if len(set(names)) < len(names):
+        raise ParameterError(f"runs need different names, got {', '.join(names)}")
+    runs = {name: RunLog.load(log) for name, log in zip(names, logs, strict=True)}
+    write_rerun(path, runs, magnify)
+    plain: dict[str, Any] = {"schema": "ves-view/1", "file": str(path)}
+    plain["runs"] = {name: runs[name].digest for name in names}
+    text = f"{', '.join(names)}: look at them with `rerun {path}`"
+    return Answer(text=text, plain=plain, files=[path])
 
 
 def teleop(
@@ -148,9 +178,13 @@ def _script(driven: Teleop, file: str, seconds: float | None) -> None:
 
 TABLE = {
     "view": (view, (
-        Flag("LOG", read=log_file, help="a run log, .csv or .parquet, or a case with one"),
+        Flag("LOG", read=log_file, many=True,
+             help="a run log, .csv or .parquet, or a case with one"),
         Flag("--gif", "FILE", _movie, "draw into a GIF", against="target"),
         Flag("--mp4", "FILE", _movie, "draw into an MP4", against="target"),
+        Flag("--rerun", "FILE", _movie,
+             "record into a .rrd for rerun's viewer, several runs under their names",
+             against="target"),
         Flag("--window", help="open a window (default with a display; else GIF)",
              against="target"),
         Flag("--speed", "X", number(), "of the clock (1)"),

@@ -106,6 +106,14 @@ class Inertial:
         out[3:, 3:] = np.array(self.inertia) - self.mass * c @ c
         return out
 
+    def box(self) -> tuple[Array, Array]:
+        """Half sizes (3,) [m] and axes (3, 3) of the homogeneous box with these moments."""
+        moments, axes = np.linalg.eigh(np.array(self.inertia))
+        if np.linalg.det(axes) < 0:
+            axes[:, 0] *= -1
+        squares = 6 / max(self.mass, 1e-9) * (moments.sum() - 2 * moments)
+        return np.sqrt(np.maximum(squares, 1e-4)) / 2, axes
+
 
 def rigid_moments(moments: Array) -> Array:
     """Return the inertia of a rigid body (3, 3) nearest to one about its centre of mass.

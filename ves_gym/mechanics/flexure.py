@@ -15,7 +15,7 @@ from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.chain import flexures_as_links
 from ves_gym.mechanics.dynamics import inertia
-from ves_gym.mechanics.kinematics import joint_positions
+from ves_gym.mechanics.kinematics import Frames, frames, joint_positions
 
 
 class ExpandedChain(NamedTuple):
@@ -85,3 +85,17 @@ def expand(arm: Arm) -> ExpandedChain:
         np.array([getattr(k, s) for k in springs]) for s in ("stiffness", "damping")
     )
     return ExpandedChain(rigid, tuple(driven), tuple(passive), stiffness, damping)
+
+
+def link_frames(arm: Arm, q: npt.ArrayLike, u: Array | None = None) -> Frames:
+    """Return the frames of an arm's links, those between its flexures among them.
+
+    Args:
+        arm: that may bend.
+        q: (..., n) joint angles [rad].
+        u: (..., p + m) deflections of its p flexures, then others; None: it is straight.
+    """
+    if not arm.bends:
+        return frames(arm, q)
+    chain = expand(arm)
+    return frames(chain.arm, chain.angles(q, 0.0 if u is None else u[..., : arm.bends]))

@@ -308,10 +308,7 @@ def _too_close(arm: Arm) -> list[tuple[int, int]]:
 
 def _add_satellite(spec: Any, body: Any, bit: int) -> None:
     """The homogeneous box with the satellite's inertia."""
-    moments, axes = np.linalg.eigh(np.array(body.inertia))
-    axes = axes * np.sign(np.linalg.det(axes))
-    squares = 6 / max(body.mass, 1e-9) * (moments.sum() - 2 * moments)
-    half = np.sqrt(np.maximum(squares, 1e-4)) / 2
+    half, axes = body.box()
     turn = _quaternion(axes)
     _add(spec.body("satellite"), "satellite", "BOX", bit, pos=body.com, size=half, quat=turn)
 

@@ -16,7 +16,6 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.engine.mjcf import LEAST, TO_Y, add_carried, build_spec, places
-from ves_gym.mechanics.arm import Inertial
 from ves_gym.mechanics.attitude import to_matrix
 from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.spatial import rotation
@@ -121,7 +120,7 @@ class Drawing:
             _rod(spec.worldbody, "CYLINDER", *plate, size, _DARK)
             return
         if body is not None:
-            _box(platform, body.com, *equal_box(body), _METAL)
+            _box(platform, body.com, *body.box(), _METAL)
         if self.rest_beam is not None:
             clamp, along = self.rest_beam[0], self.rest_beam[1] - self.rest_beam[0]
             along = along / np.linalg.norm(along)
@@ -157,7 +156,7 @@ class Drawing:
         for i, part in enumerate(self.system.base.carried, start=1):
             if isinstance(part, Appendage):
                 body = spec.body(f"carried_{i}")
-                _box(body, part.body.com, *equal_box(part.body), _PANEL)
+                _box(body, part.body.com, *part.body.box(), _PANEL)
 
     def _add_surfaces(self, spec: Any) -> None:
         """What the tool touches with, and what it meets on the base or in space."""
@@ -400,18 +399,9 @@ class Drawing:
         points = [arm, np.array([base.body.com])]
         for part in base.carried:
             if isinstance(part, Appendage) and part.body.mass > LEAST:
-                half, axes = equal_box(part.body)
+                half, axes = part.body.box()
                 points.append(np.array(part.body.com) + (_CORNERS * half) @ axes.T)
-        return np.vstack(points), margin + float(equal_box(base.body)[0].max())
-
-
-def equal_box(body: Inertial) -> tuple[Array, Array]:
-    """Return half sizes (3,) [m] and axes (3, 3) of the box with a body's inertia."""
-    moments, axes = np.linalg.eigh(np.array(body.inertia))
-    if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1
-    squares = 6 / max(body.mass, 1e-9) * (moments.sum() - 2 * moments)
-    return np.sqrt(np.maximum(squares, 1e-4)) / 2, axes
+        return np.vstack(points), margin + float(base.body.box()[0].max())
 
 
 def _add(body: Any, kind: str, rgba: Any, **options: Any) -> None:

@@ -128,8 +128,12 @@ def _settings(
     )
 
 
-def log_samples(log: RunLog, view: View) -> tuple[System, list[dict[str, Any]]]:
-    """The system of a log, and a sample of it for every picture, as `Live` takes them."""
+def described(log: RunLog) -> System:
+    """Return the system of a log that can be drawn.
+
+    Raises:
+        ParameterError: the log names none, or one of another number of joints.
+    """
     if "system" not in log.meta:
         raise ParameterError("the log does not say what to draw: its metadata has no 'system'")
     system = System.from_dict(log.meta["system"], "log metadata: system")
@@ -137,6 +141,12 @@ def log_samples(log: RunLog, view: View) -> tuple[System, list[dict[str, Any]]]:
         raise ParameterError(
             f"the log's system has an arm of {system.arm.n} joints, its columns {log.n_joints}"
         )
+    return system
+
+
+def log_samples(log: RunLog, view: View) -> tuple[System, list[dict[str, Any]]]:
+    """The system of a log, and a sample of it for every picture, as `Live` takes them."""
+    system = described(log)
     t = np.arange(log.t[0], log.t[-1] + 1e-9, view.speed / view.fps)
 
     def at(values: Array) -> Array:

@@ -363,7 +363,7 @@ def base_wrench(
     hidden: Sequence[Array] | None = None,
     actuators: Sequence[Array] | None = None,
 ) -> Array:
-    """Return the wrench of the arm on the base: what the vehicle's motion takes.
+    """Return the wrench of the arm on the base: what the vehicle's motion takes; also traced.
 
     Args:
         system: arm and vehicle.
@@ -386,7 +386,7 @@ def base_wrench(
             stacked = np.concatenate([part, internal[:, -base.m :]], axis=-1)
             force = force + matvec(matrix[:6], stacked)
     turn = np.swapaxes(rate_matrix(y), -1, -2)
-    wrench = np.linalg.solve(turn, force[..., None])[..., 0]
+    wrench: Array = np.asanyarray(np.linalg.solve(turn, force[..., None])[..., 0])
     if base.body is not None:
         wrench = wrench + body_wrench(base.body.spatial(), y, yd, ydd)
     if actuators is not None:
@@ -397,4 +397,4 @@ def base_wrench(
             moving = twist(y, yd), twist_rate(y, yd, ydd)
             wrench = wrench + carried_wrench(base.carried, at, rate, *moving, actuators[0])
         wrench = wrench - actuators[1]
-    return np.asarray(wrench, dtype=np.float64)
+    return wrench
