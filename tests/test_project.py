@@ -249,7 +249,7 @@ def test_a_path_that_leads_nowhere_is_seen():
 # what `import ves_gym as vg` promises: a name less breaks somebody's program
 PUBLIC = """
     simulate plan compare coupling_map diagnose evaluate train energy calibrate check_emulation
-    render excitation
+    render excitation export
     System Arm Link Inertial PUMA_560 Beam MatrixVehicle Satellite get_vehicle EmulatorSettings
     JointServo Motion
     Simulator State Divergence RunLog Energies EnergyBalance rollout_gradients

@@ -160,6 +160,24 @@ def test_other_systems_are_the_simulators(system, tmp_path):
     assert (np.abs(rows - expected).max(axis=0) < 1e-8 * scale).all()
 
 
+@needs_compiler
+def test_prescribed_joints_take_accelerations(tmp_path):
+    system = vg.System(drive="prescribed")
+    slave = Slave(vg.export(system, tmp_path / "system.fmu"))
+    slave.begin(v_start=[0.1, 0, 0])
+    slave.set(a_cmd=[0.2, -0.1, 0.3])
+    slave.fmu.doStep(0.0, 0.5)
+    np.testing.assert_allclose(slave.get("v"), [0.2, -0.05, 0.15], rtol=1e-12)
+    sim = Simulator(system)
+    sim.reset(v=[0.1, 0, 0])
+    for _ in range(round(0.5 / system.control_dt)):
+        state = sim.step([[0.2, -0.1, 0.3]])
+    np.testing.assert_allclose(slave.get("y"), state.y[0], rtol=1e-9)
+    tau, _ = sim.evaluate([[0.2, -0.1, 0.3]])
+    np.testing.assert_allclose(slave.get("tau"), tau[0], rtol=1e-9)
+    slave.close()
+
+
 # ------------------------------------------------------------------------------ the standard
 
 

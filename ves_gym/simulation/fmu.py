@@ -26,7 +26,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError, toml, write_bytes
+from ves_gym._util.params import ParameterError, toml, write_bytes
 from ves_gym._util.version import __version__
 from ves_gym.engine.backends.base import MEANINGLESS
 from ves_gym.engine.kernel.numbers import model_of, parameters
@@ -38,7 +38,7 @@ from ves_gym.simulation.playback import base_wrench
 from ves_gym.simulation.stable_step import require_stable_step
 from ves_gym.system.effect import DelayEffect
 from ves_gym.system.runlog_files import AXES
-from ves_gym.system.system import PRESCRIBED_INERTIA, System
+from ves_gym.system.system import System
 
 if TYPE_CHECKING:
     import casadi
@@ -232,11 +232,7 @@ class FmuModel:
         slope = graph.motion(*given)
         seen = graph.observe(*given)[1]
         size = 6 + n
-        zdd: Array
-        tau: Array
         zdd, tau = (traced(ca.vertsplit(k), (k.size1(),)) for k in (seen[:size], seen[size:]))
-        if not motor:
-            tau = tau - PRESCRIBED_INERTIA * zdd[6:]
         arguments = [column(x), column(u), column(g)]
         out = self._observed(x, zdd, tau)
         return [
@@ -266,7 +262,7 @@ class FmuModel:
         x = [part for a, b in ((y, q), (yd, v)) for part in (a, b, still, a @ C)]
         return ca.Function("start", [column(s), ca.SX(0, 1), column(g)], [column(*x)])
 
-    def _observed(self, x: Traced, zdd: Array, tau: Array) -> casadi.SX:
+    def _observed(self, x: Traced, zdd: Traced, tau: Traced) -> casadi.SX:
         """Outputs in their order."""
         system, n = self.system, self.system.arm.n
         size, order, gears = 6 + n, len(x) // 2, len(system.actual.arm.geared)
