@@ -369,8 +369,8 @@ ENDLESS = "<limits".join(two(kind="prismatic").rsplit("<limit", 1))
 BAD_URDF = {  # what is said of each
     "link 'fore' has a shape, but no <inert": two(second=f'<link name="fore">{BOX}</link>'),
     "nothing that joint 'elbow' moves has an inertia": two(second='<link name="fore"/>'),
-    "joint 'elbow' mimics 'shoulder', and .* would move": two(
-        extra='<mimic joint="shoulder"/>'
+    "joint 'elbow' mimics 'hip', which is not there: hold it": two(
+        extra='<mimic joint="hip"/>'
     ),
     "joint 'elbow' is prismatic and has no <limit": ENDLESS,
     "joint 'elbow' to link 'fore' is planar": two(kind="planar"),
@@ -547,8 +547,9 @@ BAD_MJCF = [  # old text, new text, what is said
     (ELBOW, 'name="elbow" type="slide"', "locked="),
     (
         "</mujoco>",
-        '<equality><joint joint1="elbow" joint2="lift"/></equality></mujoco>',
-        "joint 'elbow' follows 'lift' by <equality>",
+        '<equality><joint joint1="elbow" joint2="lift" polycoef="0 0 1 0 0"/></equality>'
+        "</mujoco>",
+        "joint 'elbow' follows 'lift', but not in proportion",
     ),
     (
         "</mujoco>",

@@ -3,51 +3,17 @@
 import numpy as np
 import pytest
 
+from tests.three_links import BALANCED, CHAIN, LIMIT, joint, link, mimic, robot, three_links
 from ves_gym._util.params import ParameterError
 from ves_gym.cli.main import main
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia
 
-LIMIT = '<limit lower="-2" upper="2" effort="50" velocity="2"/>'
-
-
-def link(name, mass, x=0.2, moments=(0.01, 0.02, 0.02), shape=""):
-    xx, yy, zz = moments
-    return (
-        f'<link name="{name}"><inertial><origin xyz="{x} 0 0"/><mass value="{mass}"/><inertia'
-        f' ixx="{xx}" iyy="{yy}" izz="{zz}" ixy="0" ixz="0" iyz="0"/></inertial>{shape}</link>'
-    )
-
-
-def joint(name, parent, child, x=0.4, axis="0 1 0", kind="revolute", limit=LIMIT, extra=""):
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="{x} 0 0"/><axis xyz="{axis}"/>{limit}{extra}</joint>'
-    )
-
-
-CHAIN = (
-    '<link name="base"/>',
-    link("l1", 2.0),
-    link("l2", 1.5),
-    link("l3", 1.0),
-    joint("j1", "base", "l1", axis="0 0 1"),
-    joint("j2", "l1", "l2"),
-    joint("j3", "l2", "l3"),
-    '<link name="tool"/>',
-    joint("flange", "l3", "tool", 0.3, kind="fixed"),
-)
-BALANCED = (
-    *CHAIN,
-    link("counterweight", 20.0, -0.5, (0.1, 0.3, 0.3)),
-    joint("k_balance", "l1", "counterweight", 0.0, extra='<mimic joint="j2" multiplier="-1"/>'),
-)
-
 
 @pytest.fixture
 def urdf(tmp_path):
     def write(parts, old="", new="", name="arm.urdf"):
-        text = f'<robot name="a">{"".join(parts)}</robot>'
+        text = robot(parts)
         assert old in text
         (tmp_path / name).write_text(text.replace(old, new) if old else text)
         return tmp_path / name
@@ -58,16 +24,7 @@ def urdf(tmp_path):
 @pytest.fixture
 def mjcf(tmp_path):
     def write(extra="", beside=""):
-        body = '<inertial pos="0.2 0 0" mass="1.5" diaginertia="0.01 0.02 0.02"/>'
-        hinge = '<joint name="j{}" axis="0 {} {}" range="-2 2"/>'
-        text = (
-            '<mujoco><compiler angle="radian"/><worldbody><body name="base"><body name="l1">'
-            f'{hinge.format(1, 0, 1)}{body}{beside}<body name="l2" pos="0.4 0 0">'
-            f'{hinge.format(2, 1, 0)}{body}<body name="l3" pos="0.4 0 0">'
-            f'{hinge.format(3, 1, 0)}{body}<site name="tcp" pos="0.3 0 0"/>'
-            f"</body></body></body></body></worldbody>{extra}</mujoco>"
-        )
-        (tmp_path / "arm.xml").write_text(text)
+        (tmp_path / "arm.xml").write_text(three_links(extra, beside))
         return tmp_path / "arm.xml"
 
     return write
@@ -77,24 +34,24 @@ def mjcf(tmp_path):
 
 
 def test_a_follower_is_not_frozen_in_silence(urdf):
-    """Pinocchio with mimic: the counterweight of 20 kg turns with joint 2. It is refused, by
-    name, and held by those who ask for it."""
+    """Pinocchio with mimic: the counterweight of 20 kg turns with joint 2, unless it is held
+    by those who ask for it."""
     pin = pytest.importorskip("pinocchio")
     path = urdf(BALANCED)
-    with pytest.raises(ParameterError, match=r"'k_balance' mimics 'j2'.*--lock k_balance=0"):
-        Arm.from_file(path, tip="tool")
+    arm = Arm.from_file(path, tip="tool")
     held = Arm.from_file(path, tip="tool", locked={"k_balance": 0.0})
     model = pin.buildModelFromUrdf(str(path), mimic=True)
     coupled = pin.crba(model, model.createData(), np.zeros(model.nq))
-    of_links = inertia(held, np.zeros(3))[6:, 6:]
+    of_links, of_all = (inertia(k, np.zeros(3))[6:, 6:] for k in (held, arm))
+    assert of_all[1, 1] == pytest.approx(coupled[1, 1], rel=1e-12)
     assert coupled[1, 1] - of_links[1, 1] == pytest.approx(0.3 + 20 * 0.5**2)
 
 
 def test_a_follower_stands_still_with_its_leader(urdf):
     """As Pinocchio has it at the leader's angle, also on the chain."""
     pin = pytest.importorskip("pinocchio")
-    on_chain = [k.replace(LIMIT, '<mimic joint="j2" offset="0.1" multiplier="0.5"/>' + LIMIT)
-                if 'name="j3"' in k else k for k in BALANCED]  # fmt: skip
+    on_chain = [k.replace(LIMIT, mimic("j2", 0.5, 0.1) + LIMIT) if 'name="j3"' in k else k
+                for k in BALANCED]  # fmt: skip
     path = urdf(on_chain)
     arm = Arm.from_file(path, tip="tool", locked={"j2": 0.6})
     assert "j2 at 0.6, j3 at 0.4" in arm.source and "k_balance at -0.6" in arm.source
@@ -109,10 +66,23 @@ TENDONS = (
 )
 ROD = '<body name="rod"><joint name="jr"/><geom size="0.05" mass="1"/></body>'
 COUPLED = {  # what is said of it
-    r"ties tendon 'a' and 'b', and 'j2', 'j3' would move": (
-        f'{TENDONS}<equality><tendon tendon1="a" tendon2="b"/></equality>', ""),
-    r"joint 'j3' follows 'j2' by <equality>": (
-        '<equality><joint joint1="j3" joint2="j2"/></equality>', ""),
+    r"tendon 'a' and 'b', but not in proportion, and 'j3' would move.*--lock j2=0": (
+        f'{TENDONS}<equality><tendon tendon1="a" tendon2="b" polycoef="0 1 2 0 0"/></equality>',
+        ""),
+    r"joint 'j3' follows 'j2', but not in proportion": (
+        '<equality><joint joint1="j3" joint2="j2" polycoef="0 1 1 0 0"/></equality>', ""),
+    r"ties tendon 's', but not in proportion, and 'j2', 'j1', 'j3' would move.*--lock j3=0": (
+        '<tendon><spatial name="s"><site site="foot"/><site site="tcp"/></spatial></tendon>'
+        '<equality><tendon tendon1="s"/></equality>', '<site name="foot"/>'),
+    r"joint 'j3' follows 'j2', and follows others too": (
+        '<equality><joint joint1="j3" joint2="j2"/><joint joint1="j2" joint2="j1"/>'
+        '<joint joint1="j3" joint2="j2"/></equality>', ""),
+    r"joints 'j3', 'j2' follow each other in a ring": (
+        '<equality><joint joint1="j3" joint2="j2"/><joint joint1="j2" joint2="j3"/></equality>',
+        ""),
+    r"actuator 'both' pulls 'j2', 'j3' together by a tendon": (
+        '<tendon><fixed name="t"><joint joint="j2" coef="1"/><joint joint="j3" coef="1"/>'
+        '</fixed></tendon><actuator><motor name="both" tendon="t"/></actuator>', ""),
     r"'l3' and 'rod' are held together .* loop over 'j2', 'j3'.*--lock j2=0 --lock j3=0": (
         '<equality><connect body1="l3" body2="rod" anchor="0.3 0 0"/></equality>', ROD),
     r"'l3' and 'rod' are held together": (
@@ -133,10 +103,12 @@ def test_what_ties_bodies_that_do_not_move_against_each_other_is_no_loop(mjcf):
 
 
 def test_an_equality_is_kept_where_its_leader_stands_still(mjcf):
-    """MuJoCo: q3 = 0.1 + 0.5 q2."""
-    tie = '<equality><joint joint1="j3" joint2="j2" polycoef="0.1 0.5 0 0 0"/></equality>'
-    arm = Arm.from_file(mjcf(tie), locked={"j2": 0.6})
-    assert "j2 at 0.6, j3 at 0.4" in arm.source
+    """MuJoCo: q3 = 0.1 + 0.5 q2 + q2^2."""
+    for bent, at in ((0, 0.4), (1, 0.76)):
+        poly = f'polycoef="0.1 0.5 {bent} 0 0"'
+        tie = f'<equality><joint joint1="j3" joint2="j2" {poly}/></equality>'
+        arm = Arm.from_file(mjcf(tie), locked={"j2": 0.6})
+        assert f"j2 at 0.6, j3 at {at}" in arm.source
 
 
 def test_the_torque_of_a_tendons_motor_is_that_at_the_joint(mjcf):
@@ -189,8 +161,8 @@ def test_a_repair_is_asked_for_and_listed(urdf, said):
 def test_options_of_a_file_are_those_of_python(urdf, capsys):
     words = ["simulate", "--duration", "0.1", "--settle", "0", "--goal", "1,1,0"]
     words += ["--arm", str(urdf(BALANCED))]
-    assert main([*words, "--tip", "tool"]) == 2
-    assert "--lock k_balance=0" in capsys.readouterr().err
+    assert main([*words, "--tip", "tool"]) == 0
+    assert "joints that follow others: k_balance" in capsys.readouterr().err
     assert main([*words, "--tip", "tool", "--lock", "k_balance=90"]) == 0
     assert "k_balance at 1.5708" in capsys.readouterr().err  # degrees, as elsewhere there
     for more, said in (
@@ -209,8 +181,6 @@ def test_options_of_a_file_are_those_of_python(urdf, capsys):
 def test_an_environment_takes_a_file_with_its_options(urdf, tmp_path, capsys):
     words = ["evaluate", "BeamLQR-v0", "--controller", "zero", "--episodes", "1"]
     words += ["--out", str(tmp_path), "--arm", str(urdf(BALANCED)), "--tip", "tool"]
-    assert main(words) == 2
-    assert "--lock k_balance=0" in capsys.readouterr().err
     assert main([*words, "--lock", "k_balance=0"]) == 0
     assert "k_balance at 0" in capsys.readouterr().err
 

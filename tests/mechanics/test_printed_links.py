@@ -18,7 +18,7 @@ def virtual_links(arm: Arm) -> Array:
     masses = np.array([b.mass for b in bodies])
     beyond = np.cumsum(masses[::-1])[::-1]  # mass of body j and of all after it
     out = np.array([-b.mass * np.array(b.com) for b in bodies])
-    _, turn, place = arm.roots[0]
+    _, turn, place, _ = arm.feet[0]
     lengths = np.zeros((arm.n, *out.shape))  # of each link, by the bodies they turn with
     for j, link in enumerate(arm.links):
         # d lies along the axis before the link, a along the link's own x before beta

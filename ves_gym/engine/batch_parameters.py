@@ -56,6 +56,7 @@ def _alike(system: System) -> dict[str, Any]:
         "friction": any(k.friction for k in arm.links),
         "mount": arm.mount,
         "the arms beside it": arm.beside,
+        "joints that follow others": arm.followers,
         "joints whose gears give way": [i + 1 for i in actual.arm.geared] or "none",
         "the number of the vehicle's internal modes": actual.base.m,
         "the vehicle's kind": "a body" if system.base.body else "no body",

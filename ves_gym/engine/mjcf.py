@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.mujoco_loader import mujoco
-from ves_gym._util.params import Array, Index
+from ves_gym._util.params import Array, Index, Vector
 from ves_gym.mechanics.arm import Arm, Inertial, matrix
 from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.vehicle import (
@@ -27,6 +27,8 @@ from ves_gym.mechanics.vehicle import (
 # Base joints in the engine's order; Y[i] is engine coordinate TO_Y[i], and back.
 BASE_JOINTS = ("x", "y", "z", "phi_z", "phi_y", "phi_x")
 TO_Y = np.array([0, 1, 2, 5, 4, 3])
+
+_STIFF = 0.9999  # of a tie, the most that MuJoCo takes: it gives way by what is left of 1
 
 LEAST = 1e-13  # kg, kg m^2: what MuJoCo takes of a body that moves
 
@@ -91,6 +93,8 @@ def add_hidden(spec: mujoco.MjSpec, arm: Arm, base: BaseModel | None) -> None:
         tendon.wrap_joint(f"d_{i + 1}", 1.0)
         tendon.springlength = [-gear.gap / 2, gear.gap / 2]  # none within
         tendon.stiffness, tendon.damping = [gear.stiffness, 0, 0], [gear.damping, 0, 0]
+    for k, follower in enumerate(arm.followers or (), start=1):
+        _add_tie(spec, f"follows_{k}", follower.ratios)
     chain = expand(arm)
     for k, (stiffness, loss) in enumerate(zip(chain.stiffness, chain.damping, strict=True), 1):
         tendon = spec.add_tendon(name=f"flexure_{k}")
@@ -99,20 +103,42 @@ def add_hidden(spec: mujoco.MjSpec, arm: Arm, base: BaseModel | None) -> None:
         tendon.stiffness, tendon.damping = [float(stiffness), 0, 0], [float(loss), 0, 0]
 
 
-def places(arm: Arm) -> tuple[Index, Index]:
-    """Return the engine's coordinates of the motors, and of the gears and then the flexures."""
+def _add_tie(spec: mujoco.MjSpec, joint: str, ratios: Vector) -> None:
+    """Hold a joint at the sum of those that it follows, as stiffly as the engine can."""
+    tendon = spec.add_tendon(name=joint)
+    tendon.springlength = [0.0, 0.0]
+    tendon.wrap_joint(joint, 1.0)
+    for i, ratio in enumerate(ratios, start=1):
+        if ratio:
+            tendon.wrap_joint(f"q_{i}", -ratio)
+    tie = spec.add_equality(type=mujoco.mjtEq.mjEQ_TENDON, name1=joint)
+    tie.solref, tie.solimp = [2 * spec.option.timestep, 1.0], [_STIFF, _STIFF, 1e-3, 0.5, 2.0]
+
+
+def places(arm: Arm) -> tuple[Index, Index, Index]:
+    """Return the engine's coordinates of the motors, of gears and then flexures, and of joints
+    that follow others."""
     chain = expand(arm)
     motors, gears, flexures, at = [], [], [], 6
-    for link in range(chain.arm.n):
-        if link not in chain.driven:
+    followers: dict[str, int] = {}
+    for k in chain.arm.depth_first():
+        part = chain.arm.parts[k]
+        if part.ratios is not None:
+            followers[part.joint] = at
+        elif k in chain.passive:
             flexures.append(at)
         else:
             motors.append(at)
-            if chain.arm.links[link].gear is not None:
+            if part.link.gear is not None:
                 at += 1
                 gears.append(at)
         at += 1
-    return np.array(motors, np.intp), np.array([*gears, *flexures], np.intp)
+    following = [followers[f"follows_{i + 1}"] for i in range(len(followers))]
+    return (
+        np.array(motors, np.intp),
+        np.array([*gears, *flexures], np.intp),
+        np.array(following, np.intp),
+    )
 
 
 def _add_internal(spec: mujoco.MjSpec, internal: InternalModes) -> None:
@@ -227,32 +253,33 @@ def _empty_spec(
 def _add_links(spec: mujoco.MjSpec, root: Any, arm: Arm) -> None:
     """The arm's links, joints and drives on a body at the platform-top frame."""
     chain = expand(arm)
-    body, bent = root, 0
-    firsts = {k.first for k in chain.arm.roots}
+    bodies, bent, driven = {-1: root}, 0, 0
     *frames, (tool, tip) = chain.arm.placements
-    for place, (link, (rotation, position)) in enumerate(
-        zip(chain.arm.links, frames, strict=True)
-    ):
-        driven = place in chain.driven
-        bent += not driven
-        i = place + 1 - bent
-        body = (root if place in firsts else body).add_body(
-            name=f"link_{i}" if driven else f"part_{bent}",
-            pos=position.tolist(),
-            quat=quaternion(rotation),
+    for place in chain.arm.depth_first():
+        part, (rotation, position) = chain.arm.parts[place], frames[place]
+        link, name, joint = part.link, part.body, part.joint
+        if place in chain.passive:
+            bent += 1
+            name, joint = f"part_{bent}", f"f_{bent}"
+        elif part.ratios is None:
+            driven += 1
+            name, joint = f"link_{driven}", f"q_{driven}"
+        bodies[place] = body = bodies[part.on].add_body(
+            name=name, pos=position.tolist(), quat=quaternion(rotation)
         )
         body.add_joint(
-            name=f"q_{i}" if driven else f"f_{bent}",
+            name=joint,
             type=mujoco.mjtJoint.mjJNT_SLIDE if link.slides else mujoco.mjtJoint.mjJNT_HINGE,
             axis=[0, 0, 1],
             armature=link.rotor_inertia,
         )
         if link.gear is not None:  # the link turns on, the rotor does not
-            body.add_joint(name=f"d_{i}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+            body.add_joint(name=f"d_{driven}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
         set_inertial(body, regularised_inertial(link.inertial_at_joint))
-        if driven:
-            _add_drive(spec, f"drive_{i}", f"q_{i}", 1.0, link.tau_max)
-    body.add_site(name="tool", pos=tip.tolist(), quat=quaternion(tool))
+        if joint.startswith("q_"):
+            _add_drive(spec, f"drive_{driven}", joint, 1.0, link.tau_max)
+    last = bodies[chain.arm.parts.index(chain.arm.ordered[-1])]
+    last.add_site(name="tool", pos=tip.tolist(), quat=quaternion(tool))
 
 
 def _add_drive(

@@ -32,7 +32,7 @@ from ves_gym._util.params import (
     unit,
     write_text,
 )
-from ves_gym.mechanics.spatial import rotation, skew
+from ves_gym.mechanics.spatial import room, rotation, skew
 
 if TYPE_CHECKING:
     import pinocchio
@@ -296,12 +296,77 @@ class Link:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Follower:
+    """A joint that is geared to the arm's joints, and the link it moves: q = ratios . q_arm.
+
+    It stands in the chain from base to tool at a `place`, or beside the chain `on` a link. Its
+    zero is where it stands while they all are at zero. It has neither limits nor friction of
+    its own: what it follows has both joints'.
+    """
+
+    link: Link
+    ratios: Vector = unit("1")  # (n,) rad or m per rad or m of each of the arm's joints
+    place: int | None = None  # among the links from base to tool, from 0; None: beside them
+    on: int | None = None  # -1: the base link; a place; past these, followers beside, in order
+    mount: Mount | None = None  # beside the chain: its joint's frame in what carries it
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        finite(self.ratios, (len(self.ratios),), "Follower.ratios")
+        if (self.place is None) == (self.on is None):
+            raise ParameterError(
+                f"a Follower needs place (in the chain) or on (beside it), got {self.place} and"
+                f" {self.on}"
+            )
+        if self.link.gear is not None or self.link.flexures:
+            raise ParameterError("a Follower's link must have neither gear nor flexures")
+        if not any(self.ratios):
+            raise ParameterError("Follower.ratios must not all be 0: it would follow nothing")
+
+
+class Part(NamedTuple):
+    """A joint and the link it moves among all of an arm, and what carries it."""
+
+    link: Link
+    body: str  # its name in MuJoCo's models: link_1 or follower_1
+    joint: str  # q_1 or follows_1
+    on: int  # the part that carries it; -1: the base link
+    rotation: Array  # (3, 3) of its joint, less the offset, in the carrier's own frame
+    position: Array  # (3,) m
+    ratios: Vector | None  # of a follower
+
+
+class Coupling(NamedTuple):
+    """All joints' q = G q of the n that are driven: each one's (joint, ratio) pairs."""
+
+    rows: tuple[tuple[tuple[int, float], ...], ...]
+    n: int
+
+    def full(self, q: Array) -> Array:
+        """G q (..., all joints) of q (..., n), or of rates."""
+        out = room(q, *q.shape[:-1], len(self.rows))
+        for i, row in enumerate(self.rows):
+            for j, ratio in row:
+                out[..., i] += ratio * q[..., j]
+        return out
+
+    def reduced(self, x: Array) -> Array:
+        """G^T x (..., n, k) of x (..., all joints, k)."""
+        out = room(x, *x.shape[:-2], self.n, x.shape[-1])
+        for i, row in enumerate(self.rows):
+            for j, ratio in row:
+                out[..., j, :] += ratio * x[..., i, :]
+        return out
+
+
+@dataclass(frozen=True, kw_only=True)
 class Arm:
     """Joints and links one after the other, on a base link fixed to the platform top.
 
     The tool is the last link's frame, turned by `tool_angle` about its z. Several arms side by
     side are one `Arm` too (`side_by_side`): `links` has those of all, `beside` says which are
-    those of the arms before the last one, whose tool is the tool.
+    those of the arms before the last one, whose tool is the tool. `links` are those of the
+    joints that are driven; joints that follow them are `followers`.
     """
 
     name: str
@@ -311,6 +376,7 @@ class Arm:
     mount: Mount | None = None  # of the first joint; None: at the platform-top frame
     beside: tuple[Limb, ...] | None = None  # the arms before the last one, in order of links
     links: tuple[Link, ...]
+    followers: tuple[Follower, ...] | None = None
     tool_angle: float | None = unit("rad", default=None)
     bandwidth: float | None = unit("Hz", default=None)  # of the joint servos, see own_gains
     source: str  # where this whole set comes from
@@ -328,6 +394,9 @@ class Arm:
             )
         if self.beside:
             self.require_rigid("an arm beside others")
+            self.require_uncoupled("an arm beside others")
+        if self.followers:
+            self._require_followers()
         if self.links[-1].flexures:
             raise ParameterError(
                 "the last of Arm.links must not bend, for it carries the tool: got"
@@ -347,9 +416,95 @@ class Arm:
         out: Array = np.clip(0.0, self.column("q_min"), self.column("q_max"))
         return out
 
+    def _require_followers(self) -> None:
+        """Refuse followers that stand nowhere, or on joints that give way."""
+        if self.bends or self.geared:
+            raise ParameterError(
+                f"{self.name} has joints that follow others: its links and gears must be rigid"
+            )
+        followers = self.followers or ()
+        places = sorted(k.place for k in followers if k.place is not None)
+        carriers = self.n + len(places)
+        if len(set(places)) < len(places) or (places and not 0 <= places[-1] < carriers):
+            raise ParameterError(f"Follower.place must be one's own below {carriers}: {places}")
+        for k in followers:
+            if len(k.ratios) != self.n:
+                raise ParameterError(f"Follower.ratios must have {self.n}, got {k.ratios}")
+            if k.on is not None:
+                if not -1 <= k.on < carriers:
+                    raise ParameterError(
+                        f"Follower.on must be -1 to {carriers - 1}, got {k.on}"
+                    )
+                carriers += 1
+
+    @cached_property
+    def parts(self) -> tuple[Part, ...]:
+        """All joints and links: from base to tool, then followers beside these."""
+        at = {k.place: i for i, k in enumerate(self.followers or ()) if k.place is not None}
+        feet = {foot.first: foot[1:3] for foot in self.feet}
+        links, out = iter(enumerate(self.links, start=1)), []
+        for place in range(self.n + len(at)):
+            foot = feet.get(place, (np.eye(3), np.zeros(3)))
+            on = -1 if place in feet else place - 1
+            if place in at:
+                out.append(self._following(at[place], on, *foot))
+            else:
+                i, link = next(links)
+                out.append(Part(link, f"link_{i}", f"q_{i}", on, *foot, None))
+        for i, follower in enumerate(self.followers or ()):
+            if follower.on is not None:
+                foot = Root.at(0, follower.mount)[1:3]
+                out.append(self._following(i, follower.on, *foot))
+        return tuple(out)
+
+    def _following(self, i: int, on: int, rotation: Array, position: Array) -> Part:
+        """A follower as a part, its limits those of what it follows."""
+        follower, i = (self.followers or ())[i], i + 1
+        names = f"follower_{i}", f"follows_{i}"
+        gear = np.array(follower.ratios)
+        ends = np.sort([gear * self.column(k) for k in ("q_min", "q_max")], axis=0).sum(axis=1)
+        v_max, a_max = (float(np.abs(gear) @ self.column(k)) for k in ("v_max", "a_max"))
+        led = np.flatnonzero(gear)
+        link = replace(
+            follower.link,
+            q_min=float(ends[0]),
+            q_max=float(ends[1]),
+            v_max=v_max,
+            a_max=a_max,
+            tau_max=float((self.column("tau_max")[led] / np.abs(gear[led])).min()),
+        )
+        return Part(link, *names, on, rotation, position, follower.ratios)
+
+    @cached_property
+    def _rows(self) -> tuple[int, ...]:
+        """Parts in the order of `dynamics`: those beside the chain, outer ones first, and the
+        chain, which ends in the tool."""
+        chain = self._chain
+        return (*reversed(range(chain, len(self.parts))), *range(chain))
+
+    def depth_first(self, on: int = -1) -> list[int]:
+        """Return places in `parts`, each before what it carries, and all that before the next:
+        the order of bodies in MuJoCo and Pinocchio."""
+        out: list[int] = []
+        for k, part in enumerate(self.parts):
+            if part.on == on:
+                out += [k, *self.depth_first(k)]
+        return out
+
+    @property
+    def ordered(self) -> list[Part]:
+        """Parts as `dynamics` takes them."""
+        return [self.parts[k] for k in self._rows]
+
+    @property
+    def _chain(self) -> int:
+        """Number of joints from base to tool (of all arms)."""
+        return len(self.parts) - sum(k.on is not None for k in self.followers or ())
+
     @cached_property
     def joints(self) -> tuple[JointFrame, ...]:
-        """Lengths and angles of the links as `dynamics` takes them."""
+        """Lengths and angles of the links as `dynamics` takes them, followers' before them."""
+        links = (part.link for part in self.ordered)
         return tuple(
             JointFrame(
                 link.d,
@@ -359,11 +514,11 @@ class Arm:
                 link.offset,
                 bool(link.slides),
             )
-            for link in self.links
+            for link in links
         )
 
     @cached_property
-    def roots(self) -> tuple[Root, ...]:
+    def feet(self) -> tuple[Root, ...]:
         """Where each arm begins, one without others."""
         out, first = [], 0
         for limb in self.beside or ():
@@ -371,32 +526,65 @@ class Arm:
             first += limb.joints
         return (*out, Root.at(first, self.mount))
 
+    @cached_property
+    def roots(self) -> tuple[Root, ...]:
+        """Where the chains of `joints` begin: of each arm, and of each follower beside one."""
+        if not self.followers:
+            return self.feet
+        at = {part: row for row, part in enumerate(self._rows)}
+        out = []
+        for row, k in enumerate(self._rows):
+            part = self.parts[k]
+            if k == 0 or k >= self._chain:
+                on = None if part.on < 0 else at[part.on]
+                out.append(Root(row, part.rotation, part.position, on))
+        return tuple(out)
+
+    @cached_property
+    def coupling(self) -> Coupling | None:
+        """How `joints` follow those that are driven; None: they are these."""
+        if not self.followers:
+            return None
+        own, rows = iter(range(self.n)), {}
+        for k, part in enumerate(self.parts):
+            pairs = enumerate(part.ratios) if part.ratios is not None else [(next(own), 1.0)]
+            rows[k] = tuple((j, float(ratio)) for j, ratio in pairs if ratio)
+        return Coupling(tuple(rows[k] for k in self._rows), self.n)
+
+    @property
+    def driven(self) -> list[int]:
+        """Rows of `joints` (n,) that the links have; the last is always that of the tool."""
+        own = [row for row, part in enumerate(self.ordered) if part.ratios is None]
+        return [*own[:-1], len(self.parts) - 1]
+
     @property
     def spans(self) -> tuple[slice, ...]:
         """Joints of each arm among all, one without others."""
-        return spans(self.roots, self.n)
+        return spans(self.feet, self.n)
 
     @property
     def placements(self) -> list[tuple[Array, Array]]:
-        """Each joint's frame at zero in the one before, and last the tool's: n + 1 rotations
-        (3, 3) and positions (3,) [m], the first of an arm in the platform-top frame."""
-        out, (R, p) = [], self.roots[0][1:]
-        begins = {root.first: root[1:] for root in self.roots}
-        for i, link in enumerate(self.links):
-            R, p = begins.get(i, (R, p))
-            out.append((R @ turned_about(2, link.offset), p))
-            R, p = link.far_end
+        """Joints' frames at zero in those that carry them, and last the tool's: a rotation
+        (3, 3) and a position (3,) [m] of each of `parts`, on the base in the platform-top
+        frame."""
+        out, far = [], [part.link.far_end for part in self.parts]
+        for part in self.parts:
+            R, p = far[part.on] if part.on >= 0 else (np.eye(3), np.zeros(3))
+            turn = R @ part.rotation @ turned_about(2, part.link.offset)
+            out.append((turn, p + R @ part.position))
+        R, p = far[self._rows[-1]]
         return [*out, (R @ self.tool_rotation, p)]
 
     @cached_property
     def bodies(self) -> LinkBodies:
-        """Base link and links as arrays."""
-        parts = [self.base, *(link.inertial for link in self.links)]
+        """Base link and links as arrays, in the order of `joints`."""
+        links = [part.link for part in self.ordered]
+        inertials = [self.base, *(link.inertial for link in links)]
         return LinkBodies(
-            np.array([k.mass for k in parts]),
-            np.array([k.com for k in parts]),
-            np.array([k.inertia for k in parts]),
-            self.column("rotor_inertia"),
+            np.array([k.mass for k in inertials]),
+            np.array([k.com for k in inertials]),
+            np.array([k.inertia for k in inertials]),
+            np.array([link.rotor_inertia for link in links]),
         )
 
     @property
@@ -469,6 +657,23 @@ class Arm:
                 " give one of them (Arm.apart)"
             )
 
+    def require_uncoupled(self, what: str) -> None:
+        """Refuse joints that follow others; `what` it is that takes none."""
+        if self.followers:
+            names = [k.link.name or f"follower {i}" for i, k in enumerate(self.followers, 1)]
+            raise ParameterError(
+                f"{what} takes an arm of driven joints alone, got {self.name}, where"
+                f" {', '.join(names)} follow: hold them (--lock JOINT=0, in Python locked=)"
+            )
+
+    def require_driven_tool(self, what: str) -> None:
+        """Refuse a tool on a joint that follows others; `what` it is that hangs on it."""
+        if self.ordered[-1].ratios is not None:
+            raise ParameterError(
+                f"{what} takes a tool on a driven joint, got {self.name}, whose last joint"
+                " follows others"
+            )
+
     @property
     def apart(self) -> tuple[Arm, ...]:
         """Each of several arms as one of its own; the base link stays with the last one."""
@@ -497,7 +702,8 @@ class Arm:
     @property
     def mass(self) -> float:
         """Total mass [kg]."""
-        return self.base.mass + sum(link.inertial.mass for link in self.links)
+        followed = sum(k.link.inertial.mass for k in self.followers or ())
+        return self.base.mass + sum(link.inertial.mass for link in self.links) + followed
 
     def require_within_limits(self, q: object, name: str = "q") -> Array:
         """Return joint angles as an array inside the joint limits.
@@ -654,6 +860,7 @@ class Root(NamedTuple):
     first: int  # place of this joint among those of all arms
     rotation: Array  # (3, 3)
     position: Array  # (3,) m
+    on: int | None = None  # of a follower: the joint, further back, whose link's frame it is in
 
     @classmethod
     def at(cls, first: int, mount: Mount | None) -> Root:
@@ -675,6 +882,7 @@ class Chain(NamedTuple):
     joints: tuple[JointFrame, ...]
     roots: tuple[Root, ...]  # one, of a single arm
     bodies: LinkBodies
+    coupling: Coupling | None
 
 
 Mechanism = Arm | Chain

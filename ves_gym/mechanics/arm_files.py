@@ -15,7 +15,7 @@ import numpy as np
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import named, read_xml
-from ves_gym.mechanics.arm import BANDWIDTH, Arm, Capsule, Inertial
+from ves_gym.mechanics.arm import BANDWIDTH, Arm, Capsule, Inertial, Part
 from ves_gym.mechanics.arm_reader import ChainChoice, arm_of_tree
 from ves_gym.mechanics.attitude import from_matrix
 from ves_gym.mechanics.chain import angles_of, upright
@@ -48,8 +48,14 @@ def read_file(path: str | os.PathLike[str], choice: ChainChoice) -> Arm:
 
 
 def _joint_names(arm: Arm) -> list[str]:
-    """Return the joints' names, numbers where they have none."""
-    return [link.name or f"q_{i}" for i, link in enumerate(arm.links, start=1)]
+    """Return the joints' names, numbers where they have none; followers' among them."""
+    return [part.link.name or part.joint for part in arm.parts]
+
+
+def _leaders(arm: Arm, part: Part) -> dict[str, float]:
+    """Names of the joints that one follows, and their ratios; none: it is driven."""
+    links = zip(arm.links, part.ratios or (), strict=part.ratios is not None)
+    return {link.name or f"q_{i}": r for i, (link, r) in enumerate(links, start=1) if r}
 
 
 def _require_rigid(arm: Arm, what: str) -> None:
@@ -73,7 +79,7 @@ def _written(top: Element) -> str:
 def _bodies(arm: Arm) -> list[tuple[Inertial, tuple[Capsule, ...]]]:
     """Mass and shape of the base link and of each link, in the frame at its joint."""
     out = [(arm.base, arm.base_shape or ())]
-    for link in arm.links:
+    for link in (part.link for part in arm.parts):
         R, p = link.far_end
         capsules = tuple(
             Capsule(
@@ -102,23 +108,16 @@ def urdf_text(arm: Arm) -> str:
     _require_rigid(arm, "URDF")
     _warn_of_losses(arm)
     robot = Element("robot", {"name": arm.name, "xmlns:drake": "http://drake.mit.edu"})
-    names = ["base", *(f"link_{i}" for i in range(1, arm.n + 1))]
+    names = ["base", *(part.body for part in arm.parts)]
     for name, (inertial, shape) in zip(names, _bodies(arm), strict=True):
         _urdf_link(robot, name, inertial, shape)
     SubElement(robot, "link", name="tool")
-    joints = [*_joint_names(arm), "tool_joint"]
-    for i, (R, p) in enumerate(arm.placements):
-        moves = i < arm.n
-        kind = "revolute" if moves else "fixed"
-        if moves and arm.links[i].slides:
-            kind = "prismatic"
-        joint = SubElement(robot, "joint", name=joints[i], type=kind)
-        SubElement(joint, "parent", link=names[i])
-        SubElement(joint, "child", link=names[i + 1] if moves else "tool")
-        SubElement(joint, "origin", xyz=_text(p), rpy=_text(angles_of(R)))
-        if not moves:
-            continue
-        link = arm.links[i]
+    joints, *places = _joint_names(arm), *arm.placements
+    for i, (part, (R, p)) in enumerate(zip(arm.parts, places, strict=False)):
+        kind = "prismatic" if part.link.slides else "revolute"
+        ends = names[part.on + 1], part.body
+        link, joint = part.link, _urdf_joint(robot, joints[i], kind, *ends, R, p)
+        _mimic(arm, part, joint)
         SubElement(joint, "axis", xyz="0 0 1")
         SubElement(
             joint,
@@ -135,14 +134,39 @@ def urdf_text(arm: Arm) -> str:
             damping=repr(link.damping or 0.0),
             friction=repr(link.friction or 0.0),
         )
-        _transmission(robot, joints[i], link.rotor_inertia)
+        if part.ratios is None or link.rotor_inertia:
+            _transmission(robot, joints[i], link.rotor_inertia)
+    _urdf_joint(robot, "tool_joint", "fixed", arm.ordered[-1].body, "tool", *places[-1])
     return _written(robot)
+
+
+def _urdf_joint(
+    robot: Element, name: str, kind: str, parent: str, child: str, R: Array, p: Array
+) -> Element:
+    joint = SubElement(robot, "joint", name=name, type=kind)
+    SubElement(joint, "parent", link=parent)
+    SubElement(joint, "child", link=child)
+    SubElement(joint, "origin", xyz=_text(p), rpy=_text(angles_of(R)))
+    return joint
+
+
+def _mimic(arm: Arm, part: Part, joint: Element) -> None:
+    """How a follower follows, for which URDF has words if it is one joint."""
+    leaders = _leaders(arm, part)
+    if len(leaders) > 1:
+        names = ", ".join(leaders)
+        raise ParameterError(
+            f"URDF has no words for {joint.get('name')}, which follows {names}"
+        )
+    for name, ratio in leaders.items():
+        SubElement(joint, "mimic", joint=name, multiplier=repr(ratio))
 
 
 def _warn_of_losses(arm: Arm) -> None:
     """Say what URDF itself has no words for."""
     names = _joint_names(arm)
-    rotors = [k for k, link in zip(names, arm.links, strict=True) if link.rotor_inertia]
+    parts = zip(names, arm.parts, strict=True)
+    rotors = [name for name, part in parts if part.link.rotor_inertia]
     lost = [f"the rotors of {', '.join(rotors)} (read by Drake and ves_gym)"] if rotors else []
     if arm.bandwidth not in (None, BANDWIDTH):
         lost.append(f"the servos' bandwidth of {arm.bandwidth:g} Hz (read by none)")
@@ -201,21 +225,22 @@ def mjcf_text(arm: Arm) -> str:
     _require_rigid(arm, "Arm.to_mjcf")
     top = Element("mujoco", model=arm.name)
     SubElement(top, "compiler", angle="radian", autolimits="true")
-    custom = SubElement(top, "custom")
-    SubElement(custom, "numeric", name="ves_v_max", data=_text(arm.column("v_max")))
-    SubElement(custom, "numeric", name="ves_a_max", data=_text(arm.column("a_max")))
+    custom, links = SubElement(top, "custom"), [part.link for part in arm.parts]
+    SubElement(custom, "numeric", name="ves_v_max", data=_text(k.v_max for k in links))
+    SubElement(custom, "numeric", name="ves_a_max", data=_text(k.a_max for k in links))
     if arm.bandwidth is not None:
         SubElement(custom, "numeric", name="ves_bandwidth", data=_text([arm.bandwidth]))
-    body = SubElement(SubElement(top, "worldbody"), "body", name="base")
-    names, bodies, places = _joint_names(arm), _bodies(arm), arm.placements
-    _mjcf_body(body, *bodies[0], moves=False)
-    actuators = Element("actuator")
-    for i, link in enumerate(arm.links):
-        R, p = places[i]
-        body = SubElement(
-            body, "body", name=f"link_{i + 1}", pos=_text(p), quat=_text(from_matrix(R))
+    base = SubElement(SubElement(top, "worldbody"), "body", name="base")
+    names, inertials, places = _joint_names(arm), _bodies(arm), arm.placements
+    _mjcf_body(base, *inertials[0], moves=False)
+    bodies, actuators, ties = {-1: base}, Element("actuator"), Element("equality")
+    tendons = Element("tendon")
+    for i, part in enumerate(arm.parts):
+        link, (R, p) = part.link, places[i]
+        bodies[i] = body = SubElement(
+            bodies[part.on], "body", name=part.body, pos=_text(p), quat=_text(from_matrix(R))
         )
-        _mjcf_body(body, *bodies[i + 1], moves=True)
+        _mjcf_body(body, *inertials[i + 1], moves=True)
         SubElement(
             body,
             "joint",
@@ -227,14 +252,32 @@ def mjcf_text(arm: Arm) -> str:
             damping=repr(link.damping or 0.0),
             frictionloss=repr(link.friction or 0.0),
         )
+        if part.ratios is not None:
+            _tie(ties, tendons, names[i], _leaders(arm, part))
+            continue
         most = _text((-link.tau_max, link.tau_max))
         SubElement(
             actuators, "motor", name=names[i], joint=names[i], ctrlrange=most, forcerange=most
         )
     R, p = places[-1]
-    SubElement(body, "site", name="tool", pos=_text(p), quat=_text(from_matrix(R)))
-    top.append(actuators)
+    tool = bodies[arm.parts.index(arm.ordered[-1])]
+    SubElement(tool, "site", name="tool", pos=_text(p), quat=_text(from_matrix(R)))
+    top.extend([k for k in (tendons, ties, actuators) if len(k)])
     return _written(top)
+
+
+def _tie(ties: Element, tendons: Element, name: str, leaders: dict[str, float]) -> None:
+    """A joint as the sum of others: of one by their equality, of several by a tendon's."""
+    if len(leaders) == 1:
+        ((leader, ratio),) = leaders.items()
+        SubElement(
+            ties, "joint", joint1=name, joint2=leader, polycoef=_text((0, ratio, 0, 0, 0))
+        )
+        return
+    tendon = SubElement(tendons, "fixed", name=f"tie_{name}")
+    for other, coef in (*((k, -ratio) for k, ratio in leaders.items()), (name, 1.0)):
+        SubElement(tendon, "joint", joint=other, coef=repr(coef))
+    SubElement(ties, "tendon", tendon1=f"tie_{name}")
 
 
 def _mjcf_body(
@@ -280,6 +323,8 @@ def pinocchio_model(arm: Arm, base: BaseModel | None = None) -> pinocchio.Model:
     joints, in MuJoCo's order. The constant M of a base is not a body: add it to the base block
     of the inertia matrix in Y.
 
+    A joint that follows one other is Pinocchio's mimic joint.
+
     Args:
         arm: the arm.
         base: the vehicle; None: it stands still.
@@ -306,16 +351,38 @@ def pinocchio_model(arm: Arm, base: BaseModel | None = None) -> pinocchio.Model:
         if base.body is not None:
             append(base.body)
     append(chain.arm.base)
-    foot, firsts = joint, {root.first for root in chain.arm.roots}
     *places, tool = (pin.SE3(R, p) for R, p in chain.arm.placements)
-    names = dict(zip(chain.driven, _joint_names(arm), strict=True))
+    own = range(len(arm.parts)) if arm.followers else chain.driven
+    names = dict(zip(own, _joint_names(arm), strict=True))
     names |= {place: f"f_{k}" for k, place in enumerate(chain.passive, start=1)}
-    for i, (link, place) in enumerate(zip(chain.arm.links, places, strict=True)):
+    joints = {-1: joint}
+    for i in chain.arm.depth_first():
+        part, place = chain.arm.parts[i], places[i]
+        link = part.link
         limits = [np.array([k]) for k in (link.tau_max, link.v_max, link.q_min, link.q_max)]
         moves = pin.JointModelPZ() if link.slides else pin.JointModelRZ()
-        parent = foot if i in firsts else joint
-        joint = model.addJoint(parent, moves, place, names[i], *limits)
+        joint = joints[i] = model.addJoint(joints[part.on], moves, place, names[i], *limits)
         append(link.inertial_at_joint)
-    model.armature[model.nv - chain.arm.n :] = chain.arm.column("rotor_inertia")
+        model.armature[model.joints[joint].idx_v] = link.rotor_inertia
+    joint = joints[chain.arm.parts.index(chain.arm.ordered[-1])]
     model.addFrame(pin.Frame("tool", joint, tool, pin.FrameType.OP_FRAME))
+    return _with_mimic(arm, model)
+
+
+def _with_mimic(arm: Arm, model: pinocchio.Model) -> pinocchio.Model:
+    """The model whose followers are mimic joints, with their rotors at what they follow."""
+    import pinocchio as pin
+
+    for part, name in zip(arm.parts, _joint_names(arm), strict=True):
+        leaders = [(model.getJointId(k), r) for k, r in _leaders(arm, part).items()]
+        own = model.getJointId(name)
+        if len(leaders) > 1 or any(leader > own for leader, _ in leaders):
+            raise ParameterError(
+                f"Pinocchio has no words for {name}, which follows several joints or one"
+                " beyond it"
+            )
+        for leader, ratio in leaders:
+            rotor = ratio**2 * part.link.rotor_inertia
+            model.armature[model.joints[leader].idx_v] += rotor
+            model = pin.transformJointIntoMimic(model, leader, own, ratio, 0.0)
     return model

@@ -17,11 +17,12 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import BANDWIDTH, Arm, Inertial, matrix, rigid_moments
-from ves_gym.mechanics.chain import Joint, LinkMass, Lump, Segment, arm_of
+from ves_gym.mechanics.chain import ENDLESS, Joint, LinkMass, Lump, Segment, arm_of
 
 # Numbers beyond these look like mm, g and kg mm^2 (this project).
 _REACH = 100.0  # m
 _DENSITY = 1e4  # kg/m^3: moving mass over the cube of the reach; a PUMA has 60
+_ROUND = 1e-12  # determinant of followers that follow each other, below which they are a ring
 _GYRATION = 10.0  # radius of gyration over the reach
 
 
@@ -52,12 +53,23 @@ class TreeJoint:
 
 
 class Tie(NamedTuple):
-    """Joints that a file couples: one follows another, or a tendon leads over all."""
+    """Joints that a file couples: follower = shift + the others times their ratios."""
 
     what: str  # of a sentence, like "joint 'a' mimics 'b'"
-    joints: tuple[str, ...]
-    followers: tuple[str, ...]  # holding one of them undoes it
-    leader: str | None = None  # the one that the follower stands still with
+    follower: str
+    ratios: dict[str, float]  # by joint
+    shift: float = 0.0
+    # no such sum: factors of the second power on of a sum from rest, and that sum's parts;
+    # NaN of what is no sum at all
+    bend: tuple[tuple[float, ...], dict[str, float]] | None = None
+
+
+class Coupled(NamedTuple):
+    """The moving joints of a chain and beside it, and where all others stand."""
+
+    free: list[TreeJoint]  # from base to tool, each a coordinate
+    moving: dict[str, Array]  # all that move: (n,) of their rates to those of the free ones
+    at: dict[str, float]  # where every joint is while the free ones are at zero [rad, m]
 
 
 def held(*names: str) -> str:
@@ -78,6 +90,7 @@ class Tree(ABC):
     parents: dict[str, str]  # body -> the one before it
     joints: dict[str, list[TreeJoint]]  # body -> those that move it, inner first
     ties: list[Tie]
+    coupled: Coupled  # once it is known which joints move
     bandwidth: float = BANDWIDTH
     repair: bool = False
     repairs: list[str]  # what was mended, for the arm's source
@@ -150,22 +163,20 @@ class Tree(ABC):
         return out
 
     @abstractmethod
-    def place(
-        self, root: str, chain: list[str], free: list[TreeJoint], locked: Mapping[str, float]
-    ) -> None:
-        """Place all bodies, seen from the root, the free joints at zero.
+    def place(self, root: str, at: Mapping[str, float]) -> None:
+        """Place all bodies, seen from the root, the joints where `at` says.
 
         Raises:
-            ParameterError: the bodies of the chain hang on more than its joints.
+            ParameterError: a loop closes over joints that move.
         """
 
-    def position(self, joint: TreeJoint, locked: Mapping[str, float]) -> float:
-        """Return where a joint that is not free stands still."""
-        return float(locked.get(joint.name, 0.0))
+    def rest(self, joint: str) -> float:
+        """Return where a joint stands still of which nothing is said."""
+        return 0.0
 
     @abstractmethod
-    def chain_joints(self, free: list[TreeJoint]) -> list[Joint]:
-        """Return the free joints as they are placed, each with an empty body."""
+    def moving_joints(self, joints: list[TreeJoint]) -> list[Joint]:
+        """Return joints as they are placed, each with an empty body."""
 
     @abstractmethod
     def tool(self, body: str, name: str) -> tuple[Array, Array]:
@@ -179,7 +190,7 @@ class Tree(ABC):
     def capsules(self, body: str) -> list[Segment]:
         """Return a body's shapes as capsules that hold them."""
 
-    def notes(self, free: list[TreeJoint]) -> list[str]:
+    def notes(self, moving: list[str]) -> list[str]:
         """Return what the arm's source is to say of what is left out."""
         return []
 
@@ -198,12 +209,11 @@ def arm_of_tree(tree: Tree, choice: ChainChoice) -> Arm:
     root = tree.root(choice.root)
     end, tip = tree.tip(choice.tip, root)
     chain = tree.chain(root, end)
-    locked = _locked(tree, choice)
-    free = _free(tree, chain, locked)
-    if not free:
+    tree.coupled = coupled = _coupled(tree, root, chain, _locked(tree, choice))
+    if not coupled.free:
         raise ParameterError(f"no {tree.moving} joint lies between {root!r} and {tip!r}")
-    tree.place(root, chain, free, locked)
-    joints = {joint.name: joint for joint in tree.chain_joints(free)}
+    tree.place(root, coupled.at)
+    joints, lost = _moving(tree, root, chain, coupled)
     rotors = _with_rotors(joints, choice.rotors)
     movers = tree.movers(root, set(joints))
     for body in choice.massless:
@@ -215,7 +225,8 @@ def arm_of_tree(tree: Tree, choice: ChainChoice) -> Arm:
     tool = tree.tool(end, tip)
     if choice.check:
         moving = [k for body, k in masses.items() if k is not None and movers[body] is not None]
-        _require_plausible(list(joints.values()), tool[1], moving)
+        along = [joint for joint in joints.values() if not joint.beside]
+        _require_plausible(along, tool[1], moving)
     lumps: dict[str | None, Lump] = {None: Lump()}
     lumps |= {name: joint.body for name, joint in joints.items()}
     still = []
@@ -227,19 +238,22 @@ def arm_of_tree(tree: Tree, choice: ChainChoice) -> Arm:
             lumps[mover].capsules += tree.capsules(body)
         for joint in tree.joints[body] if body != root else ():
             if not joint.fixed and joint.name not in joints:
-                still.append(f"{joint.name} at {tree.position(joint, locked):g}")
+                still.append(f"{joint.name} at {coupled.at[joint.name]:g}")
     notes = [f"read from {tree.path.name}, {root} to {tip}"]
     if still:
         notes.append(f"joints that stand still: {', '.join(still)}")
+    names = [joint.name for joint in joints.values() if joint.ratios is not None]
+    if names:
+        notes.append(f"joints that follow others: {', '.join(names)}")
     if choice.massless:
         notes.append(f"taken to weigh nothing: {', '.join(choice.massless)}")
-    notes += tree.repairs
+    notes += [*tree.repairs, *lost]
     return arm_of(
         tree.name,
         lumps[None],
         list(joints.values()),
         tool,
-        source="; ".join([*notes, *tree.notes(free), *rotors]),
+        source="; ".join([*notes, *tree.notes(list(joints)), *rotors]),
         collision=choice.collision,
         bandwidth=tree.bandwidth,
     )
@@ -257,30 +271,126 @@ def _locked(tree: Tree, choice: ChainChoice) -> dict[str, float]:
     return out
 
 
-def _free(tree: Tree, chain: list[str], locked: Mapping[str, float]) -> list[TreeJoint]:
-    """The joints of a chain that move; refuse those that no arm has, and couplings.
+def _coupled(tree: Tree, root: str, chain: list[str], locked: Mapping[str, float]) -> Coupled:
+    """The joints of a chain that move, and those that follow them; refuse what no arm has.
 
-    A follower stands still where its leader does.
+    Who holds a follower undoes its tie; it stands still where all that it follows does.
     """
+    bodies = tree.movers(root, set())
+    every = {k.name: k for body in bodies if body != root for k in tree.joints[body]}
     on_chain = [joint for body in chain for joint in tree.joints[body]]
-    free = {k.name: k for k in on_chain if not k.fixed and k.name not in locked}
-    for _ in tree.ties:  # followers of followers
-        for tie in tree.ties:
-            if tie.leader is not None and tie.leader not in free:
-                free.pop(tie.followers[0], None)
-    for joint in free.values():
-        if joint.fault:
-            raise ParameterError(joint.fault)
+    loose = {k.name for k in on_chain if not k.fixed and k.name not in locked}
     for tie in tree.ties:
-        moving = [name for name in tie.joints if name in free]
-        if moving and not any(name in locked for name in tie.followers):
-            follower = tie.followers[0]
-            raise ParameterError(
-                f"{tie.what}, and {', '.join(map(repr, moving))} would move: joints of an arm"
-                f" are not coupled. Hold {follower!r} ({held(follower)}), or all of them"
-                f" ({held(*tie.joints)})"
-            )
-    return list(free.values())
+        if math.isnan(tie.shift):  # by a tendon between sites
+            some = [k for k in (tie.follower, *tie.ratios) if k in loose]
+            _refuse(tie, some, some)
+    ties = [k for k in tree.ties if k.follower in every and k.follower not in locked]
+    ties = [k for k in ties if not math.isnan(k.shift)]
+    _require_whole(tree, ties)
+    followers = {tie.follower: tie for tie in ties}
+    free = [k for k in on_chain if k.name in loose and k.name not in followers]
+    n, names = len(free), [*followers]
+    rows = {k: np.zeros(n + 1) for k in every}  # rates to the free ones, and where they are
+    for name, row in rows.items():
+        row[n] = locked.get(name, tree.rest(name))
+    for k, joint in enumerate(free):
+        rows[joint.name] = np.eye(n + 1)[k]
+    among = np.eye(len(names))  # followers less what they follow of each other = what is known
+    known = np.zeros((len(names), n + 1))
+    for i, tie in enumerate(followers.values()):
+        known[i, n] = tie.shift
+        if tie.bend:  # of what stands still; else refused below
+            way = sum(k * (rows[j][n] - tree.rest(j)) for j, k in tie.bend[1].items())
+            known[i, n] += np.polyval([*tie.bend[0][::-1], 0.0, 0.0], way)
+        for leader, ratio in tie.ratios.items():
+            if leader in followers:
+                among[i, names.index(leader)] -= ratio
+            else:
+                known[i] += ratio * rows[leader]
+    if names and abs(np.linalg.det(among)) < _ROUND:
+        raise ParameterError(
+            f"joints {', '.join(map(repr, names))} follow each other in a ring: hold one"
+            f" ({held(names[0])})"
+        )
+    rows |= dict(zip(names, np.linalg.solve(among, known), strict=True)) if names else {}
+    moving = {k: row[:n] for k, row in rows.items() if row[:n].any()}
+    for tie in ties:
+        if tie.bend:
+            some = [k for k in tie.ratios if k in moving or k in followers]
+            _refuse(tie, some, [tie.follower])
+    for name in moving:
+        if fault := every[name].fault:
+            raise ParameterError(fault)
+    return Coupled(free, moving, {name: float(row[n]) for name, row in rows.items()})
+
+
+def _refuse(tie: Tie, moving: list[str], remedy: list[str]) -> None:
+    """Refuse a tie in no proportion, of which joints would move, unless some are held."""
+    if moving:
+        some, hold = (", ".join(map(repr, names)) for names in (moving, remedy))
+        raise ParameterError(
+            f"{tie.what}, but not in proportion, and {some} would move: hold {hold}"
+            f" ({held(*remedy)})"
+        )
+
+
+def _require_whole(tree: Tree, ties: list[Tie]) -> None:
+    """Refuse ties to joints that are not there, and two of one follower."""
+    joints = {joint.name for joints in tree.joints.values() for joint in joints}
+    seen: set[str] = set()
+    for tie in ties:
+        missing = [name for name in tie.ratios if name not in joints]
+        if missing:
+            what = f"{tie.what}, which is not there"
+        elif tie.follower in seen:
+            what = f"{tie.what}, and follows others too"
+        else:
+            seen.add(tie.follower)
+            continue
+        raise ParameterError(f"{what}: hold it ({held(tie.follower)})")
+
+
+def _moving(
+    tree: Tree, root: str, chain: list[str], coupled: Coupled
+) -> tuple[dict[str, Joint], list[str]]:
+    """All joints that move, from base to tool and then beside these, the limits of followers
+    in those of what they follow; and what is lost."""
+    on_chain = [k for body in chain for k in tree.joints[body] if k.name in coupled.moving]
+    others = [body for body in tree.movers(root, set()) if body not in (root, *chain)]
+    beside = [k for body in others for k in tree.joints[body] if k.name in coupled.moving]
+    joints = {joint.name: joint for joint in tree.moving_joints([*on_chain, *beside])}
+    free, lost = [joints[k.name] for k in coupled.free], []
+    movers = tree.movers(root, set(joints))
+    for mine in beside:
+        inner = [k.name for k in tree.joints[mine.body] if k.name in joints]
+        before = inner[: inner.index(mine.name)]
+        joints[mine.name].beside = True
+        joints[mine.name].on = [movers[tree.parents[mine.body]], *before][-1]
+    for name, ratios in coupled.moving.items():
+        if joints[name] in free:
+            continue
+        joints[name].ratios = ratios
+        leaders = np.flatnonzero(ratios)
+        if len(leaders) == 1:
+            k = int(leaders[0])
+            _restrict(free[k], joints[name], float(ratios[k]), coupled.at[name])
+        else:
+            lost.append(f"limits and friction of {name}, which follows several, left out")
+    return joints, lost
+
+
+def _restrict(leader: Joint, follower: Joint, ratio: float, shift: float) -> None:
+    """Keep a follower's limits by those of the joint that it follows, and add its friction."""
+    if abs(follower.q_min) < ENDLESS or abs(follower.q_max) < ENDLESS:
+        ends = sorted((end - shift) / ratio for end in (follower.q_min, follower.q_max))
+        leader.q_min, leader.q_max = max(leader.q_min, ends[0]), min(leader.q_max, ends[1])
+    for name in ("v_max", "a_max"):
+        if most := getattr(follower, name):
+            most /= abs(ratio)
+            setattr(leader, name, min(getattr(leader, name) or most, most))
+    leader.damping = (leader.damping or 0.0) + ratio**2 * (follower.damping or 0.0)
+    leader.friction = (leader.friction or 0.0) + abs(ratio) * (follower.friction or 0.0)
+    follower.damping = follower.friction = None
 
 
 def _with_rotors(joints: Mapping[str, Joint], rotors: Mapping[str, float]) -> list[str]:

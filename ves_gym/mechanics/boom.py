@@ -239,6 +239,7 @@ class Boom:
             ParameterError: the boom has no joints (`braked` needs none).
         """
         arm.require_alone("a boom that is driven")
+        arm.require_uncoupled("a boom that is driven")
         if not self.joints:
             raise ParameterError(f"boom {self.name} has no joints to drive: use Boom.braked")
         events, flange, _ = self._pose(np.zeros(len(self.joints)))
@@ -434,7 +435,7 @@ def _joint(event: _Hinge, number: int) -> Joint:
 
 def _mounted(arm: Arm, flange: Flange) -> tuple[Array, Array]:
     """Rotation and position of an arm's first joint on a flange."""
-    _, R, p = arm.roots[0]
+    _, R, p, _ = arm.feet[0]
     return flange.rotation @ R, flange.position + flange.rotation @ p
 
 

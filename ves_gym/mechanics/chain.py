@@ -6,6 +6,7 @@ What files of URDF and MJCF lead to, booms, and arms whose links bend.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ from ves_gym.mechanics.arm import (
     Arm,
     Capsule,
     Flexure,
+    Follower,
     Inertial,
     Link,
     Mount,
@@ -146,6 +148,9 @@ class Joint:
     damping: float | None = None  # N m s/rad
     friction: float | None = None  # N m
     slides: bool = False  # along its axis; then m and N instead of rad and N m
+    ratios: Array | None = None  # of one that follows those that are driven (n,)
+    beside: bool = False  # it stands not between base and tool
+    on: str | None = None  # beside them: the joint before it; None: the base
 
 
 def arm_of(
@@ -163,7 +168,7 @@ def arm_of(
     Args:
         name: of the arm.
         root: what stands on the platform.
-        joints: from root to tip.
+        joints: from root to tip, then those beside them, each after what it stands on.
         tool: rotation (3, 3) and position (3,) [m] of the tool.
         source: where it comes from; what is derived is added.
         collision: False: leave the shapes out.
@@ -172,36 +177,68 @@ def arm_of(
     Raises:
         ParameterError: names the joint.
     """
-    mount = upright(joints[0].axis)
-    R, p = mount, joints[0].origin
-    links = []
-    for i, joint in enumerate(joints):
-        last = i == len(joints) - 1
-        axis = tool[0][:, 2] if last else joints[i + 1].axis
-        target = tool[1] if last else joints[i + 1].origin
+    along, driven = (
+        [k for k in joints if not k.beside],
+        [k for k in joints if k.ratios is None],
+    )
+    mount = upright(along[0].axis)
+    R, p = mount, along[0].origin
+    links: dict[str, Link] = {}
+    frames: dict[str | None, tuple[Array, Array]] = {None: (_UPRIGHT, _ORIGIN)}
+
+    def add(joint: Joint, R: Array, p: Array, axis: Array, target: Array) -> None:
+        """A link from its joint's frame to an axis (3,) at a target (3,)."""
         shape = far_end(R.T @ (target - p), R.T @ axis)
-        turned = turned_about(2, shape["offset"])
         link = _link(joint, shape)
-        R, p = R @ turned @ link.far_end[0], target
+        R, p = R @ turned_about(2, shape["offset"]) @ link.far_end[0], target
         try:
             inertial = joint.body.inertial(R, p)
         except ParameterError as error:
             raise ParameterError(f"what joint {joint.name!r} moves: {error}") from None
         capsules = joint.body.shape(R, p) if collision else None
-        links.append(replace(link, inertial=inertial, shape=capsules))
+        links[joint.name] = replace(link, inertial=inertial, shape=capsules)
+        frames[joint.name] = R, p
+
+    for i, joint in enumerate(along):
+        last = i == len(along) - 1
+        axis = tool[0][:, 2] if last else along[i + 1].axis
+        add(joint, R, p, axis, tool[1] if last else along[i + 1].origin)
+        R, p = frames[joint.name]
+    for joint in joints[len(along) :]:
+        add(joint, upright(joint.axis), joint.origin, joint.axis, joint.origin)
     turn = R.T @ tool[0]
     angle = math.atan2(turn[1, 0], turn[0, 0])
     arm = Arm(
         name=name,
         base=root.inertial(_UPRIGHT, _ORIGIN),
         base_shape=root.shape(_UPRIGHT, _ORIGIN) if collision else None,
-        mount=_mount(mount, joints[0].origin),
-        links=tuple(links),
+        mount=_mount(mount, along[0].origin),
+        links=tuple(links[joint.name] for joint in driven),
+        followers=_followers(joints, links, frames) or None,
         tool_angle=angle if abs(angle) > _ZERO else None,
         bandwidth=bandwidth,
         source=source,
     )
-    return _with_limits(arm, joints)
+    return _with_limits(arm, driven)
+
+
+def _followers(
+    joints: list[Joint], links: Mapping[str, Link], frames: Mapping[str | None, Any]
+) -> tuple[Follower, ...]:
+    """The joints that follow others; the frames are those of all links, by joint."""
+    numbers = {None: -1} | {joint.name: i for i, joint in enumerate(joints)}
+    out = []
+    for i, joint in enumerate(joints):
+        if joint.ratios is None:
+            continue
+        stands: dict[str, Any] = {"place": i}
+        if joint.beside:
+            R, p = frames[joint.on]
+            mount = _mount(R.T @ upright(joint.axis), R.T @ (joint.origin - p))
+            stands = {"on": numbers[joint.on], "mount": mount}
+        ratios = tuple(float(k) for k in joint.ratios)
+        out.append(Follower(link=links[joint.name], ratios=ratios, **stands))
+    return tuple(out)
 
 
 def upright(axis: Array) -> Array:
@@ -365,7 +402,7 @@ def flexures_as_links(arm: Arm) -> tuple[Arm, list[int], list[int], list[Flexure
         start = upright(np.array(first.axis))
         mount = Mount(position=first.origin, angles=angles_of(start))
         foot = _Frame(start, np.array(first.origin))
-        chain, turn = _hops(arm.base_flexures, foot, arm.roots[0][1:])
+        chain, turn = _hops(arm.base_flexures, foot, arm.feet[0][1:3])
         passive += range(len(chain))
         springs += arm.base_flexures
         links += chain

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.arm import Arm, Mechanism, Root, spans
-from ves_gym.mechanics.kinematics import frames, joint_values, twists
+from ves_gym.mechanics.kinematics import frames, joint_values, outwards, twists
 from ves_gym.mechanics.spatial import base_motion, cross, room
 
 # Spatial inertia (6, 6) by places in (0, m, h, -h, second moments), h the first moment
@@ -32,6 +32,7 @@ _SPATIAL = [
 # Joints of some configurations at a time: what lies between stays in the cache, and its arrays
 # below the size from which the system hands out pages of memory one by one (128 KiB)
 _CHUNK = 3600
+_NONE = np.zeros(3)
 
 
 # --------------------------------------------------------------------- rigid bodies
@@ -140,31 +141,52 @@ def body_loads(
 
 def _from_the_tips(roots: Sequence[Root], x: Array) -> Array:
     """Add to each joint's row of x (..., n, k) those beyond it, in place."""
-    firsts = {root.first for root in roots}
-    for i in reversed(range(x.shape[-2] - 1)):
-        if i + 1 not in firsts:
+    n = x.shape[-2]
+    for root, span in zip(roots, spans(roots, n), strict=True):
+        for i in reversed(range(span.start, span.stop - 1)):
             x[..., i, :] += x[..., i + 1, :]
+        if root.on is not None:
+            x[..., root.on, :] += x[..., root.first, :]
     return x
 
 
 def _from_the_base(roots: Sequence[Root], starts: Sequence[Array], x: Array) -> Array:
     """(..., n + r, 3): of each arm its start (..., 3), then its rows of x (..., n, 3) added in
-    turn."""
-    batch = np.broadcast_shapes(starts[0].shape[:-1], x.shape[:-2])
-    out = room(x, *batch, x.shape[-2] + len(roots), 3)
-    for k, (start, span) in enumerate(zip(starts, spans(roots, x.shape[-2]), strict=True)):
-        out[..., span.start + k, :] = start
-        for i in range(span.start, span.stop):
-            np.add(out[..., i + k, :], x[..., i, :], out=out[..., i + k + 1, :])
+    turn; the start of what follows beside an arm is added to its carrier's."""
+    batch, n = np.broadcast_shapes(*(k.shape[:-1] for k in starts), x.shape[:-2]), x.shape[-2]
+    out = room(x, *batch, n + len(roots), 3)
+    beyond = [i + k + 1 for k, span in enumerate(spans(roots, n)) for i in range(n)[span]]
+    begins = {root.first: (root, start) for root, start in zip(roots, starts, strict=True)}
+    for i in outwards(roots, n):
+        if i in begins:
+            root, start = begins[i]
+            start = start if root.on is None else out[..., beyond[root.on], :] + start
+            out[..., beyond[i] - 1, :] = start
+        np.add(out[..., beyond[i] - 1, :], x[..., i, :], out=out[..., beyond[i], :])
     return out
+
+
+def _starts(roots: Sequence[Root], base: Array) -> list[Array]:
+    """What each arm starts with (..., 3): the base's, and nothing more than its carrier's."""
+    return [base if root.on is None else _NONE for root in roots]
 
 
 def _of_all(roots: Sequence[Root], x: Array) -> Array:
     """Sum over the arms of what their first joints' rows of x (..., n, k) have: (..., k)."""
-    out = x[..., roots[0].first, :]
-    for root in roots[1:]:
-        out = out + x[..., root.first, :]
+    first, *others = (root.first for root in roots if root.on is None)
+    out = x[..., first, :]
+    for k in others:
+        out = out + x[..., k, :]
     return out
+
+
+def _carriers(roots: Sequence[Root], n: int, i: int) -> list[int]:
+    """Joints from the base to joint i of n."""
+    for root, span in zip(roots, spans(roots, n), strict=True):
+        if span.start <= i < span.stop:
+            before = [] if root.on is None else _carriers(roots, n, root.on)
+            return [*before, *range(span.start, i + 1)]
+    return []
 
 
 # ------------------------------------------------------------------- inertia matrix
@@ -199,6 +221,10 @@ def inertia_parts(arm: Mechanism, q: npt.ArrayLike) -> InertiaParts:
     joints = np.where(np.tri(n, dtype=bool), np.swapaxes(pairs, -1, -2), pairs)
     for span in spans(roots, n)[: len(roots) - 1]:  # arms meet in the base alone
         joints[..., span, span.stop :] = joints[..., span.stop :, span] = 0.0
+    for root in roots:
+        if root.on is not None:
+            i, up = root.first, _carriers(roots, n, root.on)
+            joints[..., i, up] = joints[..., up, i] = pairs[..., up, i]
     joints[..., range(n), range(n)] += bodies.rotor
     base_turned = moments(
         bodies.mass[..., 0], bodies.com[..., 0, :], packed(bodies.inertia[..., 0, :, :])
@@ -208,6 +234,9 @@ def inertia_parts(arm: Mechanism, q: npt.ArrayLike) -> InertiaParts:
         _of_all(roots, first) + base_turned[0],
         _of_all(roots, second) + base_turned[1],
     )
+    if arm.coupling is not None:  # G^T M G, for the joints' rates are G of the driven ones'
+        across, half = arm.coupling.reduced(across), arm.coupling.reduced(joints)
+        joints = arm.coupling.reduced(np.swapaxes(half, -1, -2))
     return InertiaParts(base, across, joints)
 
 
@@ -247,8 +276,6 @@ def drawn_configurations(arm: Arm) -> Array:
 
 # ------------------------------------------------------------------ inverse dynamics
 
-_NONE = np.zeros(3)
-
 
 def newton_euler(
     arm: Mechanism,
@@ -272,18 +299,29 @@ def newton_euler(
         at the platform-top origin, platform axes. What the arm exerts is its negative.
     """
     at, bodies, roots = frames(arm, q), arm.bodies, arm.roots
+    if arm.coupling is not None:
+        v, a = arm.coupling.full(v), arm.coupling.full(a)
     rotation, slides = at.rotation, [joint.slides for joint in arm.joints]
     rates, pushes = v[..., None] * at.axis, a[..., None] * at.axis
     turns = np.array([[float(not k)] for k in slides]) if any(slides) else 1.0
     # angular velocities and accelerations, of the base and of each link
-    spins = _from_the_base(roots, [spin] * len(roots), turns * rates)
+    spins = _from_the_base(roots, _starts(roots, spin), turns * rates)
     w, gyration = spins[..., at.links, :], cross(spins[..., at.joints, :], rates)
-    turned = _from_the_base(roots, [turn] * len(roots), turns * (pushes + gyration))
+    turned = _from_the_base(roots, _starts(roots, turn), turns * (pushes + gyration))
     dw = turned[..., at.links, :]
     # acceleration of where the joint is, as its link moves
     gain = swing(w, dw, at.ways)
     slid = (1.0 - turns) * (pushes + 2.0 * gyration) if any(slides) else 0.0
-    feet = [accel + swing(spin, turn, root.position) for root in roots]
+    feet = [
+        accel + swing(spin, turn, root.position)
+        if root.on is None
+        else swing(
+            w[..., root.on, :],
+            dw[..., root.on, :],
+            (rotation[..., root.on, :, :] * root.position).sum(axis=-1),
+        )
+        for root in roots
+    ]
     places = _from_the_base(roots, feet, gain + slid)
     # forces and moments about the origin, of each body, then of all from it outwards
     reach = at.ways + (rotation * bodies.com[..., 1:, None, :]).sum(axis=-1)
@@ -294,6 +332,8 @@ def newton_euler(
     force, moment = (_from_the_tips(roots, x) for x in loads)
     moving, turning = twists(arm, at)
     tau = (moving * force).sum(axis=-1) + (turning * moment).sum(axis=-1) + bodies.rotor * a
+    if arm.coupling is not None:
+        tau = arm.coupling.reduced(tau[..., None])[..., 0]
     com, base_turned = bodies.com[..., 0, :], packed(bodies.inertia[..., 0, :, :])
     moved = accel + swing(spin, turn, com)
     base = body_loads(bodies.mass[..., 0], com, base_turned, spin, turn, moved)

@@ -140,6 +140,7 @@ def minimal_model(arm: Arm) -> MinimalModel:
     body i's x before beta turns it.
     """
     arm.require_alone("the model of a weight's moment")
+    arm.require_uncoupled("the model of a weight's moment")
     width = 3 * (arm.n + 1) + arm.n
     chosen = [(0, 0), (0, 1), (0, 2)]
     rows = [np.zeros(width) for _ in chosen]
@@ -161,7 +162,7 @@ def minimal_model(arm: Arm) -> MinimalModel:
 
     for k in range(3):
         lump({k: 1.0}, k, 1.0, f"m0 r0{'xyz'[k]}")
-    _, turn, place = arm.roots[0]
+    _, turn, place, _ = arm.feet[0]
     z = {k: part for k, part in enumerate(turn[:, 2].tolist()) if part}  # by kept directions
     for k, length in enumerate(place.tolist()):
         if length:

@@ -76,15 +76,21 @@ def frames(arm: Mechanism, q: npt.ArrayLike) -> Frames:
     angles q (..., n) [rad].
     """
     angles, roots = np.asanyarray(numbers(q), order="F"), arm.roots
+    if arm.coupling is not None:
+        angles = arm.coupling.full(angles)
     batch, n = angles.shape[:-1], len(arm.joints)
     rows, r = frame_rows(roots, n), len(roots)
     at, beyond = (range(n + r)[k] if isinstance(k, slice) else k for k in rows)
     same, other = _swings(arm.joints, angles)
     rotations, positions = room(angles, *batch, n + r, 3, 3), room(angles, *batch, n + r, 3)
     ways = room(angles, *batch, n, 3)
-    for first, foot, place in roots:
-        rotations[..., at[first], :, :], positions[..., at[first], :] = foot, place
-    for i, joint in enumerate(arm.joints):
+    feet = {root.first: root for root in roots}
+    for i in outwards(roots, n):
+        joint = arm.joints[i]
+        if i in feet:
+            rotations[..., at[i], :, :], positions[..., at[i], :] = _foot(
+                feet[i], beyond, rotations, positions
+            )
         before, R = rotations[..., at[i], :, :], rotations[..., beyond[i], :, :]
         way = ways[..., i, :]
         z, (cosine, sine) = before[..., 2], joint.alpha
@@ -107,6 +113,24 @@ def frames(arm: Mechanism, q: npt.ArrayLike) -> Frames:
             R[..., ::-2] = _turned(R[..., ::-2], joint.beta)
         np.add(positions[..., at[i], :], way, out=positions[..., beyond[i], :])
     return Frames(rotations, positions, ways, *rows)
+
+
+def outwards(roots: Sequence[Root], n: int) -> list[int]:
+    """Return the n joints in an order in which those that carry others come first."""
+    order = spans(roots, n)
+    if any(root.on is not None for root in roots):
+        order = order[::-1]
+    return [i for span in order for i in range(n)[span]]
+
+
+def _foot(
+    root: Root, beyond: Sequence[int], rotations: Array, positions: Array
+) -> tuple[Array, Array]:
+    """Rotation and position of a chain's frame 0 in the platform-top frame."""
+    if root.on is None:
+        return root.rotation, root.position
+    turn, place = rotations[..., beyond[root.on], :, :], positions[..., beyond[root.on], :]
+    return turn @ root.rotation, place + (turn * root.position).sum(axis=-1)
 
 
 def _swings(joints: tuple[JointFrame, ...], q: Array) -> tuple[Array, Array]:
@@ -136,7 +160,7 @@ def _turned(pair: Array, turn: Turn) -> Array:
 
 
 def twists(arm: Mechanism, at: Frames) -> tuple[Array, Array]:
-    """Return the motion of what is beyond each joint, per rate of the joint.
+    """Return the motion of what is beyond each joint, followers too, per rate of the joint.
 
     Returns:
         Velocity at the platform's origin, and angular velocity, (..., n, 3) each.
@@ -159,8 +183,9 @@ def joint_positions(arm: Arm, q: npt.ArrayLike) -> Array:
     """
     at = frames(arm, joint_values(arm, q))
     out = np.ascontiguousarray(at.positions)
-    if arm.beside:
-        out = out[..., [0, *np.arange(arm.n + len(arm.roots))[at.links]], :]
+    if len(arm.roots) > 1 or arm.coupling is not None:
+        rows = np.arange(out.shape[-2])[at.links]
+        out = out[..., [0, *rows[arm.driven]], :]
     out[..., 0, :] = 0.0
     return out
 
@@ -207,7 +232,7 @@ class ToolPose:
 
 
 def tool_motions(arm: Mechanism, at: Frames) -> Array:
-    """Return velocity and rate of turning (..., n, 6) of the tool per joint rate."""
+    """Return velocity and rate of turning (..., n, 6) of the tool per driven joint's rate."""
     out = room(at.axis, *at.axis.shape[:-1], 6)
     reach = at.position[..., -1:, :] - at.origin
     out[..., :3], out[..., 3:] = cross(at.axis, reach), at.axis
@@ -215,7 +240,7 @@ def tool_motions(arm: Mechanism, at: Frames) -> Array:
         if joint.slides:
             out[..., i, :3], out[..., i, 3:] = at.axis[..., i, :], 0.0
     out[..., : arm.roots[-1].first, :] = 0.0  # other arms do not move this one's tool
-    return out
+    return out if arm.coupling is None else arm.coupling.reduced(out)
 
 
 def tool_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -43,8 +44,9 @@ class MjcfTree(Tree):
             slides = _KINDS[m.jnt_type[j]] == "slide"
             joint = TreeJoint(self.joint_names[j], body, fault=fault, slides=slides)
             self.joints[body].append(joint)
-        self.couplings: dict[str, tuple[int, int]] = {}  # follower -> leader's number, equality
-        self.ties = list(filter(None, map(self._tie, range(m.neq))))
+        self.ties = []
+        for k in range(m.neq):
+            self.ties += filter(None, [self._tie(k)])
         self.frame = np.eye(3), np.zeros(3)  # of the root
         self.bandwidth = self._numeric("ves_bandwidth", 1, [self.bandwidth])[0]
 
@@ -86,39 +88,80 @@ class MjcfTree(Tree):
     def _site(self, name: str) -> int:
         return int(self.mj.mj_name2id(self.model, self.mj.mjtObj.mjOBJ_SITE, name))
 
-    def place(
-        self, root: str, chain: list[str], free: list[TreeJoint], locked: Mapping[str, float]
-    ) -> None:
+    def place(self, root: str, at: Mapping[str, float]) -> None:
         """Place all bodies; refuse constraints that close a loop."""
         m, d = self.model, self.data
-        self._require_open(root, [joint.name for joint in free])
+        self._require_open(root)
+        self._require_motors()
         d.qpos[:] = m.qpos0
-        at_zero = {joint.name: 0.0 for joint in free}
-        followers = {k: self._place(k, locked) for k in self.couplings if k not in at_zero}
-        for name, value in {**at_zero, **followers, **locked}.items():
-            d.qpos[m.jnt_qposadr[self.joint_names.index(name)]] = value
+        for name, value in at.items():
+            j = self.joint_names.index(name)
+            if _KINDS[m.jnt_type[j]] in ("slide", "hinge"):
+                d.qpos[m.jnt_qposadr[j]] = value
         self.mj.mj_kinematics(m, d)
-        at = self.bodies.index(root)
-        self.frame = d.xmat[at].reshape(3, 3).copy(), d.xpos[at].copy()
+        k = self.bodies.index(root)
+        self.frame = d.xmat[k].reshape(3, 3).copy(), d.xpos[k].copy()
+
+    def rest(self, joint: str) -> float:
+        """Return where a joint is in the model's own pose."""
+        m = self.model
+        return float(m.qpos0[m.jnt_qposadr[self.joint_names.index(joint)]])
 
     def _tie(self, k: int) -> Tie | None:
         """The joints that an equality couples."""
         m, kinds = self.model, self.mj.mjtEq
         kind, ends = kinds(int(m.eq_type[k])), (int(m.eq_obj1id[k]), int(m.eq_obj2id[k]))
-        if not m.eq_active0[k]:
+        if not m.eq_active0[k] or kind not in (kinds.mjEQ_JOINT, kinds.mjEQ_TENDON):
             return None
+        start, slope, *curve = m.eq_data[k, :5].tolist()
         if kind == kinds.mjEQ_JOINT:
-            names = tuple(self.joint_names[j] for j in ends if j >= 0)
-            leader = names[1] if len(names) > 1 else ""
-            self.couplings[names[0]] = ends[1], k
-            text = f"joint {names[0]!r} follows {leader or 'a constant'!r} by <equality>"
-            return Tie(text, names, names[:1], leader)
-        if kind == kinds.mjEQ_TENDON:
+            names = [self.joint_names[j] for j in ends if j >= 0]
+            sums = [{name: 1.0} for name in names]
+            what = f"joint {names[0]!r} follows {names[1] if names[1:] else 'a constant'!r}"
+        else:
             tendons = [t for t in ends if t >= 0]
-            names = tuple(dict.fromkeys(j for t in tendons for j in self._led(t)))
+            sums = [self._sum(t) for t in tendons]
             tied = " and ".join(repr(self._name("tendon", t)) for t in tendons)
-            return Tie(f"<equality> ties tendon {tied}", names, names) if names else None
-        return None
+            what = f"<equality> ties tendon {tied}"
+        if len(sums) == 1:
+            sums, curve = [*sums, {}], []
+        return self._equation(what, sums, start, slope, tuple(curve) if any(curve) else ())
+
+    def _equation(
+        self,
+        what: str,
+        sums: list[dict[str, float]],
+        start: float,
+        slope: float,
+        curve: tuple[float, ...],
+    ) -> Tie | None:
+        """What says that one sum of joints is start + slope times another, both from rest, and
+        its second power on."""
+        total = dict(sums[0])
+        for name, part in sums[1].items():
+            total[name] = total.get(name, 0.0) - slope * part
+        if not any(total.values()):
+            return None
+        taken = {tie.follower for tie in self.ties}
+        able = [name for of in sums for name in reversed(of) if total[name]]
+        follower = next((k for k in able if k not in taken), able[0])
+        own = total.pop(follower)
+        ratios = {name: -part / own for name, part in total.items() if part or curve}
+        shift = start / own + self.rest(follower)
+        shift -= sum(ratio * self.rest(name) for name, ratio in ratios.items())
+        bend = tuple(k / own for k in curve), sums[1]
+        return Tie(what, follower, ratios, shift, bend if curve or math.isnan(own) else None)
+
+    def _sum(self, tendon: int) -> dict[str, float]:
+        """Coefficients of the joints that a fixed tendon leads over; NaN of a spatial one."""
+        m, joint = self.model, int(self.mj.mjtWrap.mjWRAP_JOINT)
+        first, out = int(m.tendon_adr[tendon]), dict.fromkeys(self._led(tendon), math.nan)
+        for w in range(first, first + int(m.tendon_num[tendon])):
+            if m.wrap_type[w] == joint:
+                name = self.joint_names[m.wrap_objid[w]]
+                before = 0.0 if math.isnan(out[name]) else out[name]
+                out[name] = before + float(m.wrap_prm[w])
+        return out
 
     def _led(self, tendon: int) -> list[str]:
         """Joints over which a tendon leads: its own, or all between its sites."""
@@ -135,9 +178,10 @@ class MjcfTree(Tree):
                     body = self.parents.get(body)
         return names
 
-    def _require_open(self, root: str, free: list[str]) -> None:
+    def _require_open(self, root: str) -> None:
         """Refuse an equality between bodies of which one moves against the other."""
-        m, kinds, movers = self.model, self.mj.mjtEq, self.movers(root, set(free))
+        m, kinds, free = self.model, self.mj.mjtEq, list(self.coupled.moving)
+        movers = self.movers(root, set(free))
         for k in range(m.neq):
             kind = kinds(int(m.eq_type[k]))
             if not m.eq_active0[k] or kind not in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
@@ -156,29 +200,11 @@ class MjcfTree(Tree):
                 f" Hold what lies between ({held(*free[low:high])})"
             )
 
-    def position(self, joint: TreeJoint, locked: Mapping[str, float]) -> float:
-        """Return where a joint stands still: as asked for, as its leader does, or as in the
-        model's own pose."""
-        return self._place(joint.name, locked)
-
-    def _place(self, name: str, locked: Mapping[str, float], depth: int = 0) -> float:
-        m = self.model
-        rest = float(m.qpos0[m.jnt_qposadr[self.joint_names.index(name)]])
-        if name in locked or name not in self.couplings or depth > m.neq:
-            return float(locked.get(name, rest))
-        leader, k = self.couplings[name]
-        way = 0.0
-        if leader >= 0:
-            other = self.joint_names[leader]
-            start = float(m.qpos0[m.jnt_qposadr[leader]])
-            way = self._place(other, locked, depth + 1) - start
-        return rest + float(np.polyval(m.eq_data[k, 4::-1], way))
-
-    def chain_joints(self, free: list[TreeJoint]) -> list[Joint]:
-        """Return the free joints with their limits."""
-        n = len(free)
+    def moving_joints(self, joints: list[TreeJoint]) -> list[Joint]:
+        """Return joints with their limits."""
+        n = len(joints)
         speeds, rates = (self._numeric(k, n, [None] * n) for k in ("ves_v_max", "ves_a_max"))
-        return [self._joint(*k) for k in zip(free, speeds, rates, strict=True)]
+        return [self._joint(*k) for k in zip(joints, speeds, rates, strict=True)]
 
     def _joint(self, joint: TreeJoint, v_max: float | None, a_max: float | None) -> Joint:
         m, d, (R, p) = self.model, self.data, self.frame
@@ -196,26 +222,61 @@ class MjcfTree(Tree):
             rotor_inertia=float(m.dof_armature[dof]),
             v_max=v_max,
             a_max=a_max,
-            tau_max=self._torque(j),
+            tau_max=self._torque(joint.name),
             damping=_linear(m.dof_damping[dof]),
             friction=_linear(m.dof_frictionloss[dof]),
             slides=_KINDS[m.jnt_type[j]] == "slide",
         )
 
-    def _torque(self, j: int) -> float | None:
-        """The largest torque of a joint's actuators, as far as the file limits it [N m]."""
-        m = self.model
+    def _torque(self, name: str) -> float | None:
+        """The largest torque of the actuators of a joint and its followers, as far as the file
+        limits it [N m]; None of a follower."""
+        m, names = self.model, [k.name for k in self.coupled.free]
+        if name not in names:
+            return None
+        j, levers = self.joint_names.index(name), self._levers()[:, names.index(name)]
         limits = [np.abs(m.jnt_actfrcrange[j]).max()] if m.jnt_actfrclimited[j] else []
-        for k in range(m.nu):
-            gear = abs(float(m.actuator_gear[k, 0])) * self._arm_of(k, j)
-            if not gear:
-                continue
-            if m.actuator_forcelimited[k]:
-                limits.append(gear * np.abs(m.actuator_forcerange[k]).max())
-            elif m.actuator_ctrllimited[k] and not m.actuator_biasprm[k].any():
-                most = np.abs(m.actuator_ctrlrange[k]).max()
-                limits.append(gear * abs(m.actuator_gainprm[k, 0]) * most)
+        motors: dict[tuple[int, int], list[float]] = {}  # by joint or tendon
+        for k in np.flatnonzero(levers).tolist():
+            force = self._force(k)
+            if force is not None:
+                where = int(m.actuator_trntype[k]), int(m.actuator_trnid[k, 0])
+                motors.setdefault(where, []).append(abs(levers[k]) * force)
+        if motors:
+            limits.append(sum(min(of) for of in motors.values()))
         return float(min(limits)) if limits else None
+
+    def _levers(self) -> Array:
+        """(actuators, n) torque at each joint that follows none per force times gear."""
+        out = np.zeros((self.model.nu, len(self.coupled.free)))
+        for name, ratios in self.coupled.moving.items():
+            j = self.joint_names.index(name)
+            out += np.outer([self._arm_of(k, j) for k in range(len(out))], ratios)
+        return out
+
+    def _require_motors(self) -> None:
+        """Refuse joints that tendons pull together, with fewer motors than joints."""
+        levers = self._levers()
+        together = np.count_nonzero(levers, axis=1) > 1
+        pulled = np.flatnonzero(levers[together].any(axis=0))
+        if np.linalg.matrix_rank(levers[:, pulled]) < len(pulled):
+            names = [self.coupled.free[i].name for i in pulled]
+            motor = self._name("actuator", int(np.flatnonzero(together)[0]))
+            raise ParameterError(
+                f"actuator {motor!r} pulls {', '.join(map(repr, names))} together by a tendon:"
+                f" each joint of an arm has a motor. Hold all but one ({held(*names[1:])}), or"
+                " couple them by <equality>"
+            )
+
+    def _force(self, k: int) -> float | None:
+        """The most that an actuator exerts times its gear, as far as the file limits it."""
+        m, gear = self.model, abs(float(self.model.actuator_gear[k, 0]))
+        if m.actuator_forcelimited[k]:
+            return gear * float(np.abs(m.actuator_forcerange[k]).max())
+        if m.actuator_ctrllimited[k] and not m.actuator_biasprm[k].any():
+            most = np.abs(m.actuator_ctrlrange[k]).max()
+            return gear * float(abs(m.actuator_gainprm[k, 0]) * most)
+        return None
 
     def _arm_of(self, k: int, j: int) -> float:
         """Torque at a joint per force of an actuator's gear: on a tendon its coefficient."""
@@ -224,11 +285,8 @@ class MjcfTree(Tree):
             return float(number == j)
         if m.actuator_trntype[k] != int(kinds.mjTRN_TENDON):
             return 0.0
-        first = int(m.tendon_adr[number])
-        of = range(first, first + int(m.tendon_num[number]))
-        joint = int(self.mj.mjtWrap.mjWRAP_JOINT)
-        led = [w for w in of if m.wrap_type[w] == joint and m.wrap_objid[w] == j]
-        return abs(sum(float(m.wrap_prm[w]) for w in led))
+        part = self._sum(number).get(self.joint_names[j], 0.0)
+        return 0.0 if math.isnan(part) else part
 
     def tool(self, body: str, name: str) -> tuple[Array, Array]:
         """Return the frame of the site or body that is the tool."""
@@ -278,9 +336,9 @@ class MjcfTree(Tree):
             return capsule_around(np.unique(np.array(points, float), axis=0))
         return None
 
-    def notes(self, free: list[TreeJoint]) -> list[str]:
+    def notes(self, moving: list[str]) -> list[str]:
         """Return which springs, and which tendons that act by themselves, are left out."""
-        m, names = self.model, {k.name for k in free}
+        m, names = self.model, set(moving)
         springs = [k for k in names if _linear(m.jnt_stiffness[self.joint_names.index(k)])]
         tendons = [
             self._name("tendon", t)

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite
-from ves_gym.mechanics.arm import BANDWIDTH, Arm, Limb, Link, Mount
+from ves_gym.mechanics.arm import BANDWIDTH, Arm, Follower, Limb, Link, Mount
 from ves_gym.mechanics.chain import Lump, angles_of
 
 _SAME = 1e-6  # m between first joints, below which both belong to one link
@@ -41,14 +41,25 @@ def placed(arm: Arm, position: Vector, angles: Vector = (0.0, 0.0, 0.0)) -> Arm:
         (p + R @ np.array(k.start), p + R @ np.array(k.end), k.radius)
         for k in arm.base_shape or ()
     ]
-    _, turn, place = arm.roots[0]
+    _, turn, place, _ = arm.feet[0]
     still = np.eye(3), np.zeros(3)
     return replace(
         arm,
         base=root.inertial(*still),
         base_shape=None if arm.base_shape is None else root.shape(*still),
         mount=Mount(position=_plain(p + R @ place), angles=angles_of(R @ turn)),
+        followers=tuple(_follower_at(k, R, p) for k in arm.followers or ()) or None,
     )
+
+
+def _follower_at(follower: Follower, R: Array, p: Array) -> Follower:
+    """A follower whose base link is turned by R (3, 3) and moved by p (3,), if that has it."""
+    if follower.on != -1:
+        return follower
+    mount = follower.mount or Mount()
+    place = _plain(p + R @ np.array(mount.position))
+    turned = Mount(position=place, angles=angles_of(R @ mount.rotation))
+    return replace(follower, mount=turned)
 
 
 def side_by_side(arms: Sequence[Arm]) -> Arm:
@@ -66,6 +77,7 @@ def side_by_side(arms: Sequence[Arm]) -> Arm:
             raise ParameterError(f"arms must be of Arm, got {arm!r}")
         arm.require_alone("each of several arms")
         arm.require_rigid("each of several arms")
+        arm.require_uncoupled("each of several arms")
     if not arms:
         raise ParameterError("arms must hold at least one arm, got none")
     if len(arms) == 1:
@@ -116,7 +128,7 @@ def _names(arms: Sequence[Arm]) -> list[str]:
 
 def _require_apart(arms: Sequence[Arm], names: Sequence[str]) -> None:
     """Refuse arms whose first joints are in one place: they would have a link in common."""
-    feet = [arm.roots[0].position for arm in arms]
+    feet = [arm.feet[0].position for arm in arms]
     for i, j in itertools.combinations(range(len(arms)), 2):
         if math.dist(feet[i], feet[j]) < _SAME:
             raise ParameterError(

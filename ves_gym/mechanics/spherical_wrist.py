@@ -58,7 +58,7 @@ def has_spherical_wrist(arm: Arm) -> bool:
 def _shape(arm: Arm) -> _Shape | None:
     """Return how the axes of an arm stand to each other; None: it is of another kind."""
     links = arm.links
-    if len(links) != 6 or any(k.slides or k.beta for k in links):
+    if len(links) != 6 or arm.followers or any(k.slides or k.beta for k in links):
         return None
     sines = [round(math.sin(k.alpha), 9) for k in links]
     straight = (links[0].a, *(k.a for k in links[3:]), links[4].d)
@@ -125,7 +125,7 @@ def _every(arm: Arm, shape: _Shape, place: Array, turn: Array) -> Iterator[_Turn
     """Yield the eight configurations, angles (..., 6) of the DH table, with the tool at `place`
     (..., 3) [m] and `turn` (..., 3, 3) in the platform-top frame."""
     links = arm.links
-    _, ground, foot = arm.roots[0]
+    _, ground, foot, _ = arm.feet[0]
     # axes of the last link, and the point where the last three meet, in the first joint's
     hand = ground.T @ turn @ arm.tool_rotation.T
     end, side, ahead = (hand[..., k] for k in range(3))

@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from urllib.parse import unquote
 from xml.etree.ElementTree import Element
 
@@ -84,18 +84,18 @@ class UrdfTree(Tree):
                 " joints, a root below it leaves it out (--root LINK, in Python root=)"
             )
         elif mimic is not None:
-            leader = mimic.get("joint", "")
-            self.ties.append(Tie(f"{where} mimics {leader!r}", (name, leader), (name,), leader))
+            leader, what = mimic.get("joint", ""), f"{where}: its <mimic>"
+            ratio, shift = (
+                number(mimic, k, what, v) for k, v in (("multiplier", 1.0), ("offset", 0.0))
+            )
+            self.ties.append(Tie(f"{where} mimics {leader!r}", name, {leader: ratio}, shift))
         self.parents[child] = parent
         slides = kind == "prismatic"
         self.joints[child] = [TreeJoint(name, child, kind == "fixed", fault, slides)]
         self.elements[name], self.axes[name] = element, axis / (length or 1.0)
 
-    def place(
-        self, root: str, chain: list[str], free: list[TreeJoint], locked: Mapping[str, float]
-    ) -> None:
+    def place(self, root: str, at: Mapping[str, float]) -> None:
         """Place all links beyond the root."""
-        at_zero = {joint.name for joint in free}
         self.poses = {root: Pose(np.eye(3), np.zeros(3))}
         for link in self.movers(root, set()):
             if link == root:
@@ -104,39 +104,22 @@ class UrdfTree(Tree):
             element, axis = self.elements[joint.name], self.axes[joint.name]
             kind = element.get("type")
             pose = self.poses[self.parents[link]] @ _origin(element, f"joint {joint.name!r}")
-            if joint.name not in at_zero and not joint.fixed:
+            if not joint.fixed and (joint.fault or at[joint.name]):
                 if kind in ("floating", "planar"):
                     raise ParameterError(
                         f"joint {joint.name!r} to link {link!r} is {kind}: it says not where"
                         " that link is; an arm has revolute and fixed joints"
                     )
-                value = self.position(joint, locked)
+                value = at[joint.name]
                 slides = kind == "prismatic"
                 turn = np.zeros(3) if slides else value * axis
                 way = value * axis if slides else np.zeros(3)
                 pose = pose @ Pose(Rotation.from_rotvec(turn).as_matrix(), way)
             self.poses[link] = pose
 
-    def position(self, joint: TreeJoint, locked: Mapping[str, float]) -> float:
-        """Return where a joint stands still: as asked for, as its leader does, or at zero."""
-        name, gain, shift = joint.name, 1.0, 0.0
-        for _ in self.elements:  # two joints may mimic each other
-            mimic = self.elements[name].find("mimic")
-            if name in locked or mimic is None:
-                break
-            where, leader = f"joint {name!r}", mimic.get("joint", "")
-            if leader not in self.elements:
-                raise ParameterError(
-                    f"{where} mimics {leader!r}, which is not there: hold it ({held(name)})"
-                )
-            shift += gain * number(mimic, "offset", where, 0.0)
-            gain *= number(mimic, "multiplier", where, 1.0)
-            name = leader
-        return gain * float(locked.get(name, 0.0)) + shift
-
-    def chain_joints(self, free: list[TreeJoint]) -> list[Joint]:
-        """Return the free joints with their limits."""
-        return [self._joint(joint) for joint in free]
+    def moving_joints(self, joints: list[TreeJoint]) -> list[Joint]:
+        """Return joints with their limits; a follower has no motor."""
+        return [self._joint(joint) for joint in joints]
 
     def _joint(self, joint: TreeJoint) -> Joint:
         where, at, element = (
@@ -151,10 +134,14 @@ class UrdfTree(Tree):
         )
         low, high = self._range(element, where)
         names = {"v_max": "velocity", "a_max": "acceleration", "tau_max": "effort"}
-        limits = {k: number(limit, v, where, 0.0, 0.0, inf=True) for k, v in names.items()}
+        limits: dict[str, Any] = {
+            k: number(limit, v, where, 0.0, 0.0, inf=True) for k, v in names.items()
+        }
         limits = {k: v if math.isfinite(v) else 0.0 for k, v in limits.items()}
         names = {"damping": "damping", "friction": "friction"}
-        losses = {k: number(dynamics, v, where, 0.0, least=0.0) for k, v in names.items()}
+        losses: dict[str, Any] = {
+            k: number(dynamics, v, where, 0.0, least=0.0) for k, v in names.items()
+        }
         rotor = self.rotors.get(joint.name, 0.0)
         return Joint(
             name=joint.name,

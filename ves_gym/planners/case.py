@@ -252,7 +252,7 @@ def whole_goal(arm: Arm, start: Any, goal: Any) -> tuple[Any, tuple[int, ...] | 
         start: (n,) [rad].
         goal: (n,) [rad], or of the last arm's joints alone, or a tool pose.
     """
-    others = arm.roots[-1].first
+    others = arm.spans[-1].start
     pose = isinstance(goal, ToolPose)
     if not others or not (pose or np.shape(goal) == (arm.n - others,)):
         return goal, None

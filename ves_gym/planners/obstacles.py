@@ -118,6 +118,7 @@ class Collisions:
         self._mujoco, self._base = mujoco, TO_Y
         self.clearance, self.n = surroundings.clearance, system.arm.n
         self.model = _model(system, surroundings)
+        self._geared = _geared(system.arm)
         self.data = mujoco.MjData(self.model)
         self._tested: float | None = None
 
@@ -125,7 +126,7 @@ class Collisions:
         """Contacts of shapes nearer than `within` [m]; some further ones among them."""
         if within != self._tested:
             self.model.geom_margin[:] = self.model.body_margin[:] = self._tested = within
-        self.data.qpos[6:] = q
+        self.data.qpos[6:] = q if self._geared is None else self._geared @ q
         self._mujoco.mj_kinematics(self.model, self.data)
         self._mujoco.mj_collision(self.model, self.data)
         return self.data.contact
@@ -180,7 +181,9 @@ class Collisions:
             normal = (ends[3:] - ends[:3]) / distance[k]
             for sign, geom, point in ((-1.0, first, ends[:3]), (1.0, second, ends[3:])):
                 mj.mj_jac(model, data, jacobian, None, point, model.geom_bodyid[geom])
-                slope[k] += sign * normal @ jacobian[:, 6:]
+                along = jacobian[:, 6:]
+                along = along if self._geared is None else along @ self._geared
+                slope[k] += sign * normal @ along
         inside = distance < within
         return Proximity(distance[inside], slope[inside])
 
@@ -243,11 +246,11 @@ def _mostly_overlapping(model: Any, arm: Arm) -> list[tuple[str, str]]:
     from ves_gym._util.mujoco_loader import mujoco
 
     data, counts = mujoco.MjData(model), Counter[tuple[str, str]]()
-    robot = {"platform", *(f"link_{i + 1}" for i in range(arm.n))}
+    robot, geared = {"platform", *(part.body for part in arm.parts)}, _geared(arm)
     drawn = drawn_configurations(arm)
     for q in drawn:
         data.qpos[:] = 0.0
-        data.qpos[6 : 6 + arm.n] = q
+        data.qpos[6 : 6 + len(arm.parts)] = q if geared is None else geared @ q
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
         bodies = model.geom_bodyid[data.contact.geom[data.contact.dist < 0]]
@@ -259,27 +262,49 @@ def _mostly_overlapping(model: Any, arm: Arm) -> list[tuple[str, str]]:
 
 def _add_arm(spec: Any, arm: Arm) -> None:
     """Capsules along every link, and the tool."""
-    if arm.n >= _AROUND:
-        raise ParameterError(f"collisions know {_AROUND - 1} links, got {arm.n}")
-    firsts = {root.first for root in arm.roots}
-    for i, link in enumerate(arm.links):
-        body, r = spec.body(f"link_{i + 1}"), link_radius(arm, i)
-        # meets what surrounds it and every link before it but its neighbour
-        affinity = (1 << _AROUND) | ((1 << (_AROUND + 1)) if i not in firsts else 0)
-        affinity |= sum(1 << j for j in range(i if i in firsts else i - 1))
+    parts = arm.parts
+    if len(parts) >= _AROUND:
+        raise ParameterError(f"collisions know {_AROUND - 1} links, got {len(parts)}")
+    for i, (link, name, _, on, *_) in enumerate(parts):
+        body, r = spec.body(name), link_radius(arm, min(i, arm.n - 1))
+        # meets what surrounds it and every link before it but its neighbours
+        affinity = (1 << _AROUND) | ((1 << (_AROUND + 1)) if on >= 0 else 0)
+        near = {on, *(j for j in range(i) if on >= 0 and parts[j].on == on)}
+        affinity |= sum(1 << j for j in range(i) if j not in near)
         if link.shape is not None:
             R, p = link.far_end
             for k, capsule in enumerate(link.shape):
-                name = f"link {i + 1}" + "'" * k
+                name = _named(arm, i) + "'" * k
                 _add_capsule(body, name, capsule, R, p, i, affinity)
             continue
         knee, end = (0.0, 0.0, link.d), (link.a, 0.0, link.d)
-        parts = [((0.0, 0.0, 0.0), knee)] if abs(link.d) > 1e-6 else []
-        parts += [(knee, end)] if abs(link.a) > 1e-6 else []
-        for k, (a, b) in enumerate(parts):
-            _rod(body, f"link {i + 1}" + "'" * k, "CAPSULE", a, b, r, i, affinity)
-        if i == arm.n - 1:
+        rods = [((0.0, 0.0, 0.0), knee)] if abs(link.d) > 1e-6 else []
+        rods += [(knee, end)] if abs(link.a) > 1e-6 else []
+        for k, (a, b) in enumerate(rods):
+            _rod(body, _named(arm, i) + "'" * k, "CAPSULE", a, b, r, i, affinity)
+        if parts[i] is arm.ordered[-1]:
             _add(body, "tool", "SPHERE", i, affinity, pos=end, size=[1.1 * r, 0, 0])
+
+
+def _named(arm: Arm, i: int) -> str:
+    """A part's name in messages: its link's number, or its joint's name if that follows."""
+    part = arm.parts[i]
+    if part.ratios is None:
+        return part.body.replace("_", " ")
+    return part.link.name or part.body.replace("_", " ")
+
+
+def _geared(arm: Arm) -> Array | None:
+    """The engine's joints per driven joint (all, n), in its order; None: they are these."""
+    from ves_gym.engine.mjcf import places
+
+    if not arm.followers:
+        return None
+    motors, _, followers = places(arm)
+    out = np.zeros((len(arm.parts), arm.n))
+    out[motors - 6] = np.eye(arm.n)
+    out[followers - 6] = [follower.ratios for follower in arm.followers]
+    return out
 
 
 def _add_capsule(

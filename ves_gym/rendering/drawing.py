@@ -142,13 +142,29 @@ class Drawing:
                 _rod(body, "CAPSULE", (0, 0, 0), knee, r, _PALE)
             if abs(link.a) > 1e-6:
                 _rod(body, "CAPSULE", knee, end, 0.85 * r, _PALE)
-        r, last = self._radius(self.system.arm.n), self.system.arm.links[-1]
+        body, last = self._add_followers(spec) or body, self.system.arm.ordered[-1].link
+        r, end = self._radius(self.system.arm.n), np.array([last.a, 0.0, last.d])
         along = np.array([1.0, 0, 0]) if abs(last.a) > 1e-6 else np.array([0.0, 0, 1])
         across = np.array([0.0, 1, 0])
         _add(body, "SPHERE", _TOOL, size=[1.1 * r, 0, 0], pos=end)
         for side in (-1, 1):
             root = end + side * 0.8 * r * across
             _rod(body, "CAPSULE", root, root + 2.6 * r * along, 0.3 * r, _TOOL)
+
+    def _add_followers(self, spec: Any) -> Any:
+        """Links of joints that follow others, up to their far end or else their centre of
+        mass; the body that has the tool, if it is one of them."""
+        body, r = None, self._radius(self.system.arm.n)
+        for part in self.system.arm.ordered:
+            if part.ratios is not None:
+                body, link = spec.body(part.body), part.link
+                R, p = link.far_end
+                end = p if p.any() else R @ np.array(link.inertial.com)
+                _rod(body, "CYLINDER", (0, 0, -1.15 * r), (0, 0, 1.15 * r), 1.2 * r, _JOINT)
+                if np.abs(end).max() > 1e-6:
+                    _rod(body, "CAPSULE", (0, 0, 0), end, r, _PALE)
+        tool = self.system.arm.ordered[-1]
+        return None if tool.ratios is None else spec.body(tool.body)
 
     def _add_appendages(self, spec: Any) -> None:
         """A box on its hinge or slide for each; wheels are inside the satellite."""
@@ -206,10 +222,12 @@ class Drawing:
             u: (p + c + m,) deflections of the arm's flexures [rad], of what a satellite
                 carries, then internal modes of the base; None: links are straight.
         """
-        motors, passive = places(self.system.arm)
+        motors, passive, followers = places(self.system.arm)
         bends = self.system.arm.bends
         self.data.qpos[TO_Y] = y
         self.data.qpos[motors] = q
+        for at, follower in zip(followers, self.system.arm.followers or (), strict=True):
+            self.data.qpos[at] = np.dot(follower.ratios, q)
         if bends:
             self.data.qpos[passive[-bends:]] = 0.0 if u is None else u[:bends]
         carried = 0 if self.feet is not None else len(self.system.base.carried)

@@ -146,12 +146,13 @@ class Scene:
 
 
 def capsules(arm: Arm) -> list[tuple[Capsule, ...]]:
-    """Shapes of the base link and of each link, in its own frame.
+    """Shapes of the base link and of each link, as `dynamics` has them, in its own frame.
 
     Those of the arm's file; along d and a of the DH table where there are none.
     """
     out = [arm.base_shape or ()]
-    for i, link in enumerate(arm.links):
+    for row, part in enumerate(arm.ordered):
+        link, i = part.link, min(row, arm.n - 1)
         if link.shape is not None:
             out.append(link.shape)
             continue
@@ -192,15 +193,16 @@ def _write(recording: Any, name: str, scene: Scene, color: tuple[int, ...]) -> N
         send(entity, rr.Transform3D.columns(translation=places, quaternion=turns))
 
     arm = scene.system.arm
-    shapes = capsules(expand(arm).arm if arm.bends else arm)
+    whole = expand(arm).arm if arm.bends else arm
+    shapes = capsules(whole)
     pose("base", *scene.base)
     stay("base", _plate(scene, shapes))
     if shapes[0]:
         stay("base/shape", _capsules(shapes[0], _PALE))
-    for i, shape in enumerate(shapes[1:]):
-        pose(f"base/link_{i + 1}", *(part[:, i] for part in scene.links))
+    for i, (part, shape) in enumerate(zip(whole.ordered, shapes[1:], strict=True)):
+        pose(f"base/{part.body}", *(values[:, i] for values in scene.links))
         if shape:
-            stay(f"base/link_{i + 1}", _capsules(shape, color))
+            stay(f"base/{part.body}", _capsules(shape, color))
     for k, (body, *moving) in enumerate(scene.appendages(), 1):
         pose(f"base/appendage_{k}", *moving)
         stay(f"base/appendage_{k}", _box(body))

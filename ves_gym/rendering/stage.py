@@ -138,8 +138,8 @@ class Stage:
         whole, ways = self.settings.system.arm, np.vstack([np.eye(3), -np.eye(3)])
         shoulder, below = np.array([0.0, 0.0, whole.links[0].d]), np.array([0.0, 0.0, -_ARROW])
         reach = 0.0
-        for root, span in zip(whole.roots, whole.spans, strict=True):
-            away = math.dist(root.position, whole.roots[0].position)
+        for root, span in zip(whole.feet, whole.spans, strict=True):
+            away = math.dist(root.position, whole.feet[0].position)
             length = sum(math.hypot(k.a, k.d) for k in whole.links[span][1:])
             reach = max(reach, away + length)
         payload = self.settings.system.payload

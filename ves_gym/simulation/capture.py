@@ -119,8 +119,8 @@ class PayloadHandler(NotingPart):
         modes: Callable[[], tuple[Array, Array] | None],
     ) -> None:
         system, n = machines.system, machines.n
-        system.arm.require_rigid("a payload")
-        system.arm.require_rigid("a latch at the tool")
+        system.arm.require_rigid("a payload or a latch at the tool")
+        system.arm.require_driven_tool("a payload or a latch at the tool")
         self.machines, self._modes = machines, modes
         self._still = system.mode == "emulated"  # a stand holds it
         self.carried = np.zeros(n, bool)

@@ -120,6 +120,7 @@ class System:
         if self.mode == "emulated":
             self.arm.require_turning("mode emulated")
             self.arm.require_alone("mode emulated")
+            self.arm.require_uncoupled("mode emulated")
         if self.mode == "emulated" and isinstance(self.vehicle, Satellite):
             self._require_a_body_alone(self.vehicle)
         if self.contact is not None:
@@ -146,6 +147,7 @@ class System:
 
     def _require_contact(self, contact: Contact) -> None:
         self.arm.require_rigid("contact at the tool")
+        self.arm.require_driven_tool("contact at the tool")
         if self.mode == "emulated":
             raise ParameterError("System.contact needs mode ideal, got mode emulated")
         if contact.on == "payload" and self.payload is None:

@@ -117,6 +117,7 @@ class SystemMachine:
     def __init__(self, system: System, stated: StatedErrors | None = None) -> None:
         system.arm.require_rigid("a diagnosis")
         system.arm.require_turning("a diagnosis")
+        system.arm.require_uncoupled("a diagnosis")
         self._stated = stated or StatedErrors()
         self.system = system
         self.nominal = SystemVariant(system)

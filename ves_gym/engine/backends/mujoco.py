@@ -188,12 +188,13 @@ class MujocoBackend:
         ideal = system.mode == "ideal"
         self._carried = system.base.m if ideal else 0
         parts = system.base.carried if ideal else ()
-        # coordinates of the motors; those of gears and flexures lie between them
+        # coordinates of the motors; those of gears, flexures and followers lie between them
         self._motors: Any = slice(6, 6 + self.joints)
-        motors, passive = places(system.arm)
-        if len(passive):
+        motors, passive, self._followers = places(system.arm)
+        self._ratios = np.array([k.ratios for k in system.arm.followers or ()])
+        if len(passive) or len(self._followers):
             self._motors = motors
-        where = np.arange(6 + self.joints + len(passive))
+        where = np.arange(6 + self.joints + len(passive) + len(self._followers))
         self._order = np.r_[TO_Y, where[self._motors]]
         carried = len(where) + np.arange(len(parts) + self._carried)
         self._internal = np.r_[passive, carried]
@@ -238,6 +239,9 @@ class MujocoBackend:
         self._time[ids] = time
         self._qpos[np.ix_(ids, self._order)] = z
         self._qvel[np.ix_(ids, self._order)] = zd
+        if len(self._followers):
+            self._qpos[np.ix_(ids, self._followers)] = z[:, 6:] @ self._ratios.T
+            self._qvel[np.ix_(ids, self._followers)] = zd[:, 6:] @ self._ratios.T
         for row, i in enumerate(ids.tolist() if self._carried else []):
             base, m = self._systems[i].base, self._carried  # at rest on the vehicle
             self._qpos[i, self._internal[-m:]] = base.attached(z[row, :6])
@@ -245,6 +249,8 @@ class MujocoBackend:
 
     def set_rates(self, ids: Index, zd: Array, gears: Array) -> None:
         self._qvel[np.ix_(ids, self._order)] = zd
+        if len(self._followers):
+            self._qvel[np.ix_(ids, self._followers)] = zd[:, 6:] @ self._ratios.T
         self._qvel[np.ix_(ids, self._internal[: gears.shape[1]])] = gears
 
     def set_last_link(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:

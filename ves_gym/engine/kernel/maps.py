@@ -102,14 +102,14 @@ def motion_loads(
     Masses, centres, inertias and rotors are numbers, so that arms that differ in them share
     the code.
     """
-    n, key = arm.n, f"load {geometry(arm)}"
+    n, count, key = arm.n, len(arm.joints) + 1, f"load {geometry(arm)}"
 
     def load(*rows: Array) -> tuple[Array, Array]:
         *motion, numbers = (row[0] for row in rows)
-        mass, com, moments, rotors = np.split(numbers, np.cumsum([1, 3, 6]) * (n + 1))
-        square = moments.reshape(n + 1, 6)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
-        bodies = LinkBodies(mass, com.reshape(n + 1, 3), square, rotors)
-        chain = Chain(arm.joints, arm.roots, bodies)
+        mass, com, moments, rotors = np.split(numbers, np.cumsum([1, 3, 6]) * count)
+        square = moments.reshape(count, 6)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+        bodies = LinkBodies(mass, com.reshape(count, 3), square, rotors)
+        chain = Chain(arm.joints, arm.roots, bodies, arm.coupling)
         q, v, a, spin, turn, accel = motion
         return newton_euler(chain, q, v, a, spin=spin, turn=turn, accel=accel)
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.engine.kernel.symbolic import Traced, column, expressions, symbols, traced
-from ves_gym.mechanics.arm import STILL, Chain, JointFrame, LinkBodies, Root
+from ves_gym.mechanics.arm import STILL, Chain, Coupling, JointFrame, LinkBodies, Root
 from ves_gym.mechanics.carried import ReactionWheel
 from ves_gym.mechanics.contact import ContactModel, Law
 from ves_gym.mechanics.dynamics import merged
@@ -140,10 +140,11 @@ def _read(system: System, read: _Reader) -> Model:
     arm, base, n = system.arm, system.base, system.arm.n
     prescribed, ideal = system.drive == "prescribed", system.mode == "ideal"
     links, rotors = [], []
-    for i, link in enumerate(arm.links, start=1):
-        changes = system.payload is not None and i == n
-        links.append(read.body(f"link{i}", link.inertial, changes))
-        rotors.append(read.number(f"link{i}.rotor", link.rotor_inertia))
+    for part in arm.ordered:
+        name = part.body.replace("_", "")
+        changes = system.payload is not None and name == f"link{n}"
+        links.append(read.body(name, part.link.inertial, changes))
+        rotors.append(read.number(f"{name}.rotor", part.link.rotor_inertia))
     arm_base = read.body("base", arm.base)
     flexible, flexures = _flexible(system, read, rotors)
     satellite = base.body if ideal else None
@@ -180,14 +181,15 @@ def _read(system: System, read: _Reader) -> Model:
         for i, part in enumerate(base.carried if ideal else (), start=1)
     )
     jets = ideal and has_jets(system.vehicle)
-    rigid = _Joints(arm.joints, arm.roots, host, links, rotors, list(range(n)))
+    every = list(range(len(links)))
+    rigid = _Joints(arm.joints, arm.roots, host, links, rotors, every, arm.coupling)
     places = rigid if flexible is None else flexible
     chain, driven, passive = places.unfolded(set(arm.geared))
     return Model(
         alone=replace(rigid, base=arm_base).chain(),
         arm=rigid.chain(),
         chain=chain,
-        driven=driven,
+        driven=driven[:n],
         passive=passive,
         bends=len(flexures),
         springs=Springs(rows[:, 0], rows[:, 1], rows[:, 2], loose),
@@ -243,14 +245,15 @@ class _Joints:
     base: Body
     links: Sequence[Body]
     rotors: Sequence[Array]
-    driven: list[int]  # places of the n joints
+    driven: list[int]  # places of the n joints, of followers too
+    coupling: Coupling | None = None
 
     def chain(self) -> Chain:
         """They as they are."""
         bodies = [self.base, *self.links]
         mass, com, inertia = (np.stack([body[k] for body in bodies]) for k in range(3))
         numbers = LinkBodies(mass, com, inertia, np.stack(self.rotors))
-        return Chain(tuple(self.joints), tuple(self.roots), numbers)
+        return Chain(tuple(self.joints), tuple(self.roots), numbers, self.coupling)
 
     def unfolded(self, geared: set[int]) -> tuple[Chain, list[int], list[int]]:
         """The chain with a joint for each gear, after its rotor; places of the n joints, and
@@ -414,6 +417,9 @@ def geometry(arm: Arm) -> str:
         lengths.append(arm.sliding)
     if arm.beside:
         lengths.append([(limb.joints, limb.mount) for limb in arm.beside])
+    if arm.followers:
+        lengths += [(arm.joints, arm.coupling, [(k.first, k.on) for k in arm.roots])]
+        lengths += [(k.rotation.tolist(), k.position.tolist()) for k in arm.roots]
     if arm.bends:
         chain = expand(arm)
         lengths += [(k.d, k.a, k.alpha, k.beta, k.offset) for k in chain.arm.links]

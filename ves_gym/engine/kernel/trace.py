@@ -275,11 +275,12 @@ def regressor(arm: Arm) -> casadi.Function:
     """
     import casadi as ca
 
+    arm.require_uncoupled("a regressor")
     n = arm.n
     bodies, rotors = symbols("body", (n + 1, 10)), symbols("rotor", (n,))
     square = bodies[:, [[4, 5, 7], [5, 6, 8], [7, 8, 9]]]
     masses = LinkBodies(bodies[:, 0], bodies[:, 1:4], square, rotors)
-    chain = Chain(arm.joints, arm.roots, masses)
+    chain = Chain(arm.joints, arm.roots, masses, None)
     x = symbols("x", (3 * n + 9,))
     (q, v, a), (spin, turn, accel) = x[: 3 * n].reshape(3, n), x[3 * n :].reshape(3, 3)
     torque, wrench = newton_euler(chain, q, v, a, spin=spin, turn=turn, accel=accel)
