@@ -1,4 +1,4 @@
-"""Basilisk 2.12.1: wheels, jets, arrays and slosh of a satellite, an arm moving on it."""
+"""Basilisk 2.12.1: wheels, jets, arrays, slosh, gravity gradient, an arm that moves."""
 
 from dataclasses import replace
 
@@ -8,9 +8,13 @@ import pytest
 import ves_gym as vg
 from tests.foreign.conftest import difference
 from tests.foreign.servo_loop import link_rows, queries, row, servo_loop, without_rotors
+from ves_gym.mechanics.arm import diagonal
 from ves_gym.mechanics.arm_library import PUMA_560, get_arm
+from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.orbit import EARTH, EARTH_RADIUS, Orbit
 from ves_gym.mechanics.pointing import allocated, wrench_matrix
-from ves_gym.mechanics.vehicle import SERVICER_FLEXIBLE
+from ves_gym.mechanics.spatial import rotation
+from ves_gym.mechanics.vehicle import FREE_FLOATING, SERVICER_FLEXIBLE
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.energy import TAIL
 from ves_gym.system.system import System
@@ -103,3 +107,41 @@ def test_plans_on_arrays_and_slosh(foreign, duration):
         print(f"refined over straight, {name}: {np.round(part[:, 1] / part[:, 0], 3)}")
     assert ((found > 0.97) & (found < 1.03)).all()
     assert np.median(E[:, 1] / E[:, 0]) < 0.18
+
+
+def test_gravity_gradient_and_drift(foreign):
+    """A satellite with its arm held, 1 m off the orbit's point, a sixth of an orbit.
+
+    Basilisk has the point-mass field and its GravityGradientEffector. Tolerance: 1e-6 of the
+    turn and of the drift; the field beyond first order is 5e-7 of that.
+    """
+    orbit, step, every = Orbit(altitude=400e3), 0.1, 50.0
+    body = replace(FREE_FLOATING.body, inertia=diagonal(120.0, 150.0, 180.0))
+    system = System(
+        vehicle=replace(FREE_FLOATING, body=body, orbit=orbit),
+        drive="prescribed", physics_dt=step, control_dt=step,
+    )  # fmt: skip
+    H = inertia(system.arm, np.zeros(3))[:6, :6] + system.base.rigid()
+    mass, c = H[0, 0], np.array([H[5, 1], H[3, 2], H[4, 0]]) / H[0, 0]
+    about = H[3:, 3:] - mass * (c @ c * np.eye(3) - np.outer(c, c))
+    place, omega = np.array([1.0, 0.3, -0.2]), np.array([2e-4, -1e-4, 3e-4])
+    sim, ours = Simulator(system), []
+    sim.reset(y=[*(place - c), 0, 0, 0], yd=[*-np.cross(omega, c), *omega])
+    for k in range(round(900 / step)):
+        state = sim.step()
+        if (k + 1) % round(every / step) == 0:
+            R = rotation(state.y)[0]
+            ours.append([*(state.y[0, :3] + R @ c), *state.attitude[0]])
+    radius = EARTH_RADIUS + orbit.altitude
+    point = np.array([[radius, 0, 0], [0, orbit.rate * radius, 0]])
+    theirs = foreign(
+        "basilisk", "basilisk_orbit", body=about, mass=mass, mu=EARTH, orbit=point,
+        start=np.array([place, 0 * place]), omega=omega, step=step, until=900.0, every=every,
+    )["path"]  # fmt: skip
+    angle = orbit.rate * every * np.arange(1, len(theirs) + 1)[:, None]
+    theirs[:, :3] -= radius * np.hstack([np.cos(angle), np.sin(angle), 0 * angle])
+    ours = np.array(ours)
+    ours[:, 3:] *= np.sign(np.sum(ours[:, 3:] * theirs[:, 3:], axis=1))[:, None]
+    for name, part in (("drift", slice(0, 3)), ("turn", slice(4, 7))):
+        print(f"{name}: {difference(theirs[:, part], ours[:, part]):.1e}")
+        assert difference(theirs[:, part], ours[:, part]) < 1e-6

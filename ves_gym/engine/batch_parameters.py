@@ -19,7 +19,7 @@ from ves_gym.system.system import System
 
 _SETTINGS = ("mode", "drive", "integrator", "physics_dt", "control_dt")
 _GEOMETRY = ("d", "a", "alpha", "beta", "offset", "slides")
-_SATELLITE = ("thrusters", "wheels", "jets", "appendages", "pointing")
+_SATELLITE = ("thrusters", "wheels", "jets", "appendages", "pointing", "orbit")
 
 
 def require_alike(template: System, other: System, which: str) -> None:

@@ -200,6 +200,8 @@ def _shape(batch: Batch) -> Shape:
         )
     if batch.sim.joint_delays is not None:
         raise ParameterError(f"{what} has no delays of the joints: use VesVectorEnv")
+    if batch.sim.gravity_gradient is not None:
+        raise ParameterError(f"{what} has no gravity gradient: use VesVectorEnv")
     shape = batch.shape
     if shape is None:
         raise ParameterError(

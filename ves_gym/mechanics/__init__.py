@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ves_gym.mechanics.gravity import GravityModel as GravityModel
     from ves_gym.mechanics.gravity import minimal_model as minimal_model
     from ves_gym.mechanics.kinematics import tool_frame as tool_frame
+    from ves_gym.mechanics.orbit import Orbit as Orbit
     from ves_gym.mechanics.pointing import AttitudeControl as AttitudeControl
     from ves_gym.mechanics.pointing import Jet as Jet
     from ves_gym.mechanics.structure import read_structure as read_structure
@@ -38,6 +39,7 @@ _NAMES = {  # by module
     "flexible_base": ("CornerBody", "FlexibleBase", "Polyline", "Reduced", "Strut"),
     "gravity": ("GravityModel", "minimal_model"),
     "kinematics": ("tool_frame",),
+    "orbit": ("Orbit",),
     "pointing": ("AttitudeControl", "Jet"),
     "structure": ("read_structure",),
     "vehicle": ("BENT", "BENT_THESIS"),

@@ -116,8 +116,12 @@ def _about(axis: Array, angle: Array) -> Array:
     return along + c * (np.eye(3) - along) + s * skew(axis)
 
 
-def _placed(part: Any, at: Array) -> tuple[Array, Array]:
-    """Centre of mass (..., 3) and inertia about it (..., 6) of an appendage, platform axes."""
+def placed(part: Any, at: Array) -> tuple[Array, Array]:
+    """Return centre of mass (..., 3) and inertia about it (..., 6) of an appendage.
+
+    Args:
+        part, at: see `inertia_of`.
+    """
     com, inertia = np.asanyarray(part.body.com), np.asanyarray(part.body.inertia)
     axis = np.array(part.axis)
     if part.joint == "slide":
@@ -137,7 +141,7 @@ def inertia_of(part: Any, at: Array) -> CarriedInertia:
     if part.kind == "wheel":
         spun = np.concatenate([np.zeros(3), np.asanyarray(part.inertia)[None] * axis])
         return CarriedInertia(None, spun, part.inertia)
-    (com, turned), mass = _placed(part, at), np.asanyarray(part.body.mass)
+    (com, turned), mass = placed(part, at), np.asanyarray(part.body.mass)
     locked = spatial_inertia(mass, *moments(mass, com, turned))
     if part.joint == "slide":
         linear = mass[..., None] * axis
@@ -176,7 +180,7 @@ def load_of(
         momentum = (part.inertia * rate)[..., None] * axis
         effort = part.inertia * (axis * turn).sum(axis=-1)
         return _side_by_side(np.zeros(3), cross(spin, momentum)), effort
-    com, turned = _placed(part, at)
+    com, turned = placed(part, at)
     w, dw, moving = spin, turn, rate[..., None] * axis
     if part.joint == "slide":
         a = accel + swing(spin, turn, com) + 2.0 * cross(spin, moving)

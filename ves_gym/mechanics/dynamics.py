@@ -200,9 +200,20 @@ class InertiaParts(NamedTuple):
     joints: Array  # (..., n, n) rotors included
 
 
-def inertia_parts(arm: Mechanism, q: npt.ArrayLike) -> InertiaParts:
-    """Return the parts of `inertia`, at joint angles q (..., n) [rad]."""
-    at, bodies, n, roots = frames(arm, q), arm.bodies, len(arm.joints), arm.roots
+class Composites(NamedTuple):
+    """Bodies that move as one with each joint, and the whole: moments about the origin."""
+
+    mass: Array  # (..., n) of all beyond a joint [kg]
+    first: Array  # (..., n, 3) [kg m]
+    second: Array  # (..., n, 6) [kg m^2]
+    whole: tuple[Array, Array, Array]  # the same of all bodies, the base link's among them
+    moving: Array  # (..., n, 3) velocity per rate, of the origin as a point of what moves
+    turning: Array  # (..., n, 3) angular velocity per rate
+
+
+def composites(arm: Mechanism, q: npt.ArrayLike) -> Composites:
+    """Return what each joint moves, at joint angles q (..., n) [rad]."""
+    at, bodies, roots = frames(arm, q), arm.bodies, arm.roots
     rotation = at.rotation
     com = at.position + (rotation * bodies.com[..., 1:, None, :]).sum(axis=-1)
     turned = turned_inertia(rotation, bodies.inertia[..., 1:, :, :])
@@ -210,9 +221,23 @@ def inertia_parts(arm: Mechanism, q: npt.ArrayLike) -> InertiaParts:
         _from_the_tips(roots, x) for x in moments(bodies.mass[..., 1:], com, turned)
     )
     mass = _from_the_tips(roots, bodies.mass[..., 1:, None].copy())[..., 0]
+    base = moments(
+        bodies.mass[..., 0], bodies.com[..., 0, :], packed(bodies.inertia[..., 0, :, :])
+    )
+    whole = (
+        _of_all(roots, mass[..., None])[..., 0] + bodies.mass[..., 0],
+        _of_all(roots, first) + base[0],
+        _of_all(roots, second) + base[1],
+    )
+    return Composites(mass, first, second, whole, *twists(arm, at))
+
+
+def inertia_parts(arm: Mechanism, q: npt.ArrayLike) -> InertiaParts:
+    """Return the parts of `inertia`, at joint angles q (..., n) [rad]."""
+    bodies, n, roots = arm.bodies, len(arm.joints), arm.roots
+    mass, first, second, whole, moving, turning = composites(arm, q)
     # unit rate of a joint: linear and angular momentum (about the origin) of what it moves
-    moving, turning = twists(arm, at)
-    across = room(com, *com.shape[:-1], 6)
+    across = room(first, *first.shape[:-1], 6)
     linear, angular = across[..., :3], across[..., 3:]
     np.add(mass[..., None] * moving, cross(turning, first), out=linear)
     np.add(cross(first, moving), packed_matvec(second, turning), out=angular)
@@ -226,18 +251,10 @@ def inertia_parts(arm: Mechanism, q: npt.ArrayLike) -> InertiaParts:
             i, up = root.first, _carriers(roots, n, root.on)
             joints[..., i, up] = joints[..., up, i] = pairs[..., up, i]
     joints[..., range(n), range(n)] += bodies.rotor
-    base_turned = moments(
-        bodies.mass[..., 0], bodies.com[..., 0, :], packed(bodies.inertia[..., 0, :, :])
-    )
-    base = spatial_inertia(
-        _of_all(roots, mass[..., None])[..., 0] + bodies.mass[..., 0],
-        _of_all(roots, first) + base_turned[0],
-        _of_all(roots, second) + base_turned[1],
-    )
     if arm.coupling is not None:  # G^T M G, for the joints' rates are G of the driven ones'
         across, half = arm.coupling.reduced(across), arm.coupling.reduced(joints)
         joints = arm.coupling.reduced(np.swapaxes(half, -1, -2))
-    return InertiaParts(base, across, joints)
+    return InertiaParts(spatial_inertia(*whole), across, joints)
 
 
 def inertia(arm: Arm, q: npt.ArrayLike) -> Array:

@@ -19,6 +19,7 @@ from ves_gym.mechanics.carried import inertia_of, load_of, passive_effort
 from ves_gym.mechanics.contact import ContactLoad, ContactModel, contact_load
 from ves_gym.mechanics.dynamics import inertia_parts, newton_euler
 from ves_gym.mechanics.gravity import GRAVITY
+from ves_gym.mechanics.orbit import Tide, tidal_load
 from ves_gym.mechanics.spatial import (
     base_motion,
     cross,
@@ -76,6 +77,7 @@ class Model:
     emulated: bool  # on a platform that goes where it is told, under gravity
     balanced: bool  # the links' weight is carried outside the motors
     contact: ContactModel | None  # of the tool
+    tide: Tide | None  # gravity gradient
 
     @property
     def n(self) -> int:
@@ -144,11 +146,16 @@ def motion(model: Model, x: Array, u: Array, step: float | None = None) -> State
         push, sdd = mode_forces(model, z, zd, s, sd)
         if load is not None:
             push, joints = push + load.base, joints + load.joints
+        carried = 0.0 * c
+        if model.tide is not None:
+            tide = tidal_load(model.tide, model.chain, model.carried, pose, c)
+            push, joints, carried = push + tide.base, joints + tide.joints, tide.carried
         mass, loads = balance_of_forces(model, pose, moving, base + push, joints)
         if implicit is not None:
             mass = mass + implicit
         if model.carried:
             mass, loads = with_carried(model, mass, loads, pose, moving, c, cd)
+            loads[..., loads.shape[-1] - c.shape[-1] :] += carried
         solution, drive = solved(model, mass, loads, drive, u[..., 6:], 6)
         zdd, cdd = solution[..., : pose.shape[-1]], solution[..., pose.shape[-1] :]
     joint = zdd[..., 6:]

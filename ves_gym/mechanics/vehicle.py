@@ -41,6 +41,7 @@ from ves_gym.mechanics.finite_elements import Material as Material
 from ves_gym.mechanics.flexible_base import Beam as Beam
 from ves_gym.mechanics.flexible_base import FlexibleBase as FlexibleBase
 from ves_gym.mechanics.flexible_base import beam_line as beam_line
+from ves_gym.mechanics.orbit import Orbit as Orbit
 from ves_gym.mechanics.pointing import AttitudeControl as AttitudeControl
 from ves_gym.mechanics.pointing import Jet as Jet
 from ves_gym.mechanics.spatial import matvec
@@ -108,8 +109,9 @@ class Satellite(Saved):
     act (`Simulator.step(..., base_wrench=...)`). `jets` make that wrench by pulses. `wheels`
     exchange momentum with the body, whose inertia includes theirs; `appendages` come on top of
     it. With `pointing` wheels and jets hold the attitude of the start, or another that the
-    simulator is given (`Simulator.point`). `extra`: masses on springs along directions fixed in
-    space, for a satellite that turns little.
+    simulator is given (`Simulator.point`). On an `orbit` the Earth's attraction differs from
+    place to place: it turns the satellite, and what is apart drifts. `extra`: masses on springs
+    along directions fixed in space, for a satellite that turns little.
     """
 
     kind: ClassVar[str] = "satellite"
@@ -120,6 +122,7 @@ class Satellite(Saved):
     appendages: tuple[Appendage, ...] | None = None
     pointing: AttitudeControl | None = None
     extra: tuple[Oscillator, ...] | None = None
+    orbit: Orbit | None = None
     source: str = "user"
 
     def __post_init__(self) -> None:
@@ -151,6 +154,11 @@ class Satellite(Saved):
 def has_jets(vehicle: Vehicle) -> bool:
     """Return True of a vehicle on which jets of some kind may act."""
     return isinstance(vehicle, Satellite) and (vehicle.thrusters or bool(vehicle.jets))
+
+
+def orbit_of(vehicle: Vehicle) -> Orbit | None:
+    """Return the orbit that a vehicle is on; None where gravity is left out."""
+    return vehicle.orbit if isinstance(vehicle, Satellite) else None
 
 
 def act(

@@ -8,7 +8,7 @@ from ves_gym._util.params import Array
 from ves_gym.mechanics.linear_range import range_sentence
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.pointing import shares, strongest
-from ves_gym.mechanics.vehicle import Satellite, has_jets
+from ves_gym.mechanics.vehicle import Satellite, has_jets, orbit_of
 from ves_gym.planners.case import Query
 from ves_gym.planners.prediction import NODES, LinearBase, respond
 from ves_gym.system.system import System
@@ -62,6 +62,8 @@ def _of_the_base(system: System) -> list[str]:
         out.append("damping of the base that grows with speed: taken as none")
     if has_jets(vehicle) and getattr(vehicle, "pointing", None) is None:
         out.append("jets: taken as off")
+    if (orbit := orbit_of(vehicle)) is not None:
+        out.append(f"gravity gradient on an {orbit}: taken as none")
     return out
 
 

@@ -7,7 +7,7 @@ import scipy
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.servo import JointServo
-from ves_gym.mechanics.vehicle import has_jets
+from ves_gym.mechanics.vehicle import has_jets, orbit_of
 from ves_gym.system.effect import joint_torque
 from ves_gym.system.energy import body_energy, port_energy, vehicle_energies
 from ves_gym.system.energy_balance import drive_work
@@ -42,11 +42,12 @@ class EnergyAccount:
     @staticmethod
     def keeps(system: System) -> bool:
         """True for systems whose account this is: no latch, contact, gears, wheels, jets, or
-        modes that an effect hides."""
+        modes that an effect hides, no orbit."""
         acts = has_jets(system.vehicle) or system.base.carried or system.actual.arm.geared
         touches = system.payload is not None or system.contact is not None
         hides = system.actual.base.m != system.base.m
-        return system.mode == "ideal" and not (acts or touches or hides)
+        pulled = orbit_of(system.vehicle) is not None
+        return system.mode == "ideal" and not (acts or touches or hides or pulled)
 
     def enter(self, t: float, *row: Array) -> None:
         """Take a step into account.

@@ -13,11 +13,12 @@ from ves_gym.engine.backends import make_backend
 from ves_gym.engine.backends.base import Backend
 from ves_gym.hardware.admittance import Nonlinear
 from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo
-from ves_gym.mechanics.vehicle import has_jets
+from ves_gym.mechanics.vehicle import has_jets, orbit_of
 from ves_gym.simulation.assigned_systems import assign, assign_effects
 from ves_gym.simulation.base_actuators import BaseActuators
 from ves_gym.simulation.capture import Capture, PayloadHandler
 from ves_gym.simulation.emulation_loop import EmulationLoop
+from ves_gym.simulation.gravity_gradient import GravityGradient
 from ves_gym.simulation.joint_delays import JointDelays, joint_delays_of
 from ves_gym.simulation.loop_linearisation import warn_if_unstable
 from ves_gym.simulation.machines import ControlPeriod, Divergence, Machines, Part
@@ -103,13 +104,15 @@ class Simulator:
                 system, self.n, self.generators, admittance, compiled=compiled
             )
         self.contact = None if self.backend.contact is None else ToolContact(machines)
+        orbit = orbit_of(system.vehicle)
+        self.gravity_gradient = None if orbit is None else GravityGradient(machines, orbit)
         self.payload: PayloadHandler | None = None
         if system.payload is not None:
             self.payload = PayloadHandler(machines, self.contact, lambda: self.base_modes)
         optional = (
             machines.charts if machines.charts.free else None,
             self.joint_delays, self.emulation_loop, self.contact, self.payload,
-            self.base_actuators,
+            self.base_actuators, self.gravity_gradient,
         )  # fmt: skip
         # in this order they act, before and after the engine
         self.parts: tuple[Part, ...] = tuple(k for k in optional if k is not None)

@@ -12,9 +12,15 @@ import scipy
 
 from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym._util.views import Viewable
+from ves_gym.mechanics.arm import Inertial, matrix
 from ves_gym.mechanics.attitude import conjugate, rotate, to_matrix
+from ves_gym.mechanics.dynamics import merged
+from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.kinematics import tool_frame, tool_twists
+from ves_gym.mechanics.orbit import Tide, tidal_load
+from ves_gym.mechanics.payload import numbers_of
 from ves_gym.mechanics.spatial import matvec, rotation, twist
+from ves_gym.mechanics.vehicle import orbit_of
 from ves_gym.system.effect import joint_torque
 from ves_gym.system.energy import (
     body_energy,
@@ -36,7 +42,7 @@ class EnergyBalance(Viewable):
     """
 
     t: Array  # (N,) s
-    work: Array  # of the joint drives, and of a satellite's wheels and jets
+    work: Array  # of the joint drives, of a satellite's wheels, jets and gravity gradient
     kinetic: Array  # change, whole system
     strain: Array  # change
     dissipated: Array  # in the vehicle's damping, by effects at the joints, in contacts
@@ -95,7 +101,9 @@ class EnergyBalance(Viewable):
             scale = max(scale, float(np.abs(stored + taken).max()))
         return cls(
             t=log.t,
-            work=_drive_work(system, log) + actuator_work(log, system),
+            work=_drive_work(system, log)
+            + actuator_work(log, system)
+            + tidal_work(log, system),
             kinetic=kinetic - kinetic[0],
             strain=strain,
             dissipated=dissipated,
@@ -209,6 +217,34 @@ def actuator_work(log: RunLog, system: System) -> Array:
             out[part.start + 1 :] += work[-1]
             out[part.start + 1 : part.stop] += work[1:] - work[-1]
     return out
+
+
+def tidal_work(log: RunLog, system: System) -> Array:
+    """Return the work of the gravity gradient since the first sample, (N,) [J].
+
+    Args:
+        log: with `yd`, `v`, and `u` where something moves in arm or satellite.
+        system: that it is of.
+    """
+    orbit = orbit_of(system.vehicle)
+    if orbit is None:
+        return np.zeros(len(log.t))
+    assert log.v is not None and log.yd is not None and system.base.body is not None
+    chain, at, carried = expand(system.arm), [], []
+    bends, k = system.arm.bends, system.arm.bends + len(system.base.carried)
+    for joints, hidden in ((log.q, log.u), (log.v, log.ud)):
+        hidden = np.zeros((len(log.t), k)) if hidden is None else hidden
+        at.append(chain.angles(joints, hidden[:, :bends]))
+        carried.append(hidden[:, bends:k])
+    tide = Tide(np.asarray(orbit.rate), orbit.up(log.t), np.zeros(3))
+    mass, com, inertia = merged([numbers_of(k) for k in (chain.arm.base, system.base.body)])
+    base = Inertial(mass=float(mass), com=tuple(com.tolist()), inertia=matrix(inertia))
+    arm = replace(chain.arm, base=base)
+    z = np.concatenate([log.y, at[0]], axis=1)
+    load = tidal_load(tide, arm, system.base.carried, z, carried[0])
+    rates = log.yd, at[1], carried[1]
+    power = sum((f * r).sum(axis=1) for f, r in zip(load, rates, strict=True))
+    return np.asarray(scipy.integrate.cumulative_simpson(power, x=log.t, initial=0.0))
 
 
 def payload_energy(system: System, log: RunLog) -> Array:

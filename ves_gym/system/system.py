@@ -36,6 +36,7 @@ from ves_gym.mechanics.vehicle import (
     Vehicle,
     altered,
     get_vehicle,
+    orbit_of,
     vehicle_name,
 )
 from ves_gym.system.deviations import Delays, LoopParameters
@@ -125,6 +126,11 @@ class System:
             self._require_a_body_alone(self.vehicle)
         if self.contact is not None:
             self._require_contact(self.contact)
+        if self.payload is not None and orbit_of(self.vehicle) is not None:
+            raise ParameterError(
+                "System.payload: a free payload feels no gravity gradient, leave out the"
+                " satellite's orbit or the payload"
+            )
         object.__setattr__(self, "effects", tuple(self.effects))  # a list has no hash
         for effect in self.effects:
             if not isinstance(effect, Effect):
@@ -137,7 +143,7 @@ class System:
             effect.check(self)
 
     def _require_a_body_alone(self, vehicle: Satellite) -> None:
-        for name in ("wheels", "jets", "appendages", "extra"):
+        for name in ("wheels", "jets", "appendages", "extra", "orbit"):
             if getattr(vehicle, name):
                 raise ParameterError(
                     f"mode emulated knows a satellite's body, not its {name}: the arm's wrench"
@@ -159,6 +165,8 @@ class System:
     def __repr__(self) -> str:
         name, kind = vehicle_name(self.vehicle), self.vehicle.kind
         vehicle = kind if name == kind else f"{name} ({kind})"
+        orbit = orbit_of(self.vehicle)
+        vehicle += "" if orbit is None else f", {orbit}"
         effects = "".join(f", {effect}" for effect in self.effects)
         payload = "" if self.payload is None else f", payload {self.payload.inertial.mass:g} kg"
         return f"<System: {self.arm.name} on {vehicle}, {self.mode}{payload}{effects}>"

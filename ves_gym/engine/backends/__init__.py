@@ -9,6 +9,7 @@ from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.engine.backends.base import Backend, BackendWarning
+from ves_gym.mechanics.vehicle import orbit_of
 
 if TYPE_CHECKING:
     from ves_gym.system.system import System
@@ -24,7 +25,7 @@ def make_backend(name: str, system: System, n: int, threads: int) -> Backend:
 
     Raises:
         ParameterError: unknown name, `kernel` where it cannot be compiled, or MuJoCo for a
-            system with contact.
+            system with contact or on an orbit.
     """
     if name not in BACKENDS:
         raise ParameterError(
@@ -43,13 +44,18 @@ def make_backend(name: str, system: System, n: int, threads: int) -> Backend:
             return KernelBackend(system, n, threads)
         except (ImportError, RuntimeError, OSError) as error:
             reason = f"the kernel cannot be compiled here ({type(error).__name__}: {error})"
-            if name == "kernel" or system.contact is not None:
+            if name == "kernel" or system.contact is not None or orbit_of(system.vehicle):
                 raise ParameterError(f"backend kernel: {reason}") from error
             warnings.warn(f"{reason}; MuJoCo runs instead", BackendWarning, stacklevel=3)
     if system.contact is not None:
         raise ParameterError(
             "backend mujoco has no contact at the tool: use kernel (or auto), or a system"
             " without contact"
+        )
+    if orbit_of(system.vehicle) is not None:
+        raise ParameterError(
+            "backend mujoco has no gravity gradient: use kernel (or auto), or a satellite"
+            " without orbit"
         )
     from ves_gym.engine.backends.mujoco import MujocoBackend
 

@@ -39,7 +39,7 @@ class CompiledBackend(ABC):
         self.rows = ParameterRows(system)
         self.names = self.rows.names
         # set by a controller or by who handles payloads, not by a system
-        by_controllers = ("kp", "kd", "jet", "motor", "frame", "payload", "touching")
+        by_controllers = ("kp", "kd", "jet", "motor", "tide", "frame", "payload", "touching")
         self._gains = np.array([name.startswith(by_controllers) for name in self.names])
         self._systems = [system] * n
         self._own_bases: set[int] = set()  # simulations with another than their system's
@@ -163,6 +163,18 @@ class CompiledBackend(ABC):
             for i in range(0 if values is None else values.shape[1]):
                 at = self.names.index(name.format(i + 1))
                 self._set_parameter(at, ids, values[:, i])  # type: ignore[index]
+
+    def set_tide(self, ids: Index, up: Array, place: Array) -> None:
+        """Set the gravity gradient of simulations (k,), see `orbit.Tide`.
+
+        Args:
+            ids: which.
+            up, place: (k, 3) in the engine's axes.
+        """
+        for name, values in (("up", up), ("place", place)):
+            first = self.names.index(f"tide.{name}1")
+            for i in range(3):
+                self._set_parameter(first + i, ids, values[:, i])
 
     def assign(self, ids: Index, systems: Sequence[System]) -> None:
         """See `Backend`."""

@@ -24,7 +24,8 @@ from ves_gym.mechanics.contact import ContactModel, Law
 from ves_gym.mechanics.dynamics import merged
 from ves_gym.mechanics.equations import InnerModes, Model, Springs
 from ves_gym.mechanics.flexure import expand
-from ves_gym.mechanics.vehicle import has_jets
+from ves_gym.mechanics.orbit import Tide
+from ves_gym.mechanics.vehicle import has_jets, orbit_of
 from ves_gym.system.effect import TorqueEffect
 
 if TYPE_CHECKING:
@@ -212,6 +213,7 @@ def _read(system: System, read: _Reader) -> Model:
         emulated=not ideal,
         balanced=not ideal and system.emulator_settings.joint_balance,
         contact=_contact(system, read),
+        tide=_tide(system, read),
     )
 
 
@@ -231,6 +233,15 @@ def _contact(system: System, read: _Reader) -> ContactModel | None:
         body = read.body("payload", system.payload.inertial, changing=True)
         touching = read.always("touching", [1.0])[0]
     return ContactModel(contact, law, system.arm.tool_rotation, frame, body, touching)
+
+
+def _tide(system: System, read: _Reader) -> Tide | None:
+    """Gravity gradient where the engine begins: its direction is set from time to time."""
+    orbit = orbit_of(system.vehicle)
+    if orbit is None or system.mode == "emulated":
+        return None
+    up, place = read.always("tide.up", orbit.radial), read.always("tide.place", [0.0] * 3)
+    return Tide(read.number("mean_motion", orbit.rate), up, place)
 
 
 _SPRING = ("stiffness", "damping", "gap")

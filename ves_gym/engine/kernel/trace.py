@@ -30,7 +30,9 @@ from ves_gym.mechanics.equations import (
     spring_torque,
     touch,
 )
+from ves_gym.mechanics.orbit import tidal_load
 from ves_gym.mechanics.spatial import solve_partly, solve_symmetric
+from ves_gym.mechanics.vehicle import orbit_of
 
 if TYPE_CHECKING:
     import casadi
@@ -165,6 +167,9 @@ def _balance(system: System) -> _Balance:
     push, sdd = mode_forces(model, z, zd, s, sd)
     tau = model.along(driven_torque(model, z, zd, drive), spring_torque(model, d, dd))
     pose, moving = along_the_chain(model, z, d), along_the_chain(model, zd, dd)
+    if model.tide is not None:
+        tide = tidal_load(model.tide, model.chain, (), pose, z[:0])
+        push, tau = push + tide.base, tau + tide.joints
     mass, loads = balance_of_forces(model, pose, moving, u[:6] + push, tau)
     # coordinates as they lie in the state, by their place along the chain
     order = [*range(6), *(6 + k for k in (*model.driven, *model.passive))]
@@ -207,6 +212,11 @@ def tangents(system: System, wrt: tuple[str, ...], controls: int) -> Equations:
     if system.contact is not None:
         raise ParameterError(
             "derivatives know no contact at the tool: use differences of Simulator runs"
+        )
+    if orbit_of(system.vehicle) is not None:
+        raise ParameterError(
+            "derivatives know no orbit, whose gravity changes with time: use differences of"
+            " Simulator runs"
         )
     by_column, at_once = (_tangents(system, wrt, controls, k) for k in (False, True))
     return min(by_column, at_once, key=lambda graphs: int(graphs.motion.n_instructions()))
