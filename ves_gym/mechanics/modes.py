@@ -160,13 +160,13 @@ def jacobi_sweep(A: Array, b: Array) -> tuple[Array, Array]:
 
 
 def root(K: Array) -> Array:
-    """R (k, k) with R^T R = K, its rows along the axes of K.
+    """R (..., k, k) with R^T R = K, its rows along the axes of K.
 
     Args:
-        K: (k, k) symmetric and positive semidefinite.
+        K: (..., k, k) symmetric and positive semidefinite.
     """
     values, vectors = np.linalg.eigh(K)
-    out: Array = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    out: Array = np.sqrt(np.maximum(values, 0.0))[..., None] * vectors.swapaxes(-1, -2)
     return out
 
 

@@ -206,7 +206,7 @@ class LinearResponse:
             rows[b:, low] = -step * w * np.eye(b)
         roots = np.zeros((len(self.M), 2 * b, 2 * b))
         roots[:, :b, :b] = root(self.linear.base_stiffness / 2)
-        roots[:, b:, b:] = [root(self.linear.base_mass(M) / 2) for M in self.M]
+        roots[:, b:, b:] = root(self.linear.base_mass(self.M) / 2)
         return Quantity(roots @ rows, None, roots[-1] @ rows)
 
     # --------------------------------------------------------------------- measures

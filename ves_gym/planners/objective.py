@@ -152,7 +152,7 @@ class MeanEnergy(QuadraticForm):
             states[k + 1, :, done - m : done] += first
             states[k + 1, :, done : done + m] = second
         # E_k = 1/2 |R_K z|^2 + 1/2 |R_M z'|^2 with z' = (M^-1 (P - u))[:b], x's part off P
-        speed = np.stack([root(linear.base_mass(Mk)) @ np.linalg.inv(Mk)[:b] for Mk in M])
+        speed = root(linear.base_mass(M)) @ np.linalg.inv(M)[:, :b]
         rows = np.empty((N, 2 * b, m * N + 1))
         rows[:, :b] = root(linear.base_stiffness) @ states[:, :b]
         own = states[:, size:]

@@ -37,6 +37,7 @@ from ves_gym.system.energy import TAIL
 from ves_gym.system.system import System
 
 _DOUBLINGS = 24
+_HELD = 1200  # steps for the torque of held joints: to 1e-2 of its limit at 2 s, 1e-4 from 16 s
 _PER_SECOND = 60.0  # samples: six and more of a joint on its servo (10 Hz)
 NODES = 96  # samples of a motion; energies converge to about 1e-3 (docs/physics.md)
 FINE = 10  # parts of a sample for peaks, which may be as short as a joint's swing on its servo
@@ -339,7 +340,8 @@ def joint_loads(
     """
     linear, steps = LinearBase(system, servo, motion.start), steps_of_joints(motion.duration)
     holds = servo.holds(system.arm)
-    run = respond(linear, motion, steps, base, FINE if holds else 1)
+    # torque that holds a joint follows the base's acceleration: short motions shake faster modes
+    run = respond(linear, motion, steps, base, math.ceil(_HELD / steps) if holds else 1)
     if not holds:
         away, rate = run.x[:, run.motors], run.rate[:, run.motors]
         torque = -(away * np.array(servo.kp) + rate * np.array(servo.kd))
