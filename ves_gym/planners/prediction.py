@@ -340,7 +340,7 @@ def joint_loads(
     """
     linear, steps = LinearBase(system, servo, motion.start), steps_of_joints(motion.duration)
     holds = servo.holds(system.arm)
-    # torque that holds a joint follows the base's acceleration: short motions shake faster modes
+    # a joint is held against the base's acceleration: short motions shake faster modes
     run = respond(linear, motion, steps, base, math.ceil(_HELD / steps) if holds else 1)
     if not holds:
         away, rate = run.x[:, run.motors], run.rate[:, run.motors]
