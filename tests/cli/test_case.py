@@ -56,6 +56,15 @@ def test_the_next_line_plays_the_plan_on_its_machine(call, machine):
     assert vg.RunLog.load(played["log"]).digest == played["digest"]
 
 
+def test_the_case_of_a_structure_has_the_arm_that_it_was_read_for(call):
+    status, out, _, _ = call("structure", *MAST, "--damping", "0.01", "--arm", "ur5e")
+    line = next_line(out)
+    assert status == 0 and line[:2] == ["simulate", "--case"]
+    system = vg.load_case(line[2]).system
+    assert system.arm == vg.System(arm="ur5e").arm
+    assert system.vehicle == vg.get_vehicle("out/vehicle.toml")
+
+
 def test_the_next_line_of_a_run_and_of_weighed_poses(call):
     words = ("simulate", "--mode", "emulated", "--poses", "12", "--log", "a b.csv")
     assert call(*next_line(call(*words)[1]))[3]["poses"] == 12

@@ -120,6 +120,18 @@ def test_bad_arguments_are_one_line(call, logs, words, said):
     assert said in err and err.count("\n") == 1
 
 
+def test_data_of_ones_own_are_described_first(call, tmp_path):
+    data = tmp_path / "lab.csv"
+    data.write_text("t,q_1,tau_1\n" + "".join(f"{k / 100},{k},{k}\n" for k in range(50)))
+    status, _, err, _ = call("diagnose", data)
+    assert status == 2 and "lab.csv: no run log" in err and "--describe FILE" in err
+    status, _, err, _ = call("diagnose", "--describe", data, data)
+    assert status == 2 and "got 2: describe one of them" in err
+    status, out, _, _ = call("diagnose", "--describe", data)
+    mapping = tmp_path / "out" / "mapping.toml"
+    assert status == 0 and f"next: ves-gym diagnose {data} --machine {mapping}" in out
+
+
 def test_logs_that_say_too_little_or_twice_are_refused(call, logs, tmp_path):
     (tmp_path / "empty").mkdir()
     log = RunLog.load(logs / "run-1.parquet")

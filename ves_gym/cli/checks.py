@@ -39,12 +39,15 @@ from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.structure import BAND, ERROR, UNITS, read_structure, vehicle_of
 from ves_gym.mechanics.vehicle import vehicle_name
+from ves_gym.planners.case import Case
 from ves_gym.planners.coupling_map import OTHERS
 from ves_gym.planners.scenes import map_data
 from ves_gym.report.damping import damping_figures
 from ves_gym.report.figures import coupling_figure
 from ves_gym.report.machine_figures import emulation_figures, mode_figure
+from ves_gym.simulation.stable_step import with_stable_step
 from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
 
 
 def coupling_map(
@@ -220,7 +223,7 @@ def structure(
     save: Path | None = None,
     **source: Any,
 ) -> Answer:
-    """Read, check and reduce the model; write the vehicle and its frequencies."""
+    """Read, check and reduce the model; write the vehicle, a case of the arm on it, figures."""
     summary = vehicle_of(
         read_structure(_files(file), **source), arm, modes=modes, damping=damping,
         line=[point for _, point in points] or None, nodes=[node for node, _ in points],
@@ -229,13 +232,15 @@ def structure(
     folder, vehicle = at.folder("out/structure"), summary.vehicle
     path = save or folder / "vehicle.toml"
     vehicle.save(path)
+    case = path.with_suffix(".case.toml")
+    Case(system=with_stable_step(System(arm=arm, vehicle=vehicle))).save(case)
     drawn = vehicle.centreline() is not None
     return Answer(
         text=summary,
         plain=summary.to_dict(),
-        files=[path],
+        files=[path, case],
         figures=(lambda: {folder / "modes": mode_figure(vehicle)}) if drawn else None,
-        then=[["simulate", "--vehicle", path]],
+        then=[["simulate", "--case", case]],
     )
 
 

@@ -53,6 +53,14 @@ def _inputs(
     if mapping is None:
         stated = None if file is None else from_plain(StatedErrors, read_table(file), file)
         effects = machine.pop("effect", ())
+        tables = [Path(k) for k in log if k.endswith(".csv") and Path(k).exists()]
+        foreign = [k for k in tables if not k.with_suffix(".json").exists()]
+        if foreign:
+            raise ParameterError(
+                f"{foreign[0]}: no run log, for there is no .json with its metadata beside it;"
+                " data of your own need a mapping file: ves-gym diagnose --describe FILE writes"
+                " one, --machine takes it"
+            )
         return system_inputs(log, **machine, effects=effects, stated=stated, **how)
     if file is not None:
         raise ParameterError("--tolerances is of a System; a mapping file has its own")
@@ -95,8 +103,15 @@ def diagnose(
 
     folder, system = at.folder("out/diagnose"), machine.get("system")
     if describe:
-        if len(log) != 1 or mapping or system:
-            raise ParameterError("--describe takes one data file or folder, and no description")
+        if len(log) != 1:
+            raise ParameterError(
+                f"--describe takes one data file or folder, got {len(log)}: describe one of"
+                " them, its mapping file serves all"
+            )
+        if mapping or system:
+            raise ParameterError(
+                "--describe writes a description: leave out --machine, --system"
+            )
         return _describe(log[0], model, folder, columns)
     if model is not None or columns:
         option = "--model" if model is not None else "--columns"
@@ -214,7 +229,8 @@ def _describe(
     write_text(file, text)
     said = {"#   - ": "missing", "#   * ": "understood"}
     lines = [f"{said[k[:6]]}: {k[6:]}" for k in text.splitlines() if k[:6] in said]
-    return Answer(text="\n".join([*lines, str(file)]))
+    then = [["diagnose", data, "--machine", file]]
+    return Answer(text="\n".join([*lines, str(file)]), then=then)
 
 
 TABLE = {
