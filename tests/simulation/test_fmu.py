@@ -3,6 +3,7 @@
 import itertools
 import shutil
 import zipfile
+from pathlib import Path
 
 import fmpy
 import numpy as np
@@ -13,6 +14,7 @@ from fmpy.validation import validate_fmu
 
 import ves_gym as vg
 from tests.effects.values import VALUES
+from tests.three_links import BALANCED, robot
 from ves_gym.simulation import fmu as module
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.energy import base_energy
@@ -143,8 +145,11 @@ def test_the_wrench_is_that_of_a_run_log(slave):
     {"vehicle": "decoupled", "effects": [{"kind": "joint/coulomb", "torque": [2, 2, 2]}]},
     {"arm": "canadarm2", "vehicle": "decoupled"},
     {"effects": [{"kind": k, **VALUES[k]} for k in ("joint/elasticity", "base/extra_mode")]},
+    {"arm": "balanced.urdf#tool", "vehicle": "decoupled"},
 ])  # fmt: skip
-def test_other_systems_are_the_simulators(system, tmp_path):
+def test_other_systems_are_the_simulators(system, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("balanced.urdf").write_text(robot(BALANCED))  # a joint follows another
     system = vg.System.from_dict(system)
     motion = vg.Motion.straight(system.arm.home, system.arm.home + 0.1, 0.5)
     dt = system.control_dt
