@@ -229,7 +229,7 @@ def _describe(
     write_text(file, text)
     said = {"#   - ": "missing", "#   * ": "understood"}
     lines = [f"{said[k[:6]]}: {k[6:]}" for k in text.splitlines() if k[:6] in said]
-    then = [["diagnose", data, "--machine", file]]
+    then: list[list[str | Path]] = [["diagnose", data, "--machine", file]]
     return Answer(text="\n".join([*lines, str(file)]), then=then)
 
 
