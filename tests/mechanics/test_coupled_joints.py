@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import ves_gym as vg
-from tests.three_links import BALANCED, CHAIN, joint, link, mimic, robot, three_links
+from tests.three_links import BALANCED, CHAIN, LIMIT, joint, link, mimic, robot, three_links
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_files import ExportWarning
@@ -161,6 +161,18 @@ def test_the_limits_of_a_follower_are_its_leaders(write):
     link = arm.links[1]
     assert (link.q_min, link.q_max, link.v_max) == pytest.approx((-1.0, 1.0, 1.0))
     assert link.tau_max == 50.0  # a follower has no motor
+
+
+def test_limits_that_leave_no_range_are_named(write):
+    """As grippers have them whose fingers turn the other way within the same limits."""
+    limit = '<limit lower="0.1" upper="2" effort="50" velocity="0.5"/>'
+    parts = [k.replace(LIMIT, limit) for k in BALANCED]
+    path = write(robot(parts))
+    with pytest.raises(ParameterError, match=r"'k_balance' follows 'j2', whose .*--repair"):
+        Arm.from_file(path, tip="tool")
+    arm = Arm.from_file(path, tip="tool", repair=True)
+    assert "limits of k_balance, a follower, left out" in arm.source
+    assert arm.links[1].q_max == 2.0
 
 
 @pytest.mark.parametrize(

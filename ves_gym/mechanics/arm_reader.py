@@ -276,52 +276,79 @@ def _coupled(tree: Tree, root: str, chain: list[str], locked: Mapping[str, float
 
     Who holds a follower undoes its tie; it stands still where all that it follows does.
     """
-    bodies = tree.movers(root, set())
-    every = {k.name: k for body in bodies if body != root for k in tree.joints[body]}
+    joints = {k.name: k for of in tree.joints.values() for k in of}
     on_chain = [joint for body in chain for joint in tree.joints[body]]
-    loose = {k.name for k in on_chain if not k.fixed and k.name not in locked}
+    loose = [k for k in on_chain if not k.fixed and k.name not in locked]
+    ties = _ties(tree, root, {k.name for k in loose}, locked)
+    free = [k for k in loose if k.name not in ties]
+    n = len(free)
+    rows = {k: np.zeros(n + 1) for k in joints}  # rates to the free ones, and where they are
+    for name, row in rows.items():
+        row[n] = locked.get(name, tree.rest(name))
+    rows |= {joint.name: np.eye(n + 1)[k] for k, joint in enumerate(free)}
+    rows |= _solved(tree, ties, rows)
+    moving = {k: row[:n] for k, row in rows.items() if row[:n].any()}
+    for tie in ties.values():
+        if tie.bend:
+            some = [k for k in tie.ratios if k in moving or k in ties]
+            _refuse(tie, some, [tie.follower])
+    for name in moving:
+        if fault := joints[name].fault:
+            raise ParameterError(fault)
+    return Coupled(free, moving, {name: float(row[n]) for name, row in rows.items()})
+
+
+def _ties(
+    tree: Tree, root: str, loose: set[str], locked: Mapping[str, float]
+) -> dict[str, Tie]:
+    """Ties beyond the root by their followers; refuse those that cannot be kept.
+
+    A follower off the chain of what is not there stands still.
+    """
+    joints = {k.name for of in tree.joints.values() for k in of}
+    beyond = {k.name for body in tree.movers(root, set()) if body != root
+              for k in tree.joints[body]}  # fmt: skip
+    out: dict[str, Tie] = {}
     for tie in tree.ties:
         if math.isnan(tie.shift):  # by a tendon between sites
             some = [k for k in (tie.follower, *tie.ratios) if k in loose]
             _refuse(tie, some, some)
-    ties = [k for k in tree.ties if k.follower in every and k.follower not in locked]
-    ties = [k for k in ties if not math.isnan(k.shift)]
-    _require_whole(tree, ties)
-    followers = {tie.follower: tie for tie in ties}
-    free = [k for k in on_chain if k.name in loose and k.name not in followers]
-    n, names = len(free), [*followers]
-    rows = {k: np.zeros(n + 1) for k in every}  # rates to the free ones, and where they are
-    for name, row in rows.items():
-        row[n] = locked.get(name, tree.rest(name))
-    for k, joint in enumerate(free):
-        rows[joint.name] = np.eye(n + 1)[k]
+            continue
+        there = tie.ratios.keys() <= joints
+        if tie.follower not in beyond or tie.follower in locked:
+            continue
+        if tie.follower in out or (not there and tie.follower in loose):
+            what = "and follows others too" if there else "which is not there"
+            raise ParameterError(f"{tie.what}, {what}: hold it ({held(tie.follower)})")
+        if there:
+            out[tie.follower] = tie
+    return out
+
+
+def _solved(tree: Tree, ties: Mapping[str, Tie], rows: Mapping[str, Array]) -> dict[str, Array]:
+    """Rows of followers from those of all others: rates to the free joints, and where they
+    are."""
+    names = list(ties)
+    if not names:
+        return {}
     among = np.eye(len(names))  # followers less what they follow of each other = what is known
-    known = np.zeros((len(names), n + 1))
-    for i, tie in enumerate(followers.values()):
-        known[i, n] = tie.shift
-        if tie.bend:  # of what stands still; else refused below
-            way = sum(k * (rows[j][n] - tree.rest(j)) for j, k in tie.bend[1].items())
-            known[i, n] += np.polyval([*tie.bend[0][::-1], 0.0, 0.0], way)
+    known = np.zeros((len(names), len(next(iter(rows.values())))))
+    for i, tie in enumerate(ties.values()):
+        known[i, -1] = tie.shift
+        if tie.bend:  # of what stands still; else refused
+            way = sum(k * (rows[j][-1] - tree.rest(j)) for j, k in tie.bend[1].items())
+            known[i, -1] += np.polyval([*tie.bend[0][::-1], 0.0, 0.0], way)
         for leader, ratio in tie.ratios.items():
-            if leader in followers:
+            if leader in ties:
                 among[i, names.index(leader)] -= ratio
             else:
                 known[i] += ratio * rows[leader]
-    if names and abs(np.linalg.det(among)) < _ROUND:
+    if abs(np.linalg.det(among)) < _ROUND:
         raise ParameterError(
             f"joints {', '.join(map(repr, names))} follow each other in a ring: hold one"
             f" ({held(names[0])})"
         )
-    rows |= dict(zip(names, np.linalg.solve(among, known), strict=True)) if names else {}
-    moving = {k: row[:n] for k, row in rows.items() if row[:n].any()}
-    for tie in ties:
-        if tie.bend:
-            some = [k for k in tie.ratios if k in moving or k in followers]
-            _refuse(tie, some, [tie.follower])
-    for name in moving:
-        if fault := every[name].fault:
-            raise ParameterError(fault)
-    return Coupled(free, moving, {name: float(row[n]) for name, row in rows.items()})
+    return dict(zip(names, np.linalg.solve(among, known), strict=True))
 
 
 def _refuse(tie: Tie, moving: list[str], remedy: list[str]) -> None:
@@ -332,22 +359,6 @@ def _refuse(tie: Tie, moving: list[str], remedy: list[str]) -> None:
             f"{tie.what}, but not in proportion, and {some} would move: hold {hold}"
             f" ({held(*remedy)})"
         )
-
-
-def _require_whole(tree: Tree, ties: list[Tie]) -> None:
-    """Refuse ties to joints that are not there, and two of one follower."""
-    joints = {joint.name for joints in tree.joints.values() for joint in joints}
-    seen: set[str] = set()
-    for tie in ties:
-        missing = [name for name in tie.ratios if name not in joints]
-        if missing:
-            what = f"{tie.what}, which is not there"
-        elif tie.follower in seen:
-            what = f"{tie.what}, and follows others too"
-        else:
-            seen.add(tie.follower)
-            continue
-        raise ParameterError(f"{what}: hold it ({held(tie.follower)})")
 
 
 def _moving(
@@ -373,17 +384,28 @@ def _moving(
         leaders = np.flatnonzero(ratios)
         if len(leaders) == 1:
             k = int(leaders[0])
-            _restrict(free[k], joints[name], float(ratios[k]), coupled.at[name])
+            _restrict(tree, free[k], joints[name], float(ratios[k]), coupled.at[name])
         else:
             lost.append(f"limits and friction of {name}, which follows several, left out")
     return joints, lost
 
 
-def _restrict(leader: Joint, follower: Joint, ratio: float, shift: float) -> None:
+def _restrict(tree: Tree, leader: Joint, follower: Joint, ratio: float, shift: float) -> None:
     """Keep a follower's limits by those of the joint that it follows, and add its friction."""
     if abs(follower.q_min) < ENDLESS or abs(follower.q_max) < ENDLESS:
         ends = sorted((end - shift) / ratio for end in (follower.q_min, follower.q_max))
-        leader.q_min, leader.q_max = max(leader.q_min, ends[0]), min(leader.q_max, ends[1])
+        low, high = max(leader.q_min, ends[0]), min(leader.q_max, ends[1])
+        if low < high:
+            leader.q_min, leader.q_max = low, high
+        elif tree.repair:
+            tree.repairs.append(f"limits of {follower.name}, a follower, left out")
+        else:
+            raise ParameterError(
+                f"joint {follower.name!r} follows {leader.name!r}, whose limits of"
+                f" {leader.q_min:.4g} to {leader.q_max:.4g} leave it no range within its own"
+                f" {follower.q_min:.4g} to {follower.q_max:.4g}: --repair, in Python"
+                f" repair=True, leaves these out, or hold it ({held(follower.name)})"
+            )
     for name in ("v_max", "a_max"):
         if most := getattr(follower, name):
             most /= abs(ratio)
