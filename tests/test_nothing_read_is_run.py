@@ -13,6 +13,7 @@ from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.policy import RELEASED, load_policy
 from ves_gym.baselines.registry import get_controller
 from ves_gym.baselines.train import train
+from ves_gym.diagnosis import read_machine
 from ves_gym.envs.build import build_task
 from ves_gym.experiments.spec import spec_from_plain, units_of
 from ves_gym.planners.registry import get_planner
@@ -51,7 +52,16 @@ def policy(tmp_path, **about):
     return evaluate(load_policy(copy), "ves/PumaDamp-v0", episodes=1)
 
 
+def mapping(tmp_path, name):
+    """A mapping file that names a machine to diagnose."""
+    file = tmp_path / "mapping.json"
+    about = {"schema": "ves-residual/1", "machine": name, "name": "mine", "signals": {}}
+    file.write_text(json.dumps(about))
+    return read_machine(file)
+
+
 WAYS = {
+    "a machine to diagnose": mapping,
     "a sweep's settings": lambda tmp_path, name: evaluation(settings={"task": name}),
     "a sweep's environment": lambda tmp_path, name: evaluation(envs=[f"{name}/X-v0"]),
     "a sweep's policy": lambda tmp_path, name: evaluation(policies=[name]),

@@ -18,12 +18,12 @@ from ves_gym.diagnosis.inference.candidates import Candidate, library, without
 from ves_gym.diagnosis.machines.base import Machine
 from ves_gym.diagnosis.machines.mapping import read_machine
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
-from ves_gym.diagnosis.machines.plant import PlantMachine
+from ves_gym.diagnosis.machines.residual import ResidualMachine
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.diagnosis.machines.tolerances import StatedErrors
 from ves_gym.diagnosis.output.common import DescriptionFiles
 from ves_gym.diagnosis.output.mjcf_file import described, write_machine
-from ves_gym.diagnosis.output.plant_file import write_plant
+from ves_gym.diagnosis.output.residual_file import write_parameters
 from ves_gym.diagnosis.output.system_file import write_system
 from ves_gym.mechanics.arm import Arm, Inertial
 from ves_gym.system.effect import Effect
@@ -154,8 +154,8 @@ def mjcf_inputs(
         mistakes = tuple((text, machine.heavier(factor)) for text, factor in _MASSES)
 
     def write(effects: Sequence[Any], folder: Path, free: bool) -> DescriptionFiles:
-        if isinstance(machine, PlantMachine):
-            return write_plant(Path(mapping), machine, effects, folder, runs)
+        if isinstance(machine, ResidualMachine):
+            return write_parameters(Path(mapping), machine, effects, folder, runs)
         return write_machine(Path(mapping), machine, effects, folder, runs)
 
     return DiagnosisInputs(

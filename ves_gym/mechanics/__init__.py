@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from ves_gym.mechanics.boom import get_boom as get_boom
     from ves_gym.mechanics.carried import Appendage as Appendage
     from ves_gym.mechanics.carried import ReactionWheel as ReactionWheel
+    from ves_gym.mechanics.dynamics import inverse_dynamics as inverse_dynamics
     from ves_gym.mechanics.finite_elements import Material as Material
     from ves_gym.mechanics.finite_elements import Section as Section
     from ves_gym.mechanics.finite_elements import Tube as Tube
@@ -35,6 +36,7 @@ _NAMES = {  # by module
     "arm_library": ("arm_names", "get_arm"),
     "boom": ("Boom", "BoomJoint", "BoomMember", "get_boom"),
     "carried": ("Appendage", "ReactionWheel"),
+    "dynamics": ("inverse_dynamics",),
     "finite_elements": ("Material", "Section", "Tube"),
     "flexible_base": ("CornerBody", "FlexibleBase", "Polyline", "Reduced", "Strut"),
     "gravity": ("GravityModel", "minimal_model"),

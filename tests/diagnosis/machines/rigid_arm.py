@@ -37,17 +37,17 @@ def urdf(mesh="", base='<link name="base"/>'):
 
 
 def on_six_joints():
-    """A base with mass on three slides and three hinges, for engines that weld it else."""
+    """A base with mass on slides and hinges about z, y, x, for engines that weld it else."""
     tiny = (
         '<inertial><mass value="1e-9"/><inertia ixx="1e-9" iyy="1e-9" izz="1e-9" ixy="0"'
         ' ixz="0" iyz="0"/></inertial>'
     )
     text, parent = ['<link name="ground"/>'], "ground"
-    for name in ("x", "y", "z", "rx", "ry", "rz"):
+    for name in ("x", "y", "z", "rz", "ry", "rx"):
         kind = "revolute" if name[0] == "r" else "prismatic"
         axis = " ".join(str(int(k == name[-1])) for k in "xyz")
-        child = "base" if name == "rz" else f"at_{name}"
-        text.append(BASE if name == "rz" else f'<link name="{child}">{tiny}</link>')
+        child = "base" if name == "rx" else f"at_{name}"
+        text.append(BASE if name == "rx" else f'<link name="{child}">{tiny}</link>')
         text.append(
             f'<joint name="{name}" type="{kind}"><parent link="{parent}"/>'
             f'<child link="{child}"/><axis xyz="{axis}"/>'

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
@@ -57,7 +57,7 @@ def forget(remembered: dict[Any, Any], most: int = REMEMBERED) -> None:
         del remembered[list(remembered)[1]]
 
 
-def cached(memory: dict[Any, Any], kind: str, key: Any, make: Callable[[], Any]) -> Any:
+def cached(memory: dict[Any, Any], kind: Hashable, key: Any, make: Callable[[], Any]) -> Any:
     """Return what is remembered for a key, computed once while among the latest of its kind.
 
     Args:

@@ -1,34 +1,34 @@
-"""A linear plant with inputs and outputs, x' = A x + B u, y = C x + D u, as a machine.
+"""A linear plant, x' = A x + B u, y = C x + D u, run on its measured input.
 
-It is run on the measured input, from a start that every run has of its own. A structure given
-by M, D, K is the same with a force on some coordinates and some of them measured.
+Signals: `input` (T, m), `output` (T, p). Every run has a start of its own. A structure by
+M, D, K is the same with forces on some coordinates and some of them measured.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy
 
-from ves_gym._util.params import Array, ParameterError, require_positive, unit
+from ves_gym._util.params import Array, ParameterError, require_choice
 from ves_gym.diagnosis.data.measured_run import Run
-from ves_gym.diagnosis.inference.candidates import Candidate
-from ves_gym.diagnosis.machines.base import Nuisance, Port
-from ves_gym.diagnosis.machines.plant import (
-    Effects,
-    PlantEffect,
-    PlantMachine,
-    Size,
-    candidate_of,
-    of_kind,
-    plant_effect,
+from ves_gym.diagnosis.machines.base import Port
+from ves_gym.diagnosis.machines.residual import (
+    Parameter,
+    ResidualMachine,
+    Values,
+    register_machine,
 )
 
+Rows = tuple[tuple[float, ...], ...]
 _DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
-_GRID = 8  # frequencies at which another mode is looked for
+_GRID = 16  # frequencies at which another mode is looked for
+_DEFECTIVE = 1e8  # condition of the shapes from which a plant is not a sum of modes
 _LARGE = 3.0  # start of a run, by what it moves the output, over the output's own movement
 
 
@@ -54,6 +54,108 @@ class StateSpace:
                 " from its input"
             )
 
+    @cached_property
+    def modal(self) -> tuple[Array, Array]:
+        """Poles (n,) and their shapes (n, n)."""
+        return np.linalg.eig(self.A)
+
+    @cached_property
+    def modes(self) -> list[int]:
+        """One pole of each mode, slow ones first; those that swing are complex."""
+        poles = self.modal[0]
+        return [k for k in np.argsort(np.abs(poles)).tolist() if poles[k].imag >= 0]
+
+    def swings(self, k: int) -> bool:
+        """Return True for a pole with a twin."""
+        pole = self.modal[0][k]
+        return bool(abs(pole.imag) > 1e-9 * abs(pole))
+
+    @property
+    def gain(self) -> float:
+        """Size of the first output at rest per first input, or 1 without such."""
+        if np.linalg.cond(self.A) > 1e12:
+            return 1.0
+        static = self.D - self.C @ np.linalg.solve(self.A, self.B)
+        return float(abs(static[0, 0]) or abs(self.D[0, 0]) or 1.0)
+
+    def with_modes(self, hertz: Array, decay: Array, share: Array) -> StateSpace:
+        """Return the plant with other poles; what a mode moves and is moved by stays the same.
+
+        Args:
+            hertz: |pole| / 2 pi of all modes.
+            decay: rates of those that swing [1/s]; dampers keep them where stiffness changes.
+            share: factors of what all modes contribute.
+        """
+        poles, shapes = self.modal
+        new, back, C = poles.copy(), np.linalg.inv(shapes), self.C @ shapes
+        into, rates, D = back @ self.B, iter(decay), self.D
+        for k, f, part in zip(self.modes, hertz, share, strict=True):
+            w, twins = 2 * np.pi * f, {k: complex(-2 * np.pi * f)}
+            if self.swings(k):
+                rate = next(rates)
+                moved = complex(-rate, np.sqrt(max(w**2 - rate**2, 1e-12 * w**2)))
+                twin = int(np.argmin(np.abs(poles - poles[k].conj())))
+                twins = {k: moved, twin: moved.conjugate()}
+            for at, pole in twins.items():
+                if self.derivative:  # what a mode gives at once
+                    D = D + ((part - 1) * np.outer(C[:, at] / poles[at], into[at])).real
+                into[at] *= part
+                if self.swings(at):
+                    into[at] *= (
+                        poles[at].imag / pole.imag
+                    )  # 1 / (s^2 + 2 d s + w^2) keeps its 1
+                    C[:, at] *= (pole / poles[at]) ** self.derivative
+                new[at] = pole
+        A = (shapes @ np.diag(new) @ back).real
+        return replace(self, A=A, B=(shapes @ into).real, C=(C @ back).real, D=D)
+
+    def with_mode(self, hertz: float, damping: float, gain: float) -> StateSpace:
+        """Return the plant with one more mode, between the first input and the first output."""
+        w, enters = 2 * np.pi * hertz, np.zeros((2, self.B.shape[1]))
+        inner = np.array([[0.0, 1.0], [-(w**2), -2 * damping * w]])
+        enters[1, 0] = gain
+        leaves, D = np.zeros((len(self.C), 2)), self.D.copy()
+        leaves[0, 0] = 1.0
+        for _ in range(self.derivative):
+            leaves, D = leaves @ inner, D + leaves @ enters
+        A = scipy.linalg.block_diag(self.A, inner)
+        B, C = np.vstack([self.B, enters]), np.hstack([self.C, leaves])
+        return replace(self, A=A, B=B, C=C, D=D)
+
+    def output(self, u: Array, dt: float, start: Array, held: bool) -> Array:
+        """Return the output (T, p) on an input that is a line between samples, or held.
+
+        Args:
+            u: (T, m).
+            dt: step [s].
+            start: (n,) state of the first sample.
+            held: from sample to sample.
+        """
+        poles, shapes = self.modal
+        if np.linalg.cond(shapes) > _DEFECTIVE:  # poles that share a shape: two integrators
+            t, matrices = dt * np.arange(len(u)), (self.A, self.B, self.C, self.D)
+            y = scipy.signal.lsim(matrices, u, t, start, not held)[1]
+            return np.asarray(y.reshape(len(u), -1))
+        back = np.linalg.inv(shapes)
+        pushed, x, y = u @ (back @ self.B).T, back @ start, u @ self.D.T
+        for k in range(len(poles)):
+            grows, sooner, later = _sampled(poles[k] * dt, held)
+            b = dt * np.array([later, sooner])
+            begin = [x[k] - b[0] * pushed[0, k]]
+            state = scipy.signal.lfilter(b, [1.0, -grows], pushed[:, k], zi=begin)[0]
+            y = y + np.outer(state, self.C @ shapes[:, k]).real
+        return np.asarray(y)
+
+
+def _sampled(z: complex, held: bool) -> tuple[complex, complex, complex]:
+    """Return e^z and the weights of an input before and after a step, for x' = z x + u."""
+    if abs(z) < 1e-4:  # series, where differences lose their digits
+        whole, late = 1 + z / 2 + z**2 / 6, 0.5 + z / 6 + z**2 / 24
+    else:
+        whole = np.expm1(z) / z
+        late = (whole - 1) / z
+    return np.exp(z), whole if held else whole - late, 0.0 if held else late
+
 
 def structure(
     mass: Array, damping: Array, stiffness: Array, force: Array, measured: Array, reads: str
@@ -75,8 +177,6 @@ def structure(
         raise ParameterError(
             f"M, D, K, force, output do not fit: {square}, {force.shape}, {measured.shape}"
         )
-    if reads not in _DERIVATIVES:
-        raise ParameterError(f"reads must be {', '.join(_DERIVATIVES)}, got {reads!r}")
     if not np.linalg.eigvalsh((mass + mass.T) / 2)[0] > 0:
         raise ParameterError("M must be positive definite")
     inverse = np.linalg.inv(mass)
@@ -88,323 +188,201 @@ def structure(
     return StateSpace(A, B, C, D, _DERIVATIVES[reads])
 
 
-@plant_effect("plant/gain")
-@dataclass(frozen=True)
-class PlantGain(PlantEffect):
-    """Outputs that are larger than described."""
-
-    error: float  # relative
-
-
-@plant_effect("plant/delay")
-@dataclass(frozen=True)
-class PlantDelay(PlantEffect):
-    """Outputs that are later than described."""
-
-    delay: float  # s
-
-
-@plant_effect("plant/offset")
-@dataclass(frozen=True)
-class PlantOffset(PlantEffect):
-    """A constant added to an output."""
-
-    output: int
-    offset: float
-
-
-@plant_effect("plant/mode")
-@dataclass(frozen=True)
-class PlantMode(PlantEffect):
-    """A mode of the plant of another frequency or damping, its residue the same: another
-    stiffness or damping of what it moves."""
-
-    mode: int
-    frequency: float = 0.0  # relative error
-    damping: float = 0.0  # relative error
-
-
-@plant_effect("plant/extra_mode")
-@dataclass(frozen=True)
-class PlantExtraMode(PlantEffect):
-    """A mode besides those described, between the first input and the first output."""
-
-    frequency: float  # Hz
-    damping_ratio: float
-    gain: float  # static, output per input
-
-
-@dataclass(frozen=True)
-class StartState(PlantEffect):
-    """State in which a run begins."""
-
-    kind = "plant/start"
-    run: str
-    state: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class PlantTolerance:
-    """Usual errors of a plant's description, standard deviations."""
-
-    gain: float = unit("1", default=0.002)
-    frequency: float = unit("1", default=0.002)
-    damping: float = unit("1", default=0.02)
-    unexplained: float = unit("1", default=0.0)
-
-    def __post_init__(self) -> None:
-        require_positive(self, "gain", "frequency", "damping")
-
-
-class LinearMachine(PlantMachine):
-    """Port `output` of a linear plant.
+def linear_machine(
+    plant: StateSpace,
+    outputs: Sequence[tuple[str, str]],
+    *,
+    input_exact: bool = True,
+    held: bool = False,
+) -> ResidualMachine:
+    """Return the machine of a plant: gain, delay, offsets, its modes, one mode more.
 
     Args:
-        name: of the machine.
         plant: as described.
         outputs: names and units, (p,).
-        tolerance: of the description.
-        effects: that the description has.
         input_exact: the input is what the plant was given; else it is measured, with noise.
         held: the input is held from sample to sample; else it is a line between them.
-        known: sizes of single tolerances.
     """
+    if len(outputs) != len(plant.C):
+        raise ParameterError(f"{len(plant.C)} outputs are described, {len(outputs)} are named")
+    names, units = (tuple(k) for k in zip(*outputs, strict=True))
+    title, exact = "output less that of the plant on its input", ("input",) * input_exact
+    port = Port("output", title, names, units, ("input", "output"), exact, signal="output")
 
-    effects = (PlantGain, PlantDelay, PlantOffset, PlantMode, PlantExtraMode)
-
-    def __init__(
-        self,
-        name: str,
-        plant: StateSpace,
-        outputs: Sequence[tuple[str, str]],
-        tolerance: PlantTolerance | None = None,
-        effects: Sequence[PlantEffect] = (),
-        *,
-        input_exact: bool = True,
-        held: bool = False,
-        known: Mapping[str, float] | None = None,
-    ) -> None:
-        self.plant, self.tolerance = plant, tolerance or PlantTolerance()
-        self.held = held
-        super().__init__(name, effects, known, self.tolerance.unexplained)
-        if len(outputs) != len(plant.C):
-            raise ParameterError(
-                f"{len(plant.C)} outputs are described, {len(outputs)} have columns"
+    def output(p: Values, u: Array, dt: float) -> Array:
+        changed, start = plant, p["start"]
+        modes = p["frequency"], p["decay"], p["share"]
+        if not all(map(np.array_equal, modes, described)):
+            changed = plant.with_modes(*modes)
+        if p["extra_gain"]:
+            changed = changed.with_mode(
+                p["extra_frequency"], p["extra_damping"], p["extra_gain"]
             )
-        self.ports = (
-            Port(
-                "output",
-                "output less that of the plant on its measured input",
-                tuple(k for k, _ in outputs),
-                tuple(u for _, u in outputs),
-                ("input", "output"),
-                ("input",) if input_exact else (),
-                signal="output",
-            ),
+            start = np.concatenate([start, np.zeros(2)])
+        y = changed.output(u, dt, start, held)
+        if p["delay"]:
+            t = dt * np.arange(len(u))
+            y = scipy.interpolate.CubicSpline(t, y)(np.maximum(t - p["delay"], 0.0))
+        return np.asarray(p["gain"] * y + p["offset"])
+
+    def residual(p: Values, run: Run) -> dict[str, Array]:
+        return {"output": run["output"] - output(p, run["input"], run.dt)}
+
+    def start(run: Run) -> Array:
+        """States (n,), each of which moves the output by several times its own movement."""
+        still, n = np.zeros_like(run["input"]), len(plant.A)
+        moved = [output({**nominal, "start": k}, still, run.dt) for k in np.eye(n)]
+        size = np.array([np.sqrt(np.square(y).mean()) for y in moved])
+        return np.asarray(_LARGE * run["output"].std(axis=0).max() / np.maximum(size, 1e-300))
+
+    parameters = _parameters(plant, names, units, start)
+    machine = ResidualMachine("linear plant", residual, (port,), parameters)
+    nominal = machine.values(())
+    described = nominal["frequency"], nominal["decay"], nominal["share"]
+    return machine
+
+
+def _parameters(
+    plant: StateSpace, names: tuple[str, ...], units: tuple[str, ...], start: Any
+) -> dict[str, Parameter]:
+    poles = [plant.modal[0][k] for k in plant.modes]
+    swinging = [p for p, k in zip(poles, plant.modes, strict=True) if plant.swings(k)]
+    hertz = tuple(float(abs(p)) / (2 * np.pi) for p in poles)
+    rates = tuple(float(-p.real) for p in swinging)
+    numbered = [f"{i + 1} ({f:.3g} Hz)" for i, f in enumerate(hertz)]
+    at = [numbered[poles.index(p)] for p in swinging]
+    tried = [f for f in hertz if f > 0] or [1.0]
+    grid = np.geomspace(0.3 * min(tried), 5.0 * max(tried), _GRID)
+    extra: dict[str, Any] = {"cause": "extra mode"}
+
+    def share(of: tuple[float, ...], part: float) -> tuple[float, ...]:
+        return tuple(part * max(x, 1e-4) for x in of)
+
+    return {
+        "gain": Parameter(
+            unit="1", nominal=1.0, usual=0.05, tolerance=0.002, low=0.1, high=11.0
+        ),
+        "delay": Parameter(unit="s", usual=2e-3, low=0.0, high=1.0),
+        "offset": Parameter(
+            unit=units, nominal=(0.0,) * len(names), usual=1.0, entries=names, each=True
+        ),
+        "frequency": Parameter(
+            unit="Hz",
+            nominal=hertz,
+            usual=share(hertz, 0.03),
+            tolerance=share(hertz, 0.002),
+            low=0.0,
+            entries=tuple(numbered),
+            each=True,
+        ),
+        "share": Parameter(
+            unit="1",
+            nominal=(1.0,) * len(hertz),
+            usual=0.05,
+            tolerance=0.002,
+            low=-10.0,
+            high=10.0,
+            entries=tuple(numbered),
+            each=True,
+        ),
+        "decay": Parameter(
+            unit="1/s",
+            nominal=rates,
+            usual=share(rates, 0.03),
+            tolerance=share(rates, 0.02),
+            low=0.0,
+            entries=tuple(at),
+            each=True,
+        ),
+        "extra_frequency": Parameter(
+            unit="Hz",
+            nominal=None,
+            usual=1.0,
+            low=1e-3,
+            high=1e4,
+            starts=tuple(grid.tolist()),
+            **extra,
+        ),
+        "extra_damping": Parameter(
+            unit="1", nominal=None, usual=0.02, low=1e-4, high=1.0, starts=(0.02,), **extra
+        ),
+        "extra_gain": Parameter(unit="1", usual=_usual_gain(plant, tried), **extra),
+        "start": Parameter(
+            unit="1",
+            nominal=(0.0,) * len(plant.A),
+            usual=start,
+            entries=tuple(str(k + 1) for k in range(len(plant.A))),
+            per_run=True,
+        ),
+    }
+
+
+def _usual_gain(plant: StateSpace, hertz: Sequence[float]) -> float:
+    """A tenth of the plant's own, of a mode's acceleration per input."""
+    return 0.1 * plant.gain * (2 * np.pi * min(hertz)) ** (2 - plant.derivative)
+
+
+@dataclass(frozen=True)
+class StructureMatrices:
+    """M x'' + D x' + K x = force u; the output reads `output` times x or its derivative."""
+
+    M: Rows
+    D: Rows
+    K: Rows
+    force: Rows  # (n, inputs)
+    output: Rows  # (outputs, n)
+    reads: str = "displacement"
+
+    def __post_init__(self) -> None:
+        require_choice(self, "reads", tuple(_DERIVATIVES))
+
+    def plant(self) -> StateSpace:
+        """Return the plant."""
+        M, D, K = _matrix(self.M), _matrix(self.D), _matrix(self.K)
+        return structure(M, D, K, _matrix(self.force), _matrix(self.output), self.reads)
+
+
+@dataclass(frozen=True)
+class SystemMatrices:
+    """x' = A x + B u, y = C x + D u."""
+
+    A: Rows
+    B: Rows
+    C: Rows
+    D: Rows
+
+    def plant(self) -> StateSpace:
+        """Return the plant."""
+        return StateSpace(_matrix(self.A), _matrix(self.B), _matrix(self.C), _matrix(self.D))
+
+
+@register_machine("linear plant")
+@dataclass(frozen=True)
+class LinearPlant:
+    """A linear plant by one of two sets of matrices."""
+
+    outputs: tuple[tuple[str, str], ...]  # name and unit of each
+    structure: StructureMatrices | None = None
+    matrices: SystemMatrices | None = None
+    input_exact: bool = True
+    held: bool = False
+
+    def machine(self, folder: Path | None = None) -> ResidualMachine:
+        """Return the machine.
+
+        Raises:
+            ParameterError: none or both sets, matrices that do not fit.
+        """
+        described = self.structure or self.matrices
+        if described is None or (self.structure is not None and self.matrices is not None):
+            raise ParameterError("give structure (M, D, K) or matrices (A, B, C, D)")
+        return linear_machine(
+            described.plant(), self.outputs, input_exact=self.input_exact, held=self.held
         )
 
-    @cached_property
-    def modes(self) -> list[int]:
-        """Poles that stand for a mode each: one of every pair, and real ones."""
-        poles = self._modal[0]
-        return [k for k in np.argsort(np.abs(poles)).tolist() if poles[k].imag >= 0]
 
-    @cached_property
-    def _modal(self) -> tuple[Array, Array]:
-        poles, shapes = np.linalg.eig(self.plant.A)
-        return poles, shapes
-
-    def tolerances(self) -> list[Nuisance]:
-        """Return errors of gain and of every mode."""
-        allowed, port = self.tolerance, ("output",)
-        out = [Nuisance("gain", port, self.model([PlantGain(0.01)]), 0.01, allowed.gain)]
-        for i, k in enumerate(self.modes):
-            for what, std in (("frequency", allowed.frequency), ("damping", allowed.damping)):
-                if what == "damping" and not self._swings(k):
-                    continue
-                model = self.model([_mode(i, what, np.array([0.01]))])
-                out.append(Nuisance(f"{what} of mode {i + 1}", port, model, 0.01, std))
-        return out
-
-    def unknowns(self, run: Run) -> Sequence[Nuisance]:
-        """Return the state at the start of a run, direction by direction."""
-        size = np.maximum(run["output"].std(axis=-2).max(), 1e-300)
-        out = []
-        for k in range(len(self.plant.A)):
-            start = np.eye(len(self.plant.A))[k]
-            moved = self._free(self.plant, run, start)
-            std = _LARGE * float(size / np.maximum(np.sqrt(np.square(moved).mean()), 1e-300))
-            model = self.model([StartState(run.name, tuple((std * start).tolist()))])
-            name = f"start of {run.name}, state {k + 1}"
-            out.append(Nuisance(name, ("output",), model, 1.0, 1.0))
-        return out
-
-    def candidates(self) -> tuple[Candidate, ...]:
-        """Return gain, delay, offsets, errors of every mode, another mode."""
-        port = ("output",)
-        far = 0.9
-        gain, delay = Size("error", "1", 0.05, -far, 10.0), Size("delay", "s", 2e-3, 0.0, 1.0)
-        out = [
-            candidate_of(PlantGain, port, [gain], lambda x: PlantGain(float(x[0]))),
-            candidate_of(PlantDelay, port, [delay], lambda x: PlantDelay(float(x[0]))),
-        ]
-        ((names, units),) = ((p.channels, p.units) for p in self.ports)
-        for i, (name, symbol) in enumerate(zip(names, units, strict=True)):
-            number = Size("offset", symbol, 1.0, -1e9, 1e9)
-            out.append(
-                candidate_of(
-                    PlantOffset,
-                    port,
-                    [number],
-                    partial(_offset, i),
-                    name,
-                )
-            )
-        for i, k in enumerate(self.modes):
-            hertz = abs(self._modal[0][k]) / (2 * np.pi)
-            for what in ("frequency", "damping"):
-                if not self._swings(k) and what == "damping":
-                    continue
-                number = Size(what, "1", 0.03, -far, 10.0 if what == "damping" else 2.0)
-                out.append(
-                    candidate_of(
-                        PlantMode,
-                        port,
-                        [number],
-                        partial(_mode, i, what),
-                        f"{what} of mode {i + 1} ({hertz:.3g} Hz)",
-                    )
-                )
-        numbers = [
-            Size("frequency", "Hz", 1.0, 1e-3, 1e4),
-            Size("damping_ratio", "1", 0.02, 1e-4, 1.0),
-            Size("gain", "1", self._static, -1e9, 1e9),
-        ]
-        swinging = [abs(self._modal[0][k]) for k in self.modes] or [1.0]
-        tried = np.geomspace(0.3 * min(swinging), 5.0 * max(swinging), _GRID) / (2 * np.pi)
-        out.append(
-            candidate_of(
-                PlantExtraMode,
-                port,
-                numbers,
-                lambda x: PlantExtraMode(*(float(k) for k in x)),
-                starts=[(f, 0.02, 0.1 * self._static) for f in tried.tolist()],
-                factors=[2],
-            )
-        )
-        return tuple(out)
-
-    def residual(self, run: Run, port: str, effects: Effects) -> Array:
-        """Return the output less that of the plant, (..., T, p)."""
-        plant = self._changed(effects)
-        y = self._forced(plant, run)
-        for start in of_kind(effects, StartState):
-            if start.run == run.name:
-                y = y + self._free(plant, run, np.array(start.state))
-        late = sum(e.delay for e in of_kind(effects, PlantDelay))
-        if late:
-            t = run.dt * np.arange(run.length)
-            at = np.maximum(t - late, 0.0)
-            y = scipy.interpolate.CubicSpline(t, y, axis=-2)(at)
-        y = y * (1 + sum(e.error for e in of_kind(effects, PlantGain)))
-        for e in of_kind(effects, PlantOffset):
-            y = y + e.offset * np.eye(len(plant.C))[e.output]
-        return np.asarray(run["output"] - y)
-
-    @property
-    def _static(self) -> float:
-        """Gain at rest of the first input on the first output, or of a plant without one 1."""
-        p = self.plant
-        if np.linalg.cond(p.A) > 1e12:
-            return 1.0
-        gain = float((p.D - p.C @ np.linalg.solve(p.A, p.B))[0, 0])
-        return abs(gain) or float(np.abs(p.D[0, 0])) or 1.0
-
-    def _swings(self, k: int) -> bool:
-        return abs(self._modal[0][k].imag) > 1e-9 * abs(self._modal[0][k])
-
-    def _changed(self, effects: Effects) -> StateSpace:
-        """The plant with other modes."""
-        plant = self.plant
-        changes = of_kind(effects, PlantMode)
-        if changes:
-            plant = self._with_modes(changes)
-        for e in of_kind(effects, PlantExtraMode):
-            w = 2 * np.pi * e.frequency
-            inner = np.array([[0.0, 1.0], [-(w**2), -2 * e.damping_ratio * w]])
-            enters = np.zeros((2, plant.B.shape[1]))
-            enters[1, 0] = e.gain * w**2
-            leaves = np.zeros((len(plant.C), 2))
-            leaves[0, 0] = 1.0
-            plant = StateSpace(
-                scipy.linalg.block_diag(plant.A, inner),
-                np.vstack([plant.B, enters]),
-                np.hstack([plant.C, leaves]),
-                plant.D,
-                plant.derivative,
-            )
-        return plant
-
-    def _with_modes(self, changes: Sequence[PlantMode]) -> StateSpace:
-        """The plant with other poles: what a mode moves and is moved by stays the same."""
-        plant, (poles, shapes) = self.plant, self._modal
-        new, into, out = poles.copy(), np.linalg.inv(shapes) @ plant.B, plant.C @ shapes
-        for e in changes:
-            k = self.modes[e.mode]
-            if not self._swings(k):
-                new[k] *= 1 + e.frequency
-                continue
-            twin = int(np.argmin(np.abs(poles - poles[k].conj())))
-            w, decay = abs(new[k]) * (1 + e.frequency), -new[k].real * (1 + e.damping)
-            moved = complex(-decay, np.sqrt(max(w**2 - decay**2, 1e-12 * w**2)))
-            for at, pole in ((k, moved), (twin, moved.conjugate())):
-                into[at] *= new[at].imag / pole.imag  # 1 / (s^2 + 2 d s + w^2) keeps its 1
-                out[:, at] *= (pole / new[at]) ** plant.derivative
-                new[at] = pole
-        back = np.linalg.inv(shapes)
-        return replace(
-            plant,
-            A=(shapes @ np.diag(new) @ back).real,
-            B=(shapes @ into).real,
-            C=(out @ back).real,
-        )
-
-    def _forced(self, plant: StateSpace, run: Run) -> Array:
-        """Output from rest (..., T, p) on the measured input."""
-        u = run["input"]
-        n, m = plant.B.shape
-        G = np.zeros((n + 2 * m, n + 2 * m))
-        G[:n, :n], G[:n, n : n + m] = plant.A * run.dt, plant.B * run.dt
-        G[n : n + m, n + m :] = np.eye(m)
-        step = scipy.linalg.expm(G)
-        A, first, slope = step[:n, :n], step[:n, n : n + m], step[:n, n + m :]
-        if self.held:
-            slope = np.zeros_like(slope)
-        pushed = u[..., :-1, :] @ (first - slope).T + u[..., 1:, :] @ slope.T
-        x = np.zeros((*u.shape[:-2], n))
-        states = np.empty((*u.shape[:-1], n))
-        states[..., 0, :] = x
-        for k in range(u.shape[-2] - 1):
-            x = x @ A.T + pushed[..., k, :]
-            states[..., k + 1, :] = x
-        return np.asarray(states @ plant.C.T + u @ plant.D.T)
-
-    def _free(self, plant: StateSpace, run: Run, start: Array) -> Array:
-        """Output (T, p) from a start (n,) without input."""
-        A = scipy.linalg.expm(plant.A * run.dt)
-        x = np.zeros(len(plant.A))
-        x[: len(start)] = start
-        out = np.empty((run.length, len(plant.C)))
-        for k in range(run.length):
-            out[k] = plant.C @ x
-            x = A @ x
-        return out
-
-
-def _offset(output: int, x: Array) -> PlantOffset:
-    return PlantOffset(output, float(x[0]))
-
-
-def _mode(mode: int, what: str, x: Array) -> PlantMode:
-    value = float(x[0])
-    return PlantMode(mode, value) if what == "frequency" else PlantMode(mode, 0.0, value)
+def _matrix(rows: Rows) -> Array:
+    """Return (n, m) of rows, which must be of one length."""
+    if not rows or len({len(row) for row in rows}) > 1:
+        raise ParameterError(f"a matrix needs rows of one length, got {rows}")
+    return np.array(rows, float)

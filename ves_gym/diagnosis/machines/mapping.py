@@ -10,7 +10,8 @@ from ves_gym._util.params import ParameterError, read_table
 from ves_gym._util.recordings import read_columns
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.machines.mjcf_mapping import SCHEMA, Loader, machine_of
-from ves_gym.diagnosis.machines.plant_mapping import SCHEMAS, plant_of
+from ves_gym.diagnosis.machines.residual_mapping import SCHEMA as RESIDUAL
+from ves_gym.diagnosis.machines.residual_mapping import residual_machine_of
 
 
 def read_machine(path: str | os.PathLike[str], band: float | None = None) -> tuple[Any, Loader]:
@@ -26,13 +27,14 @@ def read_machine(path: str | os.PathLike[str], band: float | None = None) -> tup
     path = Path(path)
     table = read_table(path)
     schema = table.get("schema")
-    if band is not None and schema != "ves-static/1":
+    readers: dict[Any, Any] = {SCHEMA: machine_of, RESIDUAL: residual_machine_of}
+    if band is not None:
         table = {**table, "band": band}
-    if schema not in (SCHEMA, *SCHEMAS):
+    if schema not in readers:
         raise ParameterError(
-            f"{path}: schema must be one of {', '.join((SCHEMA, *SCHEMAS))}, got {schema!r}"
+            f"{path}: schema must be one of {', '.join(readers)}, got {schema!r}"
         )
-    file, machine = machine_of(table, path) if schema == SCHEMA else plant_of(table, path)
+    file, machine = readers[schema](table, path)
 
     def load(data: str | os.PathLike[str]) -> Run:
         return file.run(read_columns(data), Path(data).name)

@@ -1,4 +1,4 @@
-"""Effects of a small machine into its mapping file, as `[[effect]]`."""
+"""What was found of a machine by a residual function, in its mapping file: `[parameters]`."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ves_gym._util.params import ParameterError, content_hash, read_table, to_plain, write_text
+from ves_gym._util.params import ParameterError, content_hash, read_table, write_text
 from ves_gym.diagnosis.data.measured_run import Run
-from ves_gym.diagnosis.machines.plant import PlantMachine
-from ves_gym.diagnosis.machines.plant_mapping import plant_of
+from ves_gym.diagnosis.machines.residual import ResidualMachine
+from ves_gym.diagnosis.machines.residual_mapping import residual_machine_of
 from ves_gym.diagnosis.output.common import (
     DescriptionFiles,
     difference,
@@ -24,14 +24,14 @@ from ves_gym.diagnosis.output.common import (
 MAPPING = "machine.toml"
 
 
-def write_plant(
+def write_parameters(
     mapping: Path,
-    machine: PlantMachine,
+    machine: ResidualMachine,
     effects: Sequence[Any],
     folder: Path,
     runs: Sequence[Run],
 ) -> DescriptionFiles:
-    """Write the mapping file with effects, read it back and play every port again.
+    """Write the mapping file with the parameters found, read it back and play every port.
 
     Raises:
         ParameterError: the folder holds the file that is read; what is read back differs.
@@ -41,15 +41,16 @@ def write_plant(
     target = folder / MAPPING
     if target.resolve() == mapping.resolve():
         raise ParameterError(f"--out {folder} would overwrite {mapping}: take another folder")
-    table = read_table(mapping)
+    table, better = read_table(mapping), machine.better(effects)
     new = {**table}
-    if effects:
-        new["effect"] = [*table.get("effect", ()), *map(to_plain, effects)]
-    if "model" in table:  # it stays where it is
-        there = (mapping.parent / table["model"]).resolve()
-        new["model"] = Path(os.path.relpath(there, folder.resolve())).as_posix()
+    if better:
+        new["parameters"] = {**table.get("parameters", {}), **better}
+    if "model" in table.get("description", {}):  # it stays where it is
+        there = (mapping.parent / table["description"]["model"]).resolve()
+        near = Path(os.path.relpath(there, folder.resolve())).as_posix()
+        new["description"] = {**table["description"], "model": near}
     text = tomli_w.dumps(new)
-    reloaded = plant_of(tomllib.loads(text), target)[1]
+    reloaded = residual_machine_of(tomllib.loads(text), target)[1]
     deviation = difference(machine, machine.model(effects), reloaded, reloaded.nominal, runs)
     require_same(deviation, target)
     with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as inner:
@@ -61,5 +62,5 @@ def write_plant(
         plain={"machine_file": new},
         diff=unified_diff(tomli_w.dumps(table), text, (mapping.name, MAPPING)),
         difference=deviation,
-        notes=tuple(f"{e.kind}: in {MAPPING}" for e in effects),
+        notes=tuple(f"{key} = {value}: in {MAPPING}" for key, value in better.items()),
     )
