@@ -96,7 +96,11 @@ def test_maps_know_arrays_and_booms():
 
 
 def test_a_plan_says_what_it_does_not_know():
-    known = {"arrays": ("jets: taken as off",), "pointing": (), "boom": (), "gears": ()}
+    late = (  # the simulated arm is 0.0270 rad from it
+        "the servo gives way to the base: joint 3 will be 0.0272 rad from the goal when the"
+        " motion ends, at most 0.005 is an answer",
+    )
+    known = {"arrays": ("jets: taken as off",), "pointing": (), "boom": (), "gears": late}
     for name, expected in known.items():
         assert solve(get_planner("straight"), query(name)).notes == expected
     loose = Gear(compliance=1e-4, gap=2e-3)

@@ -57,8 +57,8 @@ def test_speed_position_and_torque_hold_at_every_instant(case):
     assert ratios["torque"].max() <= 1 + 1e-2  # the torque is no polynomial: sampled
 
 
-def test_a_turn_faster_than_its_speed_limit_is_refused():
-    """180 degrees at 82 deg/s take 2.2 s."""
+def test_a_turn_faster_than_its_limits_is_refused():
+    """180 degrees at 82 deg/s take 2.2 s; at 3 rad/s^2 up to that speed half a second more."""
     query = Query(
         system=BENT,
         start=(-np.pi / 2, 0.0, 0.0),
@@ -68,6 +68,10 @@ def test_a_turn_faster_than_its_speed_limit_is_refused():
     )
     with pytest.raises(NoPlan, match=r"joint 1 needs 2.2 s at its speed limit, there are 2 s"):
         get_planner("direct").find(query, 0)
+    for v_max, least in ((SPEED_LIMITS, "2.67"), ((5.0,) * 3, "2.05"), (None, "2.05")):
+        slow = replace(query, v_max=v_max, a_max=(3.0,) * 3)
+        with pytest.raises(NoPlan, match=f"needs {least} s at its limits of speed and accel"):
+            get_planner("direct").find(slow, 0)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """An answer counts as the arm plays it: too fast, beside the goal or touching is no answer."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,11 +8,11 @@ import pytest
 import scipy.linalg
 
 from ves_gym.mechanics.motion import Motion, basis
-from ves_gym.mechanics.servo import OWN_GAINS
+from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.execution_check import AIM, RIPPLE, executed_violation, solve_with_reserve
 from ves_gym.planners.obstacles import Sphere, Surroundings, collisions
-from ves_gym.planners.query import first_violation, solve
+from ves_gym.planners.query import Query, first_violation, solve
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import reach100
 from ves_gym.simulation.playback import play_motions
@@ -153,3 +154,20 @@ def test_a_reserve_is_left_where_the_planner_can():
     assert plans[1].query == query and plans[1].feasible
     line = solve_with_reserve(get_planner("straight"), query, reserve=0.5)  # it cannot
     assert line.motion == query.straight and line.query == query
+
+
+def test_a_servo_too_weak_to_arrive_is_told_before_the_motion_is_played():
+    """As far from the goal as the simulated arm, within a tenth; the arm's own says nothing."""
+    weak = JointServo(kp=(50.0,) * 3, kd=(20.0,) * 3)
+    query = Query(system=System(), start=(0, 0, 0), goal=(0.7, 0.4, -0.4), duration=2.0)
+    plan = solve(get_planner("straight"), replace(query, servo=weak))
+    [note] = plan.notes
+    joint, told = re.findall(r"joint (\d) will be (\d\.\d+) rad from the goal", note)[0]
+    run = played(plan.query, [plan.motion])
+    at = np.searchsorted(run.t, query.duration - 1e-9)
+    miss = np.abs(run.q[0, at] - query.ends[1])
+    print(note, miss)
+    assert int(joint) == miss.argmax() + 1
+    assert float(told) == pytest.approx(miss.max(), rel=0.1)
+    assert "from the goal" in executed_violation(plan.query, run, 0)
+    assert solve(get_planner("straight"), query).notes == ()

@@ -1,17 +1,25 @@
 """The energy account is kept whatever is recorded; a run that it doubts is no answer."""
 
+import dataclasses
+
 import pytest
 
 import ves_gym as vg
+from ves_gym._util.params import ParameterError
 from ves_gym.effects.joint_friction import JointViscous
+from ves_gym.mechanics.arm import Inertial, diagonal
+from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.servo import OWN_SERVO
+from ves_gym.mechanics.servo import OWN_SERVO, JointServo
 from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, FREE_FLOATING, SERVICER
+from ves_gym.planners.comparison import report_plan
 from ves_gym.planners.execution_check import executed_violation
 from ves_gym.planners.query import Query
 from ves_gym.simulation.energy_account import TRUSTED
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.run_summary import summarise
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.simulation.stable_step import with_stable_step
 from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.system import System
 
@@ -55,8 +63,31 @@ def test_a_run_that_it_doubts_is_no_answer_and_says_so():
         assert summary.trusted == (why is None) == (name == "modes")
         assert any("energy account" in k for k in summary.warnings) == (why is not None)
         assert why is None or "energy account" in why
+        plan = vg.plan(START, GOAL, system=system, duration=1.0, planner="straight")
+        report, [row] = report_plan(plan), vg.compare(plan, ["straight"])
+        assert plan.feasible and report.failure == row.failure
+        assert (report.failure is None) == (name == "modes")
 
 
 def test_none_is_kept_of_what_it_does_not_know():
     run = played(System(vehicle=SERVICER))
     assert run.energy_residual(0) is None and "energy_residual" not in run.log(0).meta
+
+
+def feather(mass):
+    """A UR5e whose last link weighs next to nothing."""
+    arm = get_arm("ur5e")
+    thin = Inertial(mass=mass, com=(0.0, 0.0, 0.0), inertia=diagonal(*[1e-3 * mass] * 3))
+    last = dataclasses.replace(arm.links[-1], inertial=thin, rotor_inertia=0.0)
+    return System(arm=dataclasses.replace(arm, links=(*arm.links[:-1], last)))
+
+
+def test_a_loop_that_no_step_can_hold_is_refused_with_the_number():
+    """Reference: kd / J of the last joint, whose inertia is 1e-3 of its mass."""
+    stiff = JointServo(kp=(3000.0,) * 6, kd=(50.0,) * 6)
+    system = feather(1e-6)
+    with pytest.raises(ParameterError, match=r"5e\+10/s, needs physics steps of 2e-11 s"):
+        with_stable_step(system, stiff)
+    with pytest.raises(ParameterError, match=r"physics_dt must be <= [1-5].*e-11 s"):
+        Simulator(system, 1, servo=stiff)
+    assert with_stable_step(system).physics_dt == system.physics_dt  # its own gains can be held

@@ -90,7 +90,7 @@ def plan(
     seconds: float | None = None,
     **how: Any,
 ) -> Answer:
-    """Plan, simulate beside the straight line; negative if the path breaks a limit."""
+    """Plan, simulate beside the straight line; negative if the arm that plays it fails."""
     case, lines = at.case, []
     method: Planner
     if robust_from is not None:
@@ -123,7 +123,7 @@ def plan(
         lines.append(f"goal: {degrees} deg")
     report = report_plan(found)
     text = "\n".join([*lines, str(report)])
-    answer = Answer(text=text, plain=report.to_dict(), negative=not found.feasible)
+    answer = Answer(text=text, plain=report.to_dict(), negative=report.failure is not None)
     if found.motion is None:
         return answer
     path = at.folder("out/plan") / "case.toml"

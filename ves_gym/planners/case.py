@@ -40,6 +40,9 @@ from ves_gym.system.system import System
 from ves_gym.system.system_library import get_system
 
 _OF_THE_CASE = ("system", "servo")  # of a query, and said once
+# rad (m of joints that slide): beside the goal, from the end of a played motion on, and past
+# the end of a range. Built-in planners miss by 0.0034 rad at most on reach100 (median 0.0005).
+AIM = 0.005
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ from ves_gym._util.views import Viewable
 from ves_gym.mechanics.limits import LimitCheck
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import vehicle_name
+from ves_gym.planners.execution_check import executed_violation
 from ves_gym.planners.linear_response import predict_disturbance
 from ves_gym.planners.query import Plan, Planner, Query, solve
 from ves_gym.simulation.playback import play_motions
@@ -31,7 +32,7 @@ class ComparisonRow:
 
     planner: str
     seconds: float  # planning time
-    failure: str | None  # why there is no motion, or what limit it breaks
+    failure: str | None  # why there is no motion, or what it breaks as commanded or played
     predicted: dict[str, float] | None = None  # E_mean, E_res, E_peak [J]
     simulated: Energies | None = None  # None: no motion, or the run was stopped
     ratio: float | None = None  # simulated E_mean over that of the straight line
@@ -42,7 +43,7 @@ class ComparisonRow:
 
     @property
     def feasible(self) -> bool:
-        """True where there is a motion, inside the limits and clear of everything."""
+        """True where there is a motion that the arm plays as the query asks."""
         return self.failure is None
 
     @property
@@ -155,10 +156,11 @@ def compare_planners(query: Query, planners: Sequence[Planner], *, seed: int = 0
     rows: list[ComparisonRow] = []
     played = itertools.count()
     for plan in plans:
-        found: dict[str, Any] = {}
+        found: dict[str, Any] = {"failure": plan.failure}
         if plan.motion is not None and plan.predicted and plan.reference:
             i = next(played)  # its run
             found["predicted"] = plan.predicted.to_dict()
+            found["failure"] = plan.failure or executed_violation(plan.query, run, i)
             found["reference_breaks"] = plan.reference.reasons
             found["arm_breaks"] = run.limit_check(i, v_max=query.v_max).reasons
             if (simulated := energies[i]) is not None:
@@ -168,7 +170,7 @@ def compare_planners(query: Query, planners: Sequence[Planner], *, seed: int = 0
                 motion = run.q[i], run.y[i], run.yd[i], run.internal(i)
                 found["energy"] = base_energy(query.system, *motion).total
                 found["disturbance"] = run.disturbance(i, weight=query.weight)
-        rows.append(ComparisonRow(plan.planner, plan.seconds, plan.failure, **found))
+        rows.append(ComparisonRow(plan.planner, plan.seconds, **found))
     name = query.name or query.ends_in_words
     return Comparison(name, query.duration, run.t, tuple(rows), straight, tuple(plans))
 
@@ -207,6 +209,7 @@ class PlanReport:
     disturbances: dict[str, Disturbance]  # predicted, simulated, straight
     reference: LimitCheck | None = None
     simulated: LimitCheck | None = None
+    failure: str | None = None  # why there is no motion, or what it breaks when it is played
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data: the plan's, and the measures."""
@@ -215,6 +218,8 @@ class PlanReport:
             return plan
         return {
             **plan,
+            "feasible": self.failure is None,
+            "failure": self.failure,
             **{name: part.to_dict() for name, part in self.energies.items()},
             "disturbance": {name: part.to_dict() for name, part in self.disturbances.items()},
             "frequency_weight": str(self.plan.query.weight),
@@ -242,7 +247,7 @@ class PlanReport:
         head = ("measure", "predicted", "simulated", "straight line", "ratio")
         vehicle = vehicle_name(plan.query.system.vehicle)
         title = f"{plan.planner}: {plan.query.duration:g} s on {vehicle}"
-        verdict = "feasible" if plan.feasible else f"NOT feasible: {plan.failure}"
+        verdict = "feasible" if self.failure is None else f"NOT feasible: {self.failure}"
         return "\n".join(
             [
                 table(head, cells, title=title),
@@ -259,7 +264,7 @@ class PlanReport:
 def report_plan(plan: Plan) -> PlanReport:
     """Simulate a plan beside the straight line between its ends."""
     if plan.motion is None:
-        return PlanReport(plan, {}, {})
+        return PlanReport(plan, {}, {}, failure=plan.failure)
     query = plan.query
     run = simulate_motions(query, [plan.motion])
     if run.events:
@@ -272,4 +277,5 @@ def report_plan(plan: Plan) -> PlanReport:
         dict(zip(_SHOWN, moved, strict=True)),
         plan.reference,
         run.limit_check(0, v_max=query.v_max),
+        plan.failure or executed_violation(query, run, 0),
     )

@@ -14,6 +14,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.mechanics.limits import check_limits, middle_of_range
+from ves_gym.planners.case import AIM
 from ves_gym.planners.obstacles import RESOLUTION, collisions
 from ves_gym.planners.query import Plan, Planner, Query, answer_limits, first_violation, solve
 from ves_gym.simulation.energy_account import TRUSTED
@@ -22,9 +23,6 @@ from ves_gym.simulation.recording import Recording
 # Of a speed limit. Motions whose reference lies on it are followed within 1.9 % (`refined` and
 # `direct` on reach100, bent-thesis, 2 s: `benchmarks.execution_check`): half is the servo's.
 RIPPLE = 0.01
-# rad (m of joints that slide): beside the goal, from the end of the motion on, and past the end
-# of a range. Built-in planners miss by 0.0034 rad at most on reach100 (median 0.0005).
-AIM = 0.005
 RESERVE = 0.02  # of the speed limits: what planners on the board leave where they can
 
 

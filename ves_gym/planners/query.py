@@ -34,6 +34,7 @@ from ves_gym.planners.prediction import (
 from ves_gym.planners.unmodelled import notes
 
 SCHEMA = "ves-plan/1"
+_NO_SPEED = 1e9  # rad/s: as good as no limit
 
 
 @dataclass(frozen=True, repr=False)
@@ -255,15 +256,19 @@ def sample_path(motion: Motion, step: float) -> Array:
 
 
 def require_time(query: Query) -> None:
-    """Raise NoPlan where a joint cannot cover its way within its speed limit."""
-    if query.v_max is None:
-        return
+    """Raise NoPlan where a joint cannot cover its way within speed and acceleration limits."""
     start, goal = query.ends
-    least = np.abs(goal - start) / np.array(query.v_max)
+    way = np.abs(goal - start)
+    v = _NO_SPEED if query.v_max is None else np.array(query.v_max)
+    a = _NO_SPEED**2 if query.a_max is None or query.is_moving else np.array(query.a_max)
+    # from rest to rest: up to the speed limit, or half-way, and down again
+    least = np.where(way * a > v**2, way / v + v / a, 2 * np.sqrt(way / a))
     if least.max() > query.duration:
+        j = int(least.argmax())
+        limits = "speed limit" if query.a_max is None else "limits of speed and acceleration"
         raise NoPlan(
-            f"no motion: joint {int(least.argmax()) + 1} needs {least.max():.3g} s at its"
-            f" speed limit, there are {query.duration:g} s"
+            f"no motion: joint {j + 1} needs {least[j]:.3g} s at its {limits}, there are"
+            f" {query.duration:g} s"
         )
 
 

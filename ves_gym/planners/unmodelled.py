@@ -9,8 +9,8 @@ from ves_gym.mechanics.linear_range import range_sentence
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.pointing import shares, strongest
 from ves_gym.mechanics.vehicle import Satellite, has_jets, orbit_of
-from ves_gym.planners.case import Query
-from ves_gym.planners.prediction import NODES, LinearBase, respond
+from ves_gym.planners.case import AIM, Query
+from ves_gym.planners.prediction import NODES, LinearBase, joint_loads, respond
 from ves_gym.system.system import System
 
 
@@ -25,6 +25,8 @@ def notes(query: Query, motion: Motion | None) -> tuple[str, ...]:
     out = [*_of_the_arm(system), *_of_the_base(system)]
     if system.drive == "motor" and not query.servo.feedforward:
         out.append("a servo without feed-forward: planned as if it had one")
+    if motion is not None and system.drive == "motor":
+        out += _of_the_servo(query, motion)
     if system.effects:
         kinds = ", ".join(effect.kind for effect in system.effects)
         out.append(f"effects {kinds}: planned for the machine as described")
@@ -54,6 +56,19 @@ def _of_the_arm(system: System) -> list[str]:
     if system.contact is not None:
         out.append("contact at the tool: planned as if nothing touched")
     return out
+
+
+def _of_the_servo(query: Query, motion: Motion) -> list[str]:
+    """A servo that yields to the base by more than an answer may be beside the goal."""
+    loads = joint_loads(query.system, motion, query.servo, query.base)
+    miss = np.abs(loads.away[-1])
+    if miss.max() <= AIM:
+        return []
+    j = int(miss.argmax())
+    return [
+        f"the servo gives way to the base: joint {j + 1} will be {miss[j]:.4f} rad from the"
+        f" goal when the motion ends, at most {AIM:g} is an answer"
+    ]
 
 
 def _of_the_base(system: System) -> list[str]:

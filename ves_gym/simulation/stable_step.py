@@ -21,7 +21,8 @@ from ves_gym.mechanics.linear_motion import LinearMotion
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.system.system import System
 
-_JUDGED = 9  # configurations: zero and others within the limits
+_WORST = 9  # configurations of the fastest rates, that other bases are judged at
+_MOST = 10_000  # steps of a control period that are chosen: a thousandth of the usual speed
 _SURE = 2.0  # |pole| times step: RK4 is stable in the left half of a disc of 2.6 around 0
 
 
@@ -53,6 +54,9 @@ def with_stable_step(system: System, servo: JointServo = OWN_GAINS) -> System:
     Args:
         system: with the longest step that will do.
         servo: of motors.
+
+    Raises:
+        ParameterError: it would be so short that nobody could wait for the run.
     """
     motors = system.drive == "motor"
     gains = servo.for_arm(system.arm, system.vehicle) if motors else None
@@ -66,6 +70,14 @@ def with_stable_step(system: System, servo: JointServo = OWN_GAINS) -> System:
     steps = math.ceil(system.control_dt * max(rate, touching))
     if steps <= system.substeps:
         return system
+    if steps > _MOST:
+        what = "contact" if touching > rate else "servos"
+        raise ParameterError(
+            f"the fastest motion of {system.arm.name} with its {what} on"
+            f" {system.vehicle.kind}, {max(rate, touching):.4g}/s, needs physics steps of"
+            f" {system.control_dt / steps:.3g} s, at least {system.control_dt / _MOST:.3g} s"
+            " are taken: give softer ones, or the rotors' inertia"
+        )
     return system.replace(physics_dt=system.control_dt / steps)
 
 
@@ -78,7 +90,7 @@ def _contact_rate(system: System) -> tuple[float, float]:
     """
     arm, base, contact = system.arm, system.base, system.contact
     assert contact is not None
-    q = drawn_configurations(arm)[:_JUDGED]
+    q = drawn_configurations(arm)
     hidden = np.zeros((len(q), len(arm.geared) + len(base.carried)))
     tool = tool_motion(arm, base, np.zeros((len(q), 6)), q, hidden)
     inverse = tool.J @ response(tool.mass, np.swapaxes(tool.J, -1, -2), system.held)
@@ -122,8 +134,7 @@ class _Loop:
     @classmethod
     def of(cls, system: System, servo: JointServo | None) -> _Loop:
         free_motion = LinearMotion(system.arm, system.base)
-        drawn = drawn_configurations(system.arm)[:_JUDGED]
-        M = free_motion.mass(free_motion.inertia(drawn))
+        M = free_motion.mass(free_motion.inertia(drawn_configurations(system.arm)))
         D, K, motors = free_motion.D, free_motion.K, free_motion.motors
         moves = np.ones(free_motion.size, bool)
         moves[:6] = system.mode == "ideal"  # a platform goes where it is told
@@ -180,7 +191,7 @@ def _require_stable_loop(system: System, loop: _Loop) -> None:
     if stable(system.physics_dt):
         return
     fastest = float(np.abs(loop.poles()).max())
-    low, high = 0.0, system.physics_dt
+    low, high = min(0.5 / fastest, system.physics_dt), system.physics_dt
     for _ in range(20):
         middle = (low + high) / 2
         low, high = (middle, high) if stable(middle) else (low, middle)
@@ -205,16 +216,17 @@ def steps_are_small(system: System, servo: JointServo | None, bases: BaseModel) 
         return unsure
     loop = _Loop.of(replace(system, effects=()), servo)
     out = ~unsure
-    for M, D, K in zip(loop.M, loop.D, loop.K, strict=True):
-        one = _Loop(*(np.tile(part, (len(unsure), 1, 1)) for part in (M, D, K)))
-        for part, nominal, theirs in (
-            (one.M, system.base.M, bases.M),
-            (one.D, system.base.D, bases.D),
-            (one.K, system.base.K, bases.K),
-        ):
-            part[:, :6, :6] += theirs - nominal
-        try:
+    try:
+        worst = np.argsort(loop.bound())[-_WORST:]
+        for M, D, K in zip(loop.M[worst], loop.D[worst], loop.K[worst], strict=True):
+            one = _Loop(*(np.tile(part, (len(unsure), 1, 1)) for part in (M, D, K)))
+            for part, nominal, theirs in (
+                (one.M, system.base.M, bases.M),
+                (one.D, system.base.D, bases.D),
+                (one.K, system.base.K, bases.K),
+            ):
+                part[:, :6, :6] += theirs - nominal
             out &= one.bound() * system.physics_dt <= _SURE
-        except np.linalg.LinAlgError:
-            return unsure
+    except np.linalg.LinAlgError:
+        return unsure
     return out
