@@ -27,8 +27,8 @@ LEVEL = {room: level for level, room in enumerate(ROOMS)}
 # Loaded on first use. `import mujoco` brings its renderer and the window library along.
 HEAVY = {
     "casadi", "glfw", "h5py", "imageio", "llvmlite", "matplotlib", "minari", "mujoco", "OpenGL",
-    "ompl", "onnx", "onnxruntime", "optuna", "pandas", "PIL", "pinocchio", "pyarrow",
-    "stable_baselines3", "tensorboard", "torch", "warp",
+    "ompl", "onnx", "onnxruntime", "optuna", "pandas", "PIL", "pinocchio", "pyarrow", "pyyeti",
+    "robot_descriptions", "rosbags", "stable_baselines3", "tensorboard", "torch", "warp",
 }  # fmt: skip
 
 

@@ -5,13 +5,14 @@ import gzip
 import numpy as np
 import pytest
 import scipy.io
+import scipy.linalg
 import scipy.sparse
 
 from ves_gym._util.params import ParameterError
 from ves_gym.mechanics.craig_bampton import reduce
 from ves_gym.mechanics.flexible_base import Polyline
 from ves_gym.mechanics.matrix_files import read_matrices
-from ves_gym.mechanics.structure import UNITS, Structure, read_structure
+from ves_gym.mechanics.structure import UNITS, Structure, frequencies, read_structure
 from ves_gym.mechanics.vehicle import BENT_THESIS
 
 MASS, STIFF = map(scipy.sparse.csc_array, Polyline.of(BENT_THESIS).frame(4).matrices())
@@ -25,8 +26,8 @@ def label(freedom):
 
 
 def short(text):
-    """A number in 16 places: NASTRAN's D for the exponent, nine decimals."""
-    return f"{float(text):.8E}".replace("E", "D")
+    """A number in 16 places: NASTRAN's D for the exponent, ten digits."""
+    return f"{float(text):.9E}".replace("E", "D")
 
 
 def dmig(matrices, style="wide"):
@@ -104,6 +105,31 @@ def reals(values):
     return ["".join(texts[k : k + 3]) for k in range(0, len(texts), 3)]
 
 
+def harwell_boeing(matrix):
+    """As HBMAT of Ansys: the lower triangle, D for the exponent, a right-hand side behind."""
+    half = scipy.sparse.tril(matrix).tocsc()
+    half.sort_indices()
+    pointers, rows = ([f"{k + 1:14d}" for k in x] for x in (half.indptr, half.indices))
+    values = [f"{v:25.16E}".replace("E", "D") for v in half.data]
+    n, loads = matrix.shape[0], [f"{0.0:25.16E}"] * matrix.shape[0]
+    sizes = (len(pointers), len(rows), len(values), n)
+    head = [
+        f"{'BENT BEAM':<72}{'K':<8}",
+        "".join(f"{k:14d}" for k in (sum(sizes), *sizes)),
+        f"RSA{'':11}{n:14d}{n:14d}{len(values):14d}{0:14d}",
+        f"{'(1I14)':<16}{'(1I14)':<16}{'(1P,1D25.16)':<20}{'(1D25.16)':<20}",
+        f"F{'':13}{1:14d}{0:14d}",
+    ]
+    return "\n".join([*head, *pointers, *rows, *values, *loads, ""])
+
+
+def mapping(size):
+    """As it names the rows beside it."""
+    names = ("UX", "UY", "UZ", "ROTX", "ROTY", "ROTZ")
+    rows = [f"{k + 1:12d}{label(k)[0]:12d}   {names[k % 6]}" for k in range(size)]
+    return "\n".join(["  Matrix Eqn        Node   DOF", *rows, ""])
+
+
 def write(folder, kind):
     """Write both matrices in a format: what `read_structure` takes for `files`."""
     if kind == "npy":
@@ -150,7 +176,18 @@ def write(folder, kind):
             ]
             (folder / f"{name}.mtx").write_text("\n".join(lines))
         return {"M": folder / "M.mtx", "K": folder / "K.mtx"}
+    if kind == "Harwell-Boeing":
+        for name, matrix in (("M", MASS), ("K", STIFF)):
+            (folder / f"{name}.matrix").write_text(harwell_boeing(matrix))
+            (folder / f"{name}.mapping").write_text(mapping(matrix.shape[0]))
+        return {"M": folder / "M.matrix", "K": folder / "K.matrix"}
     path = folder / "beam.op4"
+    if kind.startswith("OP4 by pyyeti"):
+        writer = pytest.importorskip("pyyeti.nastran").op4
+        *_, how, style = kind.split()
+        parts = {"MAA": MASS.toarray(), "KAA": STIFF.toarray()}
+        writer.write(path, parts, binary=how == "binary", digits=16, sparse=style)
+        return path
     path.write_text(op4({"MAA": MASS, "KAA": STIFF}, kind.split()[1]))
     return path
 
@@ -161,26 +198,45 @@ KINDS = {  # with the digits that they keep
     "sparse npz": 1e-9,
     "Matrix Market": 1e-9,
     "CalculiX": 1e-9,
-    "DMIG wide": 1e-4,  # nine digits of a stiffness that spans 1e6
+    "DMIG wide": 1e-4,  # ten digits of a stiffness that spans 1e6
     "DMIG comma": 1e-6,
     "DMIG mixed": 1e-9,
     "Abaqus": 1e-9,
     "OP4 dense": 1e-9,
     "OP4 sparse": 1e-9,
     "OP4 big": 1e-9,
+    **{
+        f"OP4 by pyyeti, {how} {style}": 1e-9
+        for how in ("binary", "text")
+        for style in ("dense", "bigmat", "nonbigmat")
+    },
+    "Harwell-Boeing": 1e-9,
 }
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_format_gives_the_same_structure(kind, tmp_path):
     files = write(tmp_path, kind)
-    numbered = kind.startswith(("DMIG", "CalculiX", "Abaqus"))
+    numbered = kind.startswith(("DMIG", "CalculiX", "Abaqus", "Harwell"))
     interface = 109 if numbered else TIP
     found = read_structure(files, interface=interface, held=CLAMP, units="m-kg-s").reduce(4)
     for name in ("K", "M", "coupling", "omega"):
         expected = getattr(TRUE, name)
         error = np.abs(getattr(found, name) - expected).max() / np.abs(expected).max()
         assert error < KINDS[kind], name
+    alone = [frequencies(k, np.zeros((6, 6))) for k in (found, TRUE)]
+    assert alone[0] == pytest.approx(alone[1], rel=3e-5 if kind == "DMIG wide" else 1e-6)
+
+
+def test_a_full_file_of_ansys():
+    """The beam that comes with its reader, whose documentation prints these frequencies."""
+    examples = pytest.importorskip("ansys.mapdl.reader.examples")
+    found = read_matrices(examples.fullfile)
+    K, M = (found[k].values.toarray() for k in "KM")
+    assert len(K) == len(found["K"].labels) == 900  # 63 of 963 freedoms are held
+    squares = scipy.linalg.eigh(K, M, eigvals_only=True, subset_by_index=(0, 3))
+    printed = (1283.200, 1283.200, 5781.975, 6919.399)  # Hz
+    assert np.sqrt(squares) / (2 * np.pi) == pytest.approx(printed, rel=1e-6)
 
 
 def test_small_fields_and_numbers_without_an_e(tmp_path):
@@ -290,7 +346,9 @@ def test_nothing_in_a_file_is_executed(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("a.op4", "\0\0\0\x18", "expected OP4 as text, got binary"),
+        ("a.op4", "\0\0\0\x18", "cannot be read as .op4|pip install 'ves-gym.nastran.'"),
+        ("a.full", "\0\0\0\x18", "cannot be read as .full|pip install 'ves-gym.ansys.'"),
+        ("a.matrix", "no matrix", "cannot be read as .matrix"),
         ("a.op4", f"{2:8d}{2:8d}{6:8d}{4:8d}KAA     1P,3E23.16\n", "must be real"),
         ("a.op4", op4({"KAA": STIFF})[:3000], "cannot be read as .op4"),
         ("a.pch", "GRID           1", "at least one matrix, got none"),
@@ -356,3 +414,18 @@ def test_mass_and_stiffness_exchanged_are_asked_about(units, tmp_path):
     np.savez(tmp_path / "both.npz", mass=STIFF.toarray(), stiffness=MASS.toarray())
     with pytest.raises(ParameterError, match="are M and K exchanged, or units other than"):
         read_structure(tmp_path / "both.npz", interface=TIP, held=CLAMP, units=units)
+
+
+@pytest.mark.parametrize("rigid", [0, 6])
+@pytest.mark.parametrize("units", UNITS)
+def test_a_length_in_another_unit_is_asked_about(units, rigid, tmp_path):
+    """The beam in millimetres said to be in metres is 16 km long; metres and feet pass."""
+    way = scipy.sparse.diags_array(np.where(np.arange(MASS.shape[0]) % 6 < 3, 1e-3, 1.0))
+    M, K = (1e3 * (way @ k @ way).toarray() for k in (MASS, STIFF))  # mm-t-s
+    np.savez(tmp_path / "both.npz", mass=M, stiffness=K)
+    how = {"interface": TIP, "held": () if rigid else CLAMP, "rigid_modes": rigid}
+    if UNITS[units][0] < 0.03:  # 400 m in inches
+        read_structure(tmp_path / "both.npz", units=units, **how)
+        return
+    with pytest.raises(ParameterError, match=f"some .* m: are its units other than {units}"):
+        read_structure(tmp_path / "both.npz", units=units, **how)

@@ -23,6 +23,7 @@ class Source(NamedTuple):
 
 PACKAGES = {  # module -> what installs it
     "PIL": Source("pillow", "report"),
+    "ansys.mapdl.reader": Source("ansys-mapdl-reader", "ansys"),
     "h5py": Source("h5py", "data"),
     "imageio_ffmpeg": Source("imageio-ffmpeg", "movie"),
     "matplotlib": Source("matplotlib", "report"),
@@ -34,7 +35,9 @@ PACKAGES = {  # module -> what installs it
     "pandas": Source("pandas", "frames"),
     "pinocchio": Source("pin", "pinocchio", wheels="Linux and macOS"),
     "pyarrow": Source("pyarrow", "parquet"),
+    "pyyeti": Source("pyyeti", "nastran"),
     "rerun": Source("rerun-sdk", "rerun"),
+    "robot_descriptions": Source("robot_descriptions", "robots"),
     "rosbags": Source("rosbags", "mcap"),
     "safetensors": Source("safetensors"),
     "stable_baselines3": Source("stable-baselines3", "rl"),

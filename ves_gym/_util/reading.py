@@ -1,9 +1,9 @@
 """The door for files that others wrote: how large they may be, and who reads them.
 
 XML is parsed here, with bounds on its size and depth; entities are expat's own, which bounds
-what they grow to. What is read by a library in C (SciPy, MuJoCo, HDF5), or may ask for more
-memory than the file has bytes, is read in a process of its own with bounds on memory and time:
-its death is one sentence. Answers come back as plain arrays; nothing is unpickled.
+what they grow to. What is read by a library in C (SciPy, MuJoCo, HDF5, SQLite), or may ask for
+more memory than the file has bytes, is read in a process of its own with bounds on memory and
+time: its death is one sentence. Answers come back as plain arrays; nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -107,13 +107,14 @@ def read_apart(reader: str, path: str | os.PathLike[str]) -> dict[str, Any]:
 
     Args:
         reader: "module:function" of this package; (path) -> arrays by name.
-        path: of the file.
+        path: of the file, or of a folder whose files belong together.
 
     Raises:
         ParameterError: it cannot be read; the reader crashed, or took too much memory or time.
     """
     try:
-        size = os.stat(path).st_size
+        inside = Path(path).iterdir() if os.path.isdir(path) else [path]
+        size = sum(os.stat(file).st_size for file in inside)
     except OSError as error:
         raise ParameterError(f"cannot be read: {error.strerror or error}") from None
     memory = MEMORY + _OF_FILE * size

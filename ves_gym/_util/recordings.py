@@ -1,4 +1,4 @@
-"""Columns of measured data in the files people have: text, MATLAB, HDF5, Parquet, folders.
+"""Columns of measured data in the files people have: text, MATLAB, HDF5, Parquet, ROS, folders.
 
 Nothing is lost in silence: what was understood of a file beside its plain columns is in
 `FileColumns.notes`.
@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from ves_gym._util import ros_logs
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import named, read_apart, read_bytes
@@ -39,34 +40,47 @@ class FileColumns:
     notes: tuple[str, ...] = ()  # what is not plain: names that stand twice, missing numbers
 
 
-def read_columns(path: str | os.PathLike[str]) -> dict[str, Array]:
+def read_columns(path: str | os.PathLike[str], clock: str = "") -> dict[str, Array]:
     """Return the columns (T,) by name of a file or folder, see `read_recording`."""
-    return read_recording(path).columns
+    return read_recording(path, clock).columns
 
 
-def read_recording(path: str | os.PathLike[str]) -> FileColumns:
-    """Read all columns of a table in text, a .mat, HDF5 or Parquet file, or a folder of .csv.
+def read_recording(path: str | os.PathLike[str], clock: str = "") -> FileColumns:
+    """Read all columns of a table in text, a .mat, HDF5, Parquet or ROS file, or of a folder.
 
     Tables may have any delimiter, decimal commas, comments and a row of units; without a line
     of names, columns are called column_1, column_2 and so on. Matrices of a .mat file are a
     column per signal (q_1, q_2), fields of a structure go by "structure.field", single numbers
-    are columns of length 1. Columns of a folder have the name "file:name", too, and only that
-    where several files give one name to different columns.
+    are columns of length 1. Columns of a folder of .csv have the name "file:name", too, and
+    only that where several files give one name to different columns. Of a log of ROS joints
+    are "joint_position" and so on, wrenches and poses "topic:name", all on one clock.
+
+    Args:
+        path: of the file or folder.
+        clock: of a log of ROS: "TOPIC:t", its column of time, where several topics have joints.
 
     Raises:
         ParameterError: not there, of another format, or not numbers.
     """
     path = Path(path)
-    if path.is_dir():
-        return _folder(path)
     suffix = path.suffix.lower()
     with named(path):
+        if ros_logs.is_ros_log(path):
+            return _ros_log(path, clock)
         if suffix in ARRAYS:
             return _as_columns(read_apart("ves_gym._util.recordings:arrays_of", path))
         if suffix in TEXT:
             return _table(read_bytes(path))
-    names = ", ".join((*TEXT, *ARRAYS))
-    raise ParameterError(f"{path}: expected one of {names}, or a folder of .csv files")
+    if path.is_dir():
+        return _folder(path)
+    names = ", ".join((*TEXT, *ARRAYS, *ros_logs.SUFFIXES))
+    raise ParameterError(f"{path}: expected one of {names}, or a folder of .csv or a rosbag2")
+
+
+def _ros_log(path: Path, clock: str) -> FileColumns:
+    arrays = read_apart("ves_gym._util.ros_logs:arrays_of", path)
+    columns, notes = ros_logs.columns_of(arrays, clock)
+    return FileColumns(columns, {}, (*notes, *_missing(columns)))
 
 
 def column_of(

@@ -83,6 +83,7 @@ def diagnose(
     describe: bool = False,
     model: Path | None = None,
     columns: Sequence[str] = (),
+    topic: str = "",
     final: int | None = None,
     without: tuple[str, ...] = (),
     band: float | None = None,
@@ -112,9 +113,9 @@ def diagnose(
             raise ParameterError(
                 "--describe writes a description: leave out --machine, --system"
             )
-        return _describe(log[0], model, folder, columns)
-    if model is not None or columns:
-        option = "--model" if model is not None else "--columns"
+        return _describe(log[0], model, folder, columns, topic)
+    if model is not None or columns or topic:
+        option = "--model" if model is not None else "--columns" if columns else "--topic"
         raise ParameterError(f"{option} goes with --describe; else the mapping file names it")
     inputs = _inputs(log, mapping, machine, final=final, leave_out=without, band=band)
     if not as_logged:
@@ -213,7 +214,7 @@ def _next_motion(
 
 
 def _describe(
-    data: str, model: Path | None, folder: Path, called: Sequence[str] = ()
+    data: str, model: Path | None, folder: Path, called: Sequence[str], topic: str
 ) -> Answer:
     """Write a mapping file to be corrected."""
     from ves_gym._util.recordings import read_recording
@@ -225,7 +226,8 @@ def _describe(
     near = None
     if model is not None:
         near = Path(os.path.relpath(model.resolve(), folder.resolve()))
-    text = describe(read_recording(data), data, model, near, called)
+    recording = read_recording(data, f"{topic}:t" if topic else "")
+    text = describe(recording, data, model, near, called)
     write_text(file, text)
     said = {"#   - ": "missing", "#   * ": "understood"}
     lines = [f"{said[k[:6]]}: {k[6:]}" for k in text.splitlines() if k[:6] in said]
@@ -237,7 +239,8 @@ TABLE = {
     "diagnose": (diagnose, (
         Flag("LOG", "", lambda name, place: str(log_file(name, place)), many=True,
              help="run logs of one machine, cases that name one, or folders of logs; with"
-             " --machine data files (.mat, .csv), or folders of .csv files of one run"),
+             " --machine data files (.mat, .csv, .mcap, ...), or folders of one run (.csv,"
+             " rosbag2)"),
         Flag("--system", "FILE", read(get_system),
              "the machine as described (default: that of the logs)"),
         *arm_flags("that of the system or the logs"),
@@ -253,6 +256,8 @@ TABLE = {
         Flag("--model", "FILE", path, "with --describe: the robot in URDF or MJCF"),
         Flag("--columns", "NAMES", names, "with --describe: what the columns are, by place,"
              " like t,q_1,v_1,tau_1, where the file does not say"),
+        Flag("--topic", "NAME", text, "with --describe: the topic of a ROS log that is meant"
+             " where several have the same joints"),
         Flag("--final", "N", integer(),
              "logs to hold back and open once, at the end: the last N (default: those that say"
              " `held_back`, else the last third)"),

@@ -1,18 +1,24 @@
-"""Arms by name, and from files: TOML and JSON, URDF, MJCF."""
+"""Arms by name, of `robot_descriptions` too, and from files: TOML and JSON, URDF, MJCF."""
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import os
+import sys
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError, from_plain
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.arm import Arm, read_arm
 
 _DATA = Path(__file__).with_name("arm_data")
 _FIRST = "puma560"  # the thesis's
+_OTHERS = "_description"  # ends the names of robot_descriptions
+_LONGEST = 200  # characters of what others say
 FILES = (".toml", ".json", ".urdf", ".xml", ".mjcf")
 
 
@@ -33,8 +39,9 @@ def get_arm(name: str | os.PathLike[str], **choice: Any) -> Arm:
     """Return an arm by name or from a file.
 
     Args:
-        name: of an arm that comes with the package, or a file: .toml or .json that mirrors
-            `Arm`, .urdf, .mjcf or .xml; FILE#LINK names the link (or site) that is the tool.
+        name: of an arm that comes with the package, or of one in `robot_descriptions`, like
+            panda_description; or a file: .toml or .json that mirrors `Arm`, .urdf, .mjcf or
+            .xml; FILE#LINK names the link (or site) that is the tool.
         choice: how a URDF or MJCF file is read: `tip`, `root`, `locked`, `massless`, `repair`
             and others of `Arm.from_file`.
 
@@ -44,6 +51,8 @@ def get_arm(name: str | os.PathLike[str], **choice: Any) -> Arm:
     """
     text = os.fspath(name)
     file, _, tip = text.partition("#")
+    if file.endswith(_OTHERS):
+        file = _file_of_description(file)
     suffix = Path(file).suffix.lower()
     if choice and suffix in ("", ".toml", ".json"):
         raise ParameterError(f"{', '.join(choice)} goes with a URDF or MJCF file, got {text!r}")
@@ -63,6 +72,31 @@ def get_arm(name: str | os.PathLike[str], **choice: Any) -> Arm:
     if tip and choice.get("tip"):
         raise ParameterError(f"{text} and tip={choice['tip']!r} both name the tool: leave one")
     return Arm.from_file(file, **{"tip": tip or None, **choice})
+
+
+def _file_of_description(name: str) -> str:
+    """URDF or MJCF of a robot of `robot_descriptions`, which fetches it where it has to."""
+    require(f"arm {name}", "robot_descriptions")
+    known = importlib.import_module("robot_descriptions").DESCRIPTIONS
+    if name not in known:
+        raise ParameterError(
+            f"robot_descriptions has no {name!r}{did_you_mean(name, known)}: `python -m"
+            " robot_descriptions list` prints its names"
+        )
+    try:
+        with contextlib.redirect_stdout(sys.stderr):  # it tells of its progress
+            module = importlib.import_module(f"robot_descriptions.{name}")
+    except Exception as error:  # no git, no network, no such commit: each raises its own
+        text = " ".join(str(error).rpartition("stderr:")[2].split())[:_LONGEST]
+        raise ParameterError(f"{name}: robot_descriptions cannot fetch it: {text}") from None
+    file: str | None = getattr(module, "URDF_PATH", getattr(module, "MJCF_PATH", None))
+    if file is None:
+        others = [k for k, v in known.items() if v.has_mjcf and v.robot == known[name].robot]
+        raise ParameterError(
+            f"{name} is a xacro, no URDF: take {' or '.join(others) or 'another'}, or make a"
+            f" URDF of {getattr(module, 'XACRO_PATH', 'it')}"
+        )
+    return file
 
 
 def arm_from(value: Any) -> Arm:

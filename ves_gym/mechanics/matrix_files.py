@@ -1,9 +1,9 @@
-"""Matrices of a structure from files: NumPy, Matrix Market, CalculiX, NASTRAN DMIG and OP4.
+"""Matrices of a structure from files: NumPy, Matrix Market, Ansys, CalculiX, NASTRAN.
 
-Every reader is text or plain numbers: nothing in a file is executed (no pickles). OP4 is
-read in its text form, dense and sparse; a NASTRAN punch file keeps its DMIG entries, in
-fields of 8, of 16 or with commas, and every other entry is passed over. What is no square
-matrix of real numbers, such as load vectors and tables of nodes, is left and named.
+Every reader is text or plain numbers: nothing in a file is executed (no pickles). Binary OP4
+is read by `pyyeti`, Ansys' .full by `ansys-mapdl-reader`. A NASTRAN punch file keeps its DMIG
+entries, in fields of 8, of 16 or with commas, and every other entry is passed over. What is no
+square matrix of real numbers, such as load vectors and tables of nodes, is left and named.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from ves_gym._util.optional import require
 from ves_gym._util.params import ParameterError
 from ves_gym._util.reading import named, read_apart
 
@@ -180,6 +181,54 @@ def _filled(rows: Any, columns: Any, values: Any, size: int) -> Any:
     return scipy.sparse.csc_array(half + half.T - half.T.multiply(given))
 
 
+# -------------------------------------------------------------------------------- Ansys
+
+_COMPONENTS = ("UX", "UY", "UZ", "ROTX", "ROTY", "ROTZ")
+
+
+def _harwell_boeing(path: Path) -> list[NamedMatrix]:
+    """HBMAT's text; SciPy reads such files without symmetry and right-hand sides alone."""
+    lines = path.read_text("latin-1").splitlines()
+    head, sizes = lines[:4], [int(lines[1][k : k + 14] or 0) for k in range(0, 70, 14)]
+    count = sum(sizes[1:4])  # lines of pointers, indices and values
+    head[1] = "".join(f"{k:14d}" for k in (count, *sizes[1:4], 0))
+    symmetric, head[2] = head[2][1:2].upper() == "S", f"{head[2][:1]}U{head[2][2:]}"
+    formats = [head[3][a:b] for a, b in ((0, 16), (16, 32), (32, 52))]
+    head[3] = "".join(re.sub(r"\d+P,?", "", k).ljust(16) for k in formats)
+    start = 4 + (sizes[4] > 0)
+    text = "\n".join([*head, *lines[start : start + count], ""]).replace("D", "E")
+    matrix = scipy.io.hb_read(io.StringIO(text)).tocoo()
+    if symmetric:
+        matrix = _filled(matrix.row, matrix.col, matrix.data, max(matrix.shape))
+    labels = None
+    if (names := path.with_suffix(".mapping")).exists():
+        rows = [line.split() for line in names.read_text("latin-1").splitlines()]
+        table = [k for k in rows if len(k) == 3 and k[2] in _COMPONENTS]
+        labels = tuple((int(node), _COMPONENTS.index(c) + 1) for _, node, c in table)
+        if len(labels) != matrix.shape[0]:
+            raise ParameterError(
+                f"{names.name} names {len(labels)} of {matrix.shape[0]} freedoms"
+            )
+    return [NamedMatrix(_stem(path), scipy.sparse.csc_array(matrix), labels)]
+
+
+def _full(path: Path) -> list[NamedMatrix]:
+    """Mass and stiffness of a .full file, without the freedoms that are held."""
+    require("Ansys' .full", "ansys.mapdl.reader")
+    from ansys.mapdl import reader
+
+    file = reader.read_binary(os.fspath(path))
+    table, *halves = file.load_km(as_sparse=True)
+    held = set(map(tuple, file.const.tolist()))  # their rows are left, empty
+    free = [k for k, label in enumerate(map(tuple, table.tolist())) if label not in held]
+    labels = tuple((node, axis + 1) for node, axis in table[free].tolist())
+    parts = [half.tocsc()[free][:, free].tocoo() for half in halves]
+    return [
+        NamedMatrix(name, _filled(x.row, x.col, x.data, len(free)), labels)
+        for name, x in zip("KM", parts, strict=True)
+    ]
+
+
 # ------------------------------------------------------------------------- NASTRAN DMIG
 
 
@@ -265,10 +314,12 @@ def _number(text: str) -> float:
 def _op4(path: Path) -> list[NamedMatrix]:
     data = path.read_bytes()
     if b"\0" in data[:64]:
-        raise ParameterError(
-            "expected OP4 as text, got binary: write it with FORMATTED, or convert it"
-            " (pyNastran's read_op4 and write_op4)"
-        )
+        require("binary OP4", "pyyeti")
+        from pyyeti.nastran import op4
+
+        names, matrices, *_ = op4.load(os.fspath(path), into="list", sparse=True)
+        whole = map(scipy.sparse.csc_array, matrices)
+        return [NamedMatrix(k.upper(), x) for k, x in zip(names, whole, strict=True)]
     lines = data.decode("ascii", errors="replace").splitlines()
     out, at = [], 0
     while at < len(lines) and lines[at].strip():
@@ -338,4 +389,6 @@ _READERS: dict[str, Callable[[Path], list[NamedMatrix]]] = {
     **dict.fromkeys((".sti", ".mas"), _calculix),
     **dict.fromkeys((".pch", ".dmig", ".bdf"), _dmig),
     ".op4": _op4,
+    **dict.fromkeys((".hb", ".rsa", ".rua", ".matrix"), _harwell_boeing),
+    ".full": _full,
 }

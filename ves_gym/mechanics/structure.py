@@ -47,6 +47,7 @@ _INDEFINITE = 1e-9  # an eigenvalue of M may be negative by this part of the lar
 _RIGID = 1e-4  # omega^2 of a rigid motion over that of the first mode, interface held
 _ELASTIC = 1e-8  # the least that counts as strain
 _SLOWEST = 1.0  # rad/s: the fastest freedom of any structure, all others held, is faster
+_SIZES = (1e-3, 1e3)  # m
 _DENSE = 1500
 
 
@@ -183,7 +184,7 @@ def read_structure(
         labels,
         source,
     )
-    structure.reduce(1)  # refuses what does not stand or hangs loose
+    _require_size(structure.reduce(1), structure)  # refuses what does not stand or hangs loose
     return structure
 
 
@@ -298,6 +299,22 @@ def _require_fast_enough(mass: Any, stiffness: Any, units: str) -> None:
         raise ParameterError(
             f"no freedom of this structure is faster than {fastest / (2 * np.pi):.3g} Hz: are M"
             f" and K exchanged, or units other than {units}?"
+        )
+
+
+def _require_size(reduction: Reduction, structure: Structure) -> None:
+    """Refuse what is of another size than anything an arm stands on: another unit of length."""
+    if structure.rigid_modes not in (0, 6):
+        return
+    clamped = structure.rigid_modes == 0
+    matrix = np.linalg.inv(reduction.K) if clamped else reduction.M
+    moved, turned = (np.linalg.eigvalsh(matrix[k : k + 3, k : k + 3])[-1] for k in (0, 3))
+    # of a cantilever compliances give L/sqrt(3), of a rod about its end inertias the same
+    size = float(np.sqrt(moved / turned if clamped else turned / moved))
+    if not _SIZES[0] <= size <= _SIZES[1]:
+        raise ParameterError(
+            f"by its {'stiffness' if clamped else 'mass'} this structure measures some"
+            f" {size:.2g} m: are its units other than {structure.units}?"
         )
 
 

@@ -1,8 +1,9 @@
-"""Thirty damaged logs: each is read, with what was lost told, or refused by one sentence."""
+"""Fifty damaged logs: each is read, with what was lost told, or refused by one sentence."""
 
 import numpy as np
 import pytest
 
+from tests import ros_logs
 from ves_gym.cli.main import main
 
 NAMES = ("t", "q_1", "q_2", "v_1", "v_2", "tau_1", "tau_2")
@@ -82,18 +83,109 @@ DAMAGED = {
 }  # fmt: skip
 
 
+def answer(path, folder, capsys):
+    """The mapping that is described, or the one line on standard error."""
+    status = main(["diagnose", str(path), "--describe", "--out", str(folder)])
+    out, err = capsys.readouterr()
+    if status:
+        assert status == 2 and err.startswith("ves-gym: error: ") and err.count("\n") == 1
+        return err
+    assert out.endswith("mapping.toml\n")
+    return (folder / "mapping.toml").read_text()
+
+
 @pytest.mark.parametrize("damage", DAMAGED)
 def test_no_damage_is_silent(damage, tmp_path, capsys):
     """Every column is used, or named with the reason; what cannot be read is one sentence."""
     table, said = DAMAGED[damage]
     (tmp_path / "log.csv").write_text("\n".join(",".join(row) for row in table))
-    status = main(["diagnose", str(tmp_path / "log.csv"), "--describe", "--out", str(tmp_path)])
-    out, err = capsys.readouterr()
-    if status:
-        assert status == 2 and err.startswith("ves-gym: error: ") and err.count("\n") == 1
-        assert said and said in err
+    text = answer(tmp_path / "log.csv", tmp_path, capsys)
+    assert said in text
+    if text.startswith("ves-gym: error"):
+        assert said
         return
-    text = (tmp_path / "mapping.toml").read_text()
-    assert said in text and out.endswith("mapping.toml\n")
     for name in filter(None, (table[0] if table[0][0].isalpha() else NAMES)):
         assert f'"{name}"' in text or name in text.split("schema")[0], name
+
+
+def joints(topic="/joint_states", t=T, names=("1", "2"), data=DATA, start=0):
+    return ros_logs.joints(topic, t, names, data[:, 1:3], data[:, 3:5], data[:, 5:7])
+
+
+def changed(change):
+    """Messages of joints with one field of the 301st changed."""
+    for k, (topic, stamp, message) in enumerate(joints()):
+        if k == 300:
+            change(message)
+        yield topic, stamp, message
+
+
+def words(n=600):
+    text = ros_logs.store().types["std_msgs/msg/String"]
+    return (("/chat", 1_700_000_000 * 10**9 + k, text(data="go")) for k in range(n))
+
+
+def put(field, value):
+    return lambda message: setattr(message, field, value)
+
+
+def stamp(seconds):
+    return lambda message: setattr(message.header.stamp, "sec", seconds)
+
+
+def bytes_of(change):
+    def damage(path):
+        path.write_bytes(change(path.read_bytes()))
+
+    return damage
+
+
+CUT = bytes_of(lambda x: x[: len(x) // 2])
+MISSING = DATA.copy()
+MISSING[30, 1] = np.nan
+BAGS = {  # messages, what is done to the file, what must be said
+    "cut off": (joints, CUT, "is cut off"),
+    "the last bytes cut off": (joints, bytes_of(lambda x: x[:-20]), "is cut off"),
+    "an empty file": (joints, bytes_of(lambda x: b""), "cannot be read"),
+    "text": (joints, bytes_of(lambda x: b"t,q_1\n0,1\n" * 99), "cannot be read"),
+    "zeros in the middle": (
+        joints,
+        bytes_of(lambda x: x[: len(x) // 2] + bytes(500) + x[len(x) // 2 + 500 :]),
+        "cannot be read",
+    ),
+    "another type's name": (
+        joints,
+        bytes_of(lambda x: x.replace(b"msg/JointState", b"msg/JointStats")),
+        "no message of JointState",
+    ),
+    "no joints": (words, None, "no message of JointState"),
+    "a topic of words": (lambda: [*joints(), *words()], None, "left out: /chat (std_msgs"),
+    "nan": (lambda: joints(data=MISSING), None, "1_position: no number in 1 of 600 rows"),
+    "too few numbers": (
+        lambda: changed(put("position", np.zeros(1))), None, "has 1 x position for 2 joints"
+    ),
+    "a joint twice": (lambda: changed(put("name", ["1", "1"])), None, "names a joint twice"),
+    "no names": (lambda: changed(put("name", [])), None, "has 2 x position for 0 joints"),
+    "names swapped": (lambda: changed(put("name", ["2", "3"])), None, "1_position: no number"),
+    "rates are missing": (
+        lambda: changed(put("velocity", np.zeros(0))), None, "1_velocity: no number in 1"
+    ),
+    "the clock jumps back": (lambda: changed(stamp(1_600_000_000)), None, "runs forward"),
+    "the clock jumps ahead": (lambda: changed(stamp(1_700_000_900)), None, "runs forward"),
+    "no stamp": (lambda: changed(stamp(0)), None, "runs forward"),
+    "a gap": (lambda: joints(t=T + (T > 2)), None, "is 1.01 s after the one before"),
+    "two topics": (lambda: [*joints(), *joints("/wanted")], None, "is in several of"),
+    "one message": (lambda: list(joints())[:1], None, "no column looks like"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("storage", ["MCAP", "SQLITE3"])
+@pytest.mark.parametrize("damage", BAGS)
+def test_no_damage_of_a_ros_log_is_silent(damage, storage, tmp_path, capsys):
+    messages, spoil, said = BAGS[damage]
+    file = ros_logs.write(tmp_path / "bag", messages(), storage=storage)
+    if spoil is not None:
+        spoil(file)
+    for path in (file, tmp_path / "bag"):
+        folder = tmp_path / path.name.partition(".")[2]
+        assert said in answer(path, folder, capsys), path.name

@@ -16,8 +16,8 @@ from ves_gym.diagnosis.data.measured_run import run_of_signals
 from ves_gym.diagnosis.data.sanity_checks import suspected_mistake
 from ves_gym.diagnosis.machines.joint_changes import CarriedBody, Shaft
 from ves_gym.diagnosis.machines.joint_library import MjcfJoint
+from ves_gym.diagnosis.machines.mapping import read_machine
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
-from ves_gym.diagnosis.machines.mjcf_mapping import read_machine
 from ves_gym.diagnosis.machines.rigid_bodies import BodyChange, MjcfBodies, UrdfBodies
 from ves_gym.effects import JointViscous
 

@@ -12,8 +12,8 @@ from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis.data.measured_run import run_of_signals
 from ves_gym.diagnosis.inference.cache import AnswerCache
 from ves_gym.diagnosis.machines.joint_library import MjcfJoint
+from ves_gym.diagnosis.machines.mapping import read_machine
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
-from ves_gym.diagnosis.machines.mjcf_mapping import read_machine
 from ves_gym.diagnosis.output.mjcf_file import write_machine
 from ves_gym.effects import (
     JointCoulomb,
@@ -289,7 +289,7 @@ def test_columns_become_signals(folder):
 @pytest.mark.parametrize(
     ("old", "new", "match"),
     [
-        ('"ves-machine/1"', '"other/1"', "arm.toml: schema must be 'ves-machine/1'"),
+        ('"ves-machine/1"', '"other/1"', "arm.toml: schema must be one of ves-machine"),
         ("radius = 0.1", "radios = 0.1", r"arm.toml.joint\[1\]: unknown key 'radios'"),
         ("radius = 0.1", "radius = -1.0", "arm.toml: .*radius must be > 0 m"),
         ('"reach"', '"elbow"', "arm.toml: the model has no joint 'elbow'"),

@@ -19,6 +19,7 @@ from ves_gym._util.mujoco_loader import read_model
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import named, read_xml
 from ves_gym._util.recordings import FileColumns
+from ves_gym._util.signals import GAP, told_error
 from ves_gym.diagnosis.data.measured_run import BAND
 from ves_gym.diagnosis.machines.mjcf_mapping import SCHEMA
 
@@ -46,7 +47,6 @@ _FILLER = ("read", "data", "meas", "measured", "motor", "m", "raw", "log")
 _TURNS = 13.0  # rad: more than two turns looks like degrees
 _STILL = 1e-3  # rad, m: less is no motion
 _UNEVEN = 0.05  # of a step
-_GAP = 3.0  # usual steps, as `require_steady`
 _FORWARD = 0.95  # share of steps that run forward: less is no clock
 _DEGREES, _TURN = np.pi / 180, 2 * np.pi
 _UNITS = {  # by quantity: a unit's name without spaces and marks, and SI units in it
@@ -114,8 +114,9 @@ def describe(
             f" {', '.join(recording.columns)}: say what they are, by place (--columns"
             " t,q_1,v_1,tau_1, in Python called=)"
         )
-    time = _time(complete, clock, names)
-    named = _names(list(joints), model)
+    used = [c for guess in joints.values() for c in guess.columns.values()]
+    time = _time(complete, clock, names, used)
+    named = _names(list(joints), model, told)
     missing = [*time.remarks]
     for what, consequence in (
         ("velocity", "port `velocity` (rates logged) is not tested"),
@@ -130,8 +131,7 @@ def describe(
         missing.append(
             'a model: `model = "robot.urdf"` or .xml; without it only rates are tested'
         )
-    used = {c for g in joints.values() for c in g.columns.values()} | {clock or ""}
-    unused = [k for k in complete if k not in used]
+    unused = [k for k in complete if k not in (*used, clock)]
     lines = [f"# Mapping of {source}: check every guess, then run", "#"]
     lines += [f"#   ves-gym diagnose {source} --machine THIS_FILE", "#"]
     lines += ["# Missing:", *(f"#   - {text}" for text in missing)] if missing else []
@@ -242,7 +242,12 @@ def _clock(columns: Mapping[str, Array], names: Mapping[str, _Name]) -> str | No
     return best if best is not None and rising[best] >= _FORWARD else None
 
 
-def _time(columns: Mapping[str, Array], clock: str | None, names: Mapping[str, _Name]) -> _Time:
+def _time(
+    columns: Mapping[str, Array],
+    clock: str | None,
+    names: Mapping[str, _Name],
+    used: Sequence[str],
+) -> _Time:
     if clock is None:
         text = "time = { step = 0.01 } # s: NOT MEASURED, say the step of the samples"
         return _Time(text, 0.01, ("a clock: say the step of the samples under `time`",))
@@ -264,17 +269,20 @@ def _time(columns: Mapping[str, Array], clock: str | None, names: Mapping[str, _
             f"a clock that runs forward: {np.sum(steps <= 0)} of {len(steps)} steps do not, the"
             f" one to row {back + 3} takes {gain * steps[back]:.3g} s"
         )
-    if steps[late] > _GAP * usual:
+    if steps[late] > GAP * usual:
         remarks.append(
             f"a whole clock: row {late + 3} is {gain * steps[late]:.3g} s after the one before;"
             " cut the log there, or give start and stop"
         )
-    steps = steps[(steps > 0) & (steps <= _GAP * usual)]
+    steps = steps[(steps > 0) & (steps <= GAP * usual)]
     low, high = (1e3 * gain * float(k) for k in (steps.min(), steps.max()))
     mean = gain * float(steps.mean())
     even = f"even steps of {1e3 * mean:.4g} ms"
     if np.abs(steps / usual - 1).max() > _UNEVEN:
         even = f"uneven steps of {low:.4g} to {high:.4g} ms, {1e3 * mean:.4g} ms on average"
+        if not remarks:
+            signals = np.stack([columns[k] for k in used], axis=1)
+            even += f"; resampled, {told_error(used, gain * t, signals)}"
     keys = f'column = "{clock}"'
     if gain != 1.0 or abs(gain * t[0]) > 1e3:
         keys += f", gain = {gain:g}, offset = {0.0 - gain * float(t[0])!r}"
@@ -290,8 +298,7 @@ def _joints(names: Mapping[str, _Name]) -> dict[str, _Guess]:
             kind = _kind(parts)
             if kind != quantity:
                 continue
-            drop = {*_WORDS[kind], *_FILLER, *_WORDS["position"]}
-            key = "_".join(k for k in parts if k not in drop) or "joint"
+            key = _key(parts, kind)
             if quantity != "position" and key not in out:
                 continue
             guess = out.setdefault(key, _Guess())
@@ -317,8 +324,8 @@ def _kind(parts: Sequence[str]) -> str:
     return ""
 
 
-def _names(keys: Sequence[str], model: Path | None) -> list[tuple[str, str]]:
-    """Names and types of joints, from the model where it has as many."""
+def _names(keys: Sequence[str], model: Path | None, told: list[str]) -> list[tuple[str, str]]:
+    """Names and types of joints, from the model where it has as many; by place is told."""
     if model is None:
         return [(k if not k.isdigit() else f"joint_{k}", "hinge") for k in keys]
     inside = _of_model(model)
@@ -327,14 +334,22 @@ def _names(keys: Sequence[str], model: Path | None) -> list[tuple[str, str]]:
             f"{model} has {len(inside)} joints ({', '.join(n for n, _ in inside)}), the data"
             f" {len(keys)} ({', '.join(keys)}): name the columns alike, or write the mapping"
         )
-    by_name = {"_".join(_parts(name)): (name, kind) for name, kind in inside}
+    by_name = {_key(_parts(name)): (name, kind) for name, kind in inside}
     alike = [
         next((v for k, v in by_name.items() if k == key or k.endswith(f"_{key}")), None)
         for key in keys
     ]
     if all(alike) and len({v for v in alike if v}) == len(keys):
         return [v for v in alike if v]
+    pairs = ", ".join(f"{key} = {name}" for key, (name, _) in zip(keys, inside, strict=True))
+    told.append(f"names do not tell which joint is which, their order does: {pairs}")
     return inside
+
+
+def _key(parts: Sequence[str], kind: str = "position") -> str:
+    """A joint's own name, without words for what is measured of it."""
+    drop = {*_WORDS[kind], *_FILLER, *_WORDS["position"]}
+    return "_".join(k for k in parts if k not in drop) or "joint"
 
 
 def _of_model(model: Path) -> list[tuple[str, str]]:

@@ -12,6 +12,7 @@ import scipy
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.signals import (
+    GAP,
     SensorNoiseModel,
     SpectralWindow,
     differentiated,
@@ -33,7 +34,6 @@ NEAR = "near"  # in the memory of noisy copies: that of the run itself
 COMMANDED = ("q_cmd", "v_cmd")  # that a controller is told
 REMEMBERED = 40  # of one kind: both ports of an arm ask, with one friction after another
 _SAME_CLOCK = 1e-3  # relative difference of steps
-_GAP = 3.0  # usual steps of the clock: more is a gap
 _UNITS = (  # signal, what no such machine reaches, unit expected, unit it may be in
     ("q", 13.0, "rad", "degrees"),
     ("q_cmd", 13.0, "rad", "degrees"),
@@ -364,7 +364,7 @@ def require_steady(t: Array, name: str) -> None:
     back, late = int(np.argmin(steps)), int(np.argmax(steps))
     if not steps[back] > 0:
         raise ParameterError(f"{name}: row {back + 2}: the clock does not run forward")
-    if steps[late] > _GAP * usual:
+    if steps[late] > GAP * usual:
         raise ParameterError(
             f"{name}: row {late + 2}: {steps[late]:.4g} s after the row before, usually"
             f" {usual:.4g} s: cut the log at the gap"

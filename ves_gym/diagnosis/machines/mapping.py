@@ -36,7 +36,9 @@ def read_machine(path: str | os.PathLike[str], band: float | None = None) -> tup
         )
     file, machine = readers[schema](table, path)
 
+    clock = getattr(getattr(file, "time", None), "column", None) or ""
+
     def load(data: str | os.PathLike[str]) -> Run:
-        return file.run(read_columns(data), Path(data).name)
+        return file.run(read_columns(data, clock), Path(data).name)
 
     return machine, load

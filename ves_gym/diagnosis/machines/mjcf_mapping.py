@@ -18,12 +18,11 @@ from ves_gym._util.params import (
     Array,
     ParameterError,
     from_plain,
-    read_table,
     require_positive,
     unit,
 )
 from ves_gym._util.reading import named
-from ves_gym._util.recordings import column_of, read_columns
+from ves_gym._util.recordings import column_of
 from ves_gym._util.signals import downsampled, on_uniform_clock
 from ves_gym.diagnosis.data.measured_run import BAND, Run, require_steady, run_of_signals
 from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft
@@ -279,28 +278,6 @@ def sum_of(parts: tuple[Column, ...], columns: dict[str, Array], where: str) -> 
     """
     values = [part.of(columns, where, missing=True) for part in parts]
     return np.asarray(np.sum(values, axis=0))
-
-
-def read_machine(
-    path: str | os.PathLike[str], band: float | None = None
-) -> tuple[MjcfMachine, Loader]:
-    """Return machine and loader of its data files from a mapping file (.toml, .json).
-
-    Args:
-        path: of the mapping file.
-        band: Hz, in place of the file's.
-
-    Raises:
-        ParameterError: naming file and key.
-    """
-    path = Path(path)
-    table = read_table(path) if band is None else {**read_table(path), "band": band}
-    file, machine = machine_of(table, path)
-
-    def load(data: str | os.PathLike[str]) -> Run:
-        return file.run(read_columns(data), Path(data).name)
-
-    return machine, load
 
 
 def machine_of(table: dict[str, Any], path: Path) -> tuple[MachineFile, MjcfMachine]:
