@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym.mechanics.modes import modal_damping
 
 _DENSE = 1500  # inner freedoms up to which all modes come from one dense solve
@@ -192,6 +192,37 @@ def reduce(
         lost = both.T @ (D @ both)
         lost = (lost + lost.T) / 2
     return Reduction((K_b + K_b.T) / 2, (M_b + M_b.T) / 2, P, omega, static, shapes, lost)
+
+
+def with_residual(
+    reduced: Reduction, mass: Array, stiffness: Array, interface: Index, held: Any = ()
+) -> Reduction:
+    """Return a reduction with all modes that it leaves out as six more.
+
+    They carry the same mass A = sum P P^T and, in the next order of a slow motion, the same
+    B = sum P P^T / omega^2: P_r P_r^T = A, P_r omega_r^-2 P_r^T = B. The flange keeps what no
+    mode carries, its own, so that an impulse finds it as it does with all modes.
+
+    Args:
+        reduced: its modes are exact; one without modes that are left out stays as it is.
+        mass, stiffness, interface, held: of the structure, as `reduce` takes them.
+    """
+    moving = np.setdiff1d(np.arange(len(mass)), np.r_[interface, held])
+    inner, stiff = mass[np.ix_(moving, moving)], stiffness[np.ix_(moving, moving)]
+    carried = mass[moving] @ reduced.static
+    P = reduced.coupling
+    A = carried.T @ np.linalg.solve(inner, carried) - P @ P.T
+    B = carried.T @ np.linalg.solve(stiff, carried) - P / reduced.omega**2 @ P.T
+    square, V = scipy.linalg.eigh((A + A.T) / 2, (B + B.T) / 2)  # V^T B V = 1, V^T A V omega^2
+    omega, shapes = np.sqrt(square), np.zeros((len(mass), 6))
+    given = np.linalg.solve(stiff, carried)  # ways under what the flange's acceleration asks
+    shapes[moving] = (given - reduced.shapes[moving] / reduced.omega**2 @ P.T) @ V * omega
+    return replace(
+        reduced,
+        coupling=np.hstack([P, B @ V * omega]),
+        omega=np.r_[reduced.omega, omega],
+        shapes=np.hstack([reduced.shapes, shapes]),
+    )
 
 
 def _held_as(values: Any) -> Any:

@@ -8,9 +8,10 @@ Bampton's reduction; docs/physics.md derives both.
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -34,7 +35,7 @@ from ves_gym.mechanics.base_model import (
     Saved,
     elementwise_damping,
 )
-from ves_gym.mechanics.craig_bampton import Reduction, reduce
+from ves_gym.mechanics.craig_bampton import Reduction, reduce, with_residual
 from ves_gym.mechanics.finite_elements import (
     ALUMINIUM,
     BeamFrame,
@@ -311,7 +312,9 @@ class FlexibleBase(Saved):
 
     Damping: `damping_ratio` of every mode of the whole without the arm, or one for each of
     its 6 + m modes, slowest first (`damping_ratios`), or neither where the structure brings
-    a damping matrix of its own. Modes faster than `fastest` follow the flange in statics.
+    a damping matrix of its own. Modes faster than `fastest` follow the flange in statics: right
+    for an arm's motion, too heavy for an impulse. `residual` makes of all that is left out of a
+    polyline six modes more, so that an impulse meets the flange alone, as with all modes.
     """
 
     kind: ClassVar[str] = "flexible"
@@ -320,11 +323,17 @@ class FlexibleBase(Saved):
     damping_ratio: float | None = unit("1", default=None)
     damping_ratios: Vector | None = unit("1", default=None)
     fastest: float = unit("rad/s", default=REACH)
+    residual: bool = False
     source: str = "user"
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
         require_positive(self, "fastest")
+        if self.residual and (isinstance(self.structure, Reduced) or self.damping_ratios):
+            raise ParameterError(
+                "FlexibleBase.residual needs a polyline and one damping_ratio: give a structure"
+                " of matrices all the modes that an impulse is to find"
+            )
         most = 120 if isinstance(self.structure, Polyline) else len(self.structure.omega)
         if isinstance(self.modes, bool) or not 0 <= self.modes <= most:
             raise ParameterError(f"FlexibleBase.modes must be 0 to {most}, got {self.modes!r}")
@@ -389,11 +398,12 @@ class FlexibleBase(Saved):
         return _centreline(self)
 
 
-def with_modes(base: FlexibleBase, modes: int) -> FlexibleBase:
-    """Return an undamped base with as many modes, however fast, as asked, or as it has."""
-    if isinstance(base.structure, Reduced):
-        modes = min(modes, len(base.structure.omega))
-    return replace(base, modes=modes, fastest=1e9, damping_ratio=0.0, damping_ratios=None)
+def as_an_impulse_finds(base: FlexibleBase) -> FlexibleBase:
+    """Return an undamped base with everything that its modes leave out."""
+    changes: dict[str, Any] = {"damping_ratio": 0.0, "damping_ratios": None}
+    if isinstance(base.structure, Polyline):
+        return replace(base, residual=True, **changes)
+    return replace(base, modes=len(base.structure.omega), fastest=math.inf, **changes)
 
 
 @lru_cache(maxsize=32)
@@ -401,12 +411,17 @@ def with_modes(base: FlexibleBase, modes: int) -> FlexibleBase:
 def _reduction(base: FlexibleBase) -> Reduction:
     if isinstance(base.structure, Reduced):
         return base.structure.reduction().truncated(base.modes).within(base.fastest)
-    reduced = _polyline_reduction(base.structure, base.modes)
-    return reduced.within(base.fastest)
+    return _polyline_reduction(base)
 
 
-def _polyline_reduction(polyline: Polyline, modes: int) -> Reduction:
-    reduced = _on_the_flange(polyline.frame().matrices(), modes)
+def _polyline_reduction(base: FlexibleBase) -> Reduction:
+    polyline = base.structure
+    assert isinstance(polyline, Polyline)
+    mass, stiffness = polyline.frame().matrices()
+    reduced = _on_the_flange((mass, stiffness), base.modes).within(base.fastest)
+    if base.residual:
+        flange = np.arange(len(mass) - 6, len(mass))
+        reduced = with_residual(reduced, mass, stiffness, flange, range(6))
     # what symmetry makes zero is zero, not what rounding leaves of it
     # (a mode carries at most the mass along an axis)
     least = _ROUNDING * np.sqrt(np.diag(reduced.M))[:, None]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.tables import table
-from ves_gym.mechanics.flexible_base import FlexibleBase, with_modes
+from ves_gym.mechanics.flexible_base import FlexibleBase, Polyline, as_an_impulse_finds
 from ves_gym.mechanics.latch import base_jump
 from ves_gym.mechanics.limits import LimitCheck, check_limits, check_reference, limits_of
 from ves_gym.mechanics.linear_range import range_sentence
@@ -23,7 +23,7 @@ from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
 SCHEMA = "ves-simulate/1"
-_FINE, _APART = 40, 0.2  # modes, and the share by which the flange may start otherwise on them
+_APART = 0.01  # by which a flange may start otherwise than with all that its modes leave out
 _MEANING = {
     "E_mean": "mean of the base energy over the motion and {tail:g} s after it (the score)",
     "E_res": "at the end of the motion",
@@ -93,17 +93,18 @@ class RunSummary:
             return None
         k = int(np.searchsorted(self.log.t, grasp["time"] - 1e-9))
         at = self.log.y[k], self.log.q[k], np.array(grasp["impulse"])
-        fine = with_modes(vehicle, _FINE)
         own, more = (
             1e3 * float(np.linalg.norm(base_jump(system.arm, base, *at, system.held)[:3]))
-            for base in (system.base, fine.base_model())
+            for base in (system.base, as_an_impulse_finds(vehicle).base_model())
         )
         if abs(own - more) <= _APART * more:
             return None
+        drawn = isinstance(vehicle.structure, Polyline)
+        remedy = "the vehicle's residual = true" if drawn else "all modes of the structure"
         return (
-            f"the latch at {grasp['time']:g} s sets the flange off at {own:.2g} mm/s, on"
-            f" {fine.modes} modes instead of {vehicle.modes} it would be {more:.2g}: what"
-            " rings just after it needs more modes"
+            f"the latch at {grasp['time']:g} s sets the flange off at {own:.3g} mm/s, the whole"
+            f" structure would at {more:.3g}: what rings in its first hundredths of a second"
+            f" needs {remedy}"
         )
 
     @property
