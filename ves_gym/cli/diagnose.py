@@ -246,7 +246,8 @@ TABLE = {
         *arm_flags("that of the system or the logs"),
         EFFECT,
         Flag("--machine", "FILE", text,
-             "a machine in MJCF: mapping file that says which columns of the data are what",
+             "a machine in MJCF or URDF, or of one's own: mapping file that says which columns"
+             " of the data are what",
              to="mapping"),
         Flag("--describe",
              help="write a commented mapping file for one's own data (mapping.toml in --out):"
