@@ -1,12 +1,15 @@
-"""`python -m benchmarks.independent_trial write DIR --half first --seed 1 [--only NAME]`."""
+"""`python -m benchmarks.independent_trial write DIR --half first --seed 1 [--only NAME]`,
+then `answer DIR` and `score DIR`: by the package, and against the truth.
+"""
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from pathlib import Path
 
-from benchmarks.independent_trial import cases, compare, write
+from benchmarks.independent_trial import answers, cases, compare, write
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -21,7 +24,16 @@ def main(arguments: list[str] | None = None) -> int:
             command.add_argument("--only", metavar="NAME", help="one case, as first-017")
     command = commands.add_parser("compare", help="stated machines against the package's runs")
     command.add_argument("folder", type=Path, metavar="EXAMPLES")
+    for name, text in (("answer", "diagnose cases"), ("score", "compare with the truth")):
+        command = commands.add_parser(name, help=text)
+        command.add_argument("folder", type=Path, metavar="DIR")
     options = parser.parse_args(arguments)
+    if options.command == "answer":
+        answer(options.folder)
+        return 0
+    if options.command == "score":
+        score(options.folder)
+        return 0
     if options.command == "compare":
         compare.table(options.folder)
         return 0
@@ -36,6 +48,29 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = named if options.only is None else {options.only: named[options.only]}
     write.write(options.folder, chosen)
     return 0
+
+
+def answer(folder: Path) -> None:
+    """DIR/answers/NAME.json of every case that has none yet."""
+    (folder / "answers").mkdir(exist_ok=True)
+    for case in sorted((folder / "cases").iterdir()):
+        path = folder / "answers" / f"{case.name}.json"
+        if not path.exists():
+            given = answers.answer(case, folder / "diagnoses" / case.name)
+            path.write_text(json.dumps(given, indent=1) + "\n")
+            print(f"{case.name}  {given['verdict']}", flush=True)
+
+
+def score(folder: Path) -> None:
+    """Print a line for each answer, and the table."""
+    judged = []
+    for path in sorted((folder / "answers").glob("*.json")):
+        truth = json.loads((folder / "truth" / path.name).read_text())
+        judged.append((truth, json.loads(path.read_text())))
+        hidden = ", ".join(f"{e['name']} {e['place']}" for e in truth["effects"]) or "nothing"
+        told = ", ".join(f"{n['kind']} {n['slot']}" for n in judged[-1][1]["names"])
+        print(f"{path.stem}  {answers.judge(*judged[-1])}: {hidden}; said: {told}")
+    print(answers.table(judged))
 
 
 if __name__ == "__main__":

@@ -70,27 +70,29 @@ def products(residuals: WhitenedResiduals, z: Array, X: Array) -> InnerProducts:
     """
     p, c = residuals.slopes.shape[1], X.shape[1]
     groups = residuals.groups
-    xz, xx = np.empty((len(groups), p + c)), np.empty((len(groups), p + c, p + c))
+    xz, xx = np.zeros((len(groups), p + c)), np.zeros((len(groups), p + c, p + c))
     xx[:, :p, :p] = residuals.gram
     zz = np.empty(len(groups))
     n = np.array([g.n for g in groups], float)
     noise, noise_xz, noise_xx = n.copy(), np.zeros_like(xz), np.zeros_like(xx)
     noise_xx[:, :p, :p] = residuals.noise_gram
     for k, g in enumerate(groups):
-        a, J, x = z[g.part], residuals.slopes[g.part], X[g.part]
-        zz[k] = a @ a
-        xz[k, :p], xz[k, p:] = J.T @ a, x.T @ a
-        xx[k, p:, :p] = x.T @ J
-        xx[k, :p, p:] = xx[k, p:, :p].T
-        xx[k, p:, p:] = x.T @ x
+        a, J, every = z[g.part], residuals.slopes[g.part], X[g.part]
+        zz[k], xz[k, :p] = a @ a, J.T @ a
+        there = np.flatnonzero(every.any(axis=0))  # nothing of what acts elsewhere
+        at, x = p + there, every[:, there]
+        across, inside = np.ix_([k], at, range(p)), np.ix_([k], at, at)
+        xz[k, at], xx[across], xx[inside] = x.T @ a, x.T @ J, x.T @ x
         for part in g.copies:
-            e, J, x = z[part], residuals.slopes[part], X[part]
-            usual = residuals.null[part]
-            columns, share = np.hstack([J, x]), 1 / len(g.copies)
+            e, J, x = z[part], residuals.slopes[part], X[part][:, there]
+            usual, share = residuals.null[part], 1 / len(g.copies)
             noise[k] += share * float(e @ e - usual @ usual)
-            noise_xz[k] += share * (columns.T @ e)
-            noise_xx[k, p:] += share * (x.T @ columns)
-        noise_xx[k, :p, p:] = noise_xx[k, p:, :p].T
+            noise_xz[k, :p] += share * (J.T @ e)
+            noise_xz[k, at] += share * (x.T @ e)
+            noise_xx[across] += share * (x.T @ J)
+            noise_xx[inside] += share * (x.T @ x)
+        for both in (xx, noise_xx):
+            both[k, :p, p:] = both[k, p:, :p].T
     return InnerProducts(n, zz, xz, xx, noise, noise_xz, noise_xx, *limits_of(groups))
 
 
