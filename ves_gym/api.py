@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from ves_gym.diagnosis.diagnose import Diagnosis
     from ves_gym.diagnosis.inference.candidates import Candidate
     from ves_gym.diagnosis.machines.mjcf import MjcfMachine
+    from ves_gym.diagnosis.machines.residual import ResidualMachine
     from ves_gym.mechanics.kinematics import ToolPose
     from ves_gym.planners.case import Case
     from ves_gym.planners.comparison import Comparison
@@ -301,7 +302,7 @@ def coupling_map(
 
 def diagnose(
     logs: RunLog | str | os.PathLike[str] | Sequence[Any],
-    system: System | MjcfMachine | None = None,
+    system: System | MjcfMachine | ResidualMachine | None = None,
     *,
     final: int | None = None,
     candidates: Sequence[Candidate] = (),
@@ -316,7 +317,8 @@ def diagnose(
 
     Args:
         logs: of one machine: run logs, their files, or folders of them; of a `MjcfMachine`
-            runs, as the loader of `diagnosis.read_machine` gives them.
+            or a `diagnosis.ResidualMachine` runs, as the loader of `diagnosis.read_machine`
+            gives them.
         system: the machine as described; default what the logs name.
         final: how many of the last logs to hold back and open once, at the end; default those
             that say `held_back`, else the last third.
@@ -356,7 +358,9 @@ def diagnose(
     elif hasattr(system, "residuals"):
         inputs = machine_inputs(system, sources, final=final, leave_out=leave_out)
     else:
-        raise ParameterError(f"system must be a System or a MjcfMachine, got {system!r}")
+        raise ParameterError(
+            f"system must be a System, a MjcfMachine or a ResidualMachine, got {system!r}"
+        )
     if not as_logged:
         require_as_logged(inputs.machine, inputs.runs, inputs.mistakes)
     replaced = {c.kind for c in candidates}

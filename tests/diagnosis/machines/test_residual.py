@@ -270,6 +270,20 @@ def test_a_mode_that_is_otherwise_is_a_structure_that_is_otherwise(reads):
     assert output(larger) == pytest.approx(output(modal(reads, a, b, more)), abs=1e-9)
 
 
+def test_a_body_that_moves_freely_has_modes_that_may_be_off():
+    """Two carriages on one spring, on no rail's end: their poles at 0 share a vector."""
+    M, K, D = np.diag([10.0, 5.0]), np.array([[2e3, -2e3], [-2e3, 2e3]]), np.zeros((2, 2))
+    machine = linear_machine(
+        structure(M, D, K, np.eye(2)[:, :1], np.eye(2)[1:], "displacement"), [("x2", "m")]
+    )
+    assert len(machine.parameters["frequency"].entries) == 1
+    found = found_in(machine, [pushed(M, D, 1.1 * K, seed=k) for k in (0, 1)])
+    hertz = np.sqrt(2e3 * (1 / 10 + 1 / 5)) / (2 * np.pi)
+    (name, value), *others = named(found).items()
+    assert not others and name.startswith("frequency at 1"), found.sentence
+    assert value == pytest.approx([hertz * (np.sqrt(1.1) - 1)], rel=0.02)
+
+
 FLEXIBLE = ((1.2, 0.01, 1.0), (3.7, 0.008, 2.0), (7.9, 0.006, -3.0), (11.5, 0.006, 2.0))
 
 

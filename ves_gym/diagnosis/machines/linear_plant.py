@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,8 @@ from ves_gym.diagnosis.machines.residual import (
 Rows = tuple[tuple[float, ...], ...]
 _DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 _GRID = 16  # frequencies at which another mode is looked for
-_DEFECTIVE = 1e8  # condition of the shapes from which a plant is not a sum of modes
+_ROUNDING = 1e-7  # of the largest pole: two poles at 0 come out so far from there
+_SHARED = 1e-7  # product of a pole's left and right unit vectors below which it shares them
 _LARGE = 3.0  # start of a run, by what it moves the output, over the output's own movement
 
 
@@ -47,23 +48,31 @@ class StateSpace:
         shapes = [x.shape for x in (self.A, self.B, self.C, self.D)]
         if shapes != [(n, n), (n, m), (p, n), (p, m)]:
             raise ParameterError(f"A, B, C, D do not fit one another: shapes {shapes}")
-        fastest = float(np.linalg.eigvals(self.A).real.max(initial=0.0))
-        if fastest > 1e-9:
+        poles = np.linalg.eigvals(self.A)
+        fastest = float(poles.real.max(initial=0.0))
+        if fastest > _ROUNDING * np.abs(poles).max(initial=0.0):
             raise ParameterError(
                 f"the plant is unstable (pole at {fastest:.3g} 1/s): its output does not follow"
                 " from its input"
             )
 
     @cached_property
-    def modal(self) -> tuple[Array, Array]:
-        """Poles (n,) and their shapes (n, n)."""
-        return np.linalg.eig(self.A)
+    def modal(self) -> tuple[Array, Array, Array]:
+        """Poles (n,), right vectors (n, n), left ones with l r = 1 or, of shared ones, 0."""
+        poles, left, right = scipy.linalg.eig(self.A, left=True)
+        scale = np.einsum("ij,ij->j", left.conj(), right)
+        return poles, right, left.conj() / np.where(np.abs(scale) > _SHARED, scale, np.inf)
 
     @cached_property
     def modes(self) -> list[int]:
-        """One pole of each mode, slow ones first; those that swing are complex."""
-        poles = self.modal[0]
-        return [k for k in np.argsort(np.abs(poles)).tolist() if poles[k].imag >= 0]
+        """One pole of each mode, slow ones first; those that swing are complex.
+
+        A body that moves freely has none: its poles are at 0, and share a vector.
+        """
+        poles, _, left = self.modal
+        least = _ROUNDING * np.abs(poles).max(initial=0.0)
+        moves = (np.abs(poles) > least) & (poles.imag >= 0) & left.any(axis=0)
+        return [k for k in np.argsort(np.abs(poles)).tolist() if moves[k]]
 
     def swings(self, k: int) -> bool:
         """Return True for a pole with a twin."""
@@ -86,28 +95,28 @@ class StateSpace:
             decay: rates of those that swing [1/s]; dampers keep them where stiffness changes.
             share: factors of what all modes contribute.
         """
-        poles, shapes = self.modal
-        new, back, C = poles.copy(), np.linalg.inv(shapes), self.C @ shapes
-        into, rates, D = back @ self.B, iter(decay), self.D
+        poles, right, left = self.modal
+        A, B, C, D = (x.astype(complex) for x in (self.A, self.B, self.C, self.D))
+        rates = iter(decay)
         for k, f, part in zip(self.modes, hertz, share, strict=True):
-            w, twins = 2 * np.pi * f, {k: complex(-2 * np.pi * f)}
+            w, moved = 2 * np.pi * f, {k: complex(-2 * np.pi * f)}
             if self.swings(k):
                 rate = next(rates)
-                moved = complex(-rate, np.sqrt(max(w**2 - rate**2, 1e-12 * w**2)))
+                pole = complex(-rate, np.sqrt(max(w**2 - rate**2, 1e-12 * w**2)))
                 twin = int(np.argmin(np.abs(poles - poles[k].conj())))
-                twins = {k: moved, twin: moved.conjugate()}
-            for at, pole in twins.items():
-                if self.derivative:  # what a mode gives at once
-                    D = D + ((part - 1) * np.outer(C[:, at] / poles[at], into[at])).real
-                into[at] *= part
+                moved = {k: pole, twin: pole.conjugate()}
+            for at, pole in moved.items():
+                r, l, old = right[:, at], left[:, at], poles[at]
+                enters, leaves, turned = l @ self.B, self.C @ r, pole / old
+                # 1 / (s^2 + 2 d s + w^2) keeps its 1
+                grows = part * (old.imag / pole.imag if self.swings(at) else 1.0)
+                A += (pole - old) * np.outer(r, l)
+                B += (grows - 1) * np.outer(r, enters)
                 if self.swings(at):
-                    into[at] *= (
-                        poles[at].imag / pole.imag
-                    )  # 1 / (s^2 + 2 d s + w^2) keeps its 1
-                    C[:, at] *= (pole / poles[at]) ** self.derivative
-                new[at] = pole
-        A = (shapes @ np.diag(new) @ back).real
-        return replace(self, A=A, B=(shapes @ into).real, C=(C @ back).real, D=D)
+                    C += (turned**self.derivative - 1) * np.outer(leaves, l)
+                if self.derivative:  # what a mode gives at once
+                    D += (part - 1) * np.outer(leaves / old, enters)
+        return replace(self, A=A.real, B=B.real, C=C.real, D=D.real)
 
     def with_mode(self, hertz: float, damping: float, gain: float) -> StateSpace:
         """Return the plant with one more mode, between the first input and the first output."""
@@ -131,19 +140,18 @@ class StateSpace:
             start: (n,) state of the first sample.
             held: from sample to sample.
         """
-        poles, shapes = self.modal
-        if np.linalg.cond(shapes) > _DEFECTIVE:  # poles that share a shape: two integrators
+        poles, right, left = self.modal
+        if not left.any(axis=0).all():  # a body that moves freely
             t, matrices = dt * np.arange(len(u)), (self.A, self.B, self.C, self.D)
             y = scipy.signal.lsim(matrices, u, t, start, not held)[1]
             return np.asarray(y.reshape(len(u), -1))
-        back = np.linalg.inv(shapes)
-        pushed, x, y = u @ (back @ self.B).T, back @ start, u @ self.D.T
+        pushed, x, y = u @ (left.T @ self.B).T, left.T @ start, u @ self.D.T
         for k in range(len(poles)):
             grows, sooner, later = _sampled(poles[k] * dt, held)
             b = dt * np.array([later, sooner])
             begin = [x[k] - b[0] * pushed[0, k]]
             state = scipy.signal.lfilter(b, [1.0, -grows], pushed[:, k], zi=begin)[0]
-            y = y + np.outer(state, self.C @ shapes[:, k]).real
+            y = y + np.outer(state, self.C @ right[:, k]).real
         return np.asarray(y)
 
 
@@ -211,7 +219,7 @@ def linear_machine(
 
     def output(p: Values, u: Array, dt: float) -> Array:
         changed, start = plant, p["start"]
-        modes = p["frequency"], p["decay"], p["share"]
+        modes = [p.get(k, ()) for k in ("frequency", "decay", "share")]
         if not all(map(np.array_equal, modes, described)):
             changed = plant.with_modes(*modes)
         if p["extra_gain"]:
@@ -238,7 +246,7 @@ def linear_machine(
     parameters = _parameters(plant, names, units, start)
     machine = ResidualMachine("linear plant", residual, (port,), parameters)
     nominal = machine.values(())
-    described = nominal["frequency"], nominal["decay"], nominal["share"]
+    described = [nominal.get(k, ()) for k in ("frequency", "decay", "share")]
     return machine
 
 
@@ -246,18 +254,34 @@ def _parameters(
     plant: StateSpace, names: tuple[str, ...], units: tuple[str, ...], start: Any
 ) -> dict[str, Parameter]:
     poles = [plant.modal[0][k] for k in plant.modes]
-    swinging = [p for p, k in zip(poles, plant.modes, strict=True) if plant.swings(k)]
     hertz = tuple(float(abs(p)) / (2 * np.pi) for p in poles)
-    rates = tuple(float(-p.real) for p in swinging)
     numbered = [f"{i + 1} ({f:.3g} Hz)" for i, f in enumerate(hertz)]
-    at = [numbered[poles.index(p)] for p in swinging]
-    tried = [f for f in hertz if f > 0] or [1.0]
+    swings = [plant.swings(k) for k in plant.modes]
+    rates = tuple(float(-p.real) for p, yes in zip(poles, swings, strict=True) if yes)
+    at = [name for name, yes in zip(numbered, swings, strict=True) if yes]
+    tried = hertz or (1.0,)
     grid = np.geomspace(0.3 * min(tried), 5.0 * max(tried), _GRID)
-    extra: dict[str, Any] = {"cause": "extra mode"}
 
-    def share(of: tuple[float, ...], part: float) -> tuple[float, ...]:
-        return tuple(part * max(x, 1e-4) for x in of)
+    def of_modes(
+        unit: str, nominal: tuple[float, ...], usual: float, exact: float, of: Any
+    ) -> Parameter:
+        scale = np.maximum(nominal, 1e-4)
+        return Parameter(
+            unit=unit,
+            nominal=nominal,
+            usual=usual * scale,
+            tolerance=tuple((exact * scale).tolist()),
+            entries=tuple(of),
+            each=True,
+            low=0.0,
+        )
 
+    parts = {
+        "frequency": of_modes("Hz", hertz, 0.03, 0.002, numbered),
+        "decay": of_modes("1/s", rates, 0.03, 0.02, at),
+        "share": of_modes("1", (1.0,) * len(hertz), 0.05, 0.002, numbered),
+    }
+    extra = partial(Parameter, cause="extra mode")
     return {
         "gain": Parameter(
             unit="1", nominal=1.0, usual=0.05, tolerance=0.002, low=0.1, high=11.0
@@ -266,47 +290,14 @@ def _parameters(
         "offset": Parameter(
             unit=units, nominal=(0.0,) * len(names), usual=1.0, entries=names, each=True
         ),
-        "frequency": Parameter(
-            unit="Hz",
-            nominal=hertz,
-            usual=share(hertz, 0.03),
-            tolerance=share(hertz, 0.002),
-            low=0.0,
-            entries=tuple(numbered),
-            each=True,
+        **{key: p for key, p in parts.items() if p.entries},
+        "extra_frequency": extra(
+            unit="Hz", nominal=None, usual=1.0, low=1e-3, high=1e4, starts=tuple(grid.tolist())
         ),
-        "share": Parameter(
-            unit="1",
-            nominal=(1.0,) * len(hertz),
-            usual=0.05,
-            tolerance=0.002,
-            low=-10.0,
-            high=10.0,
-            entries=tuple(numbered),
-            each=True,
+        "extra_damping": extra(
+            unit="1", nominal=None, usual=0.02, low=1e-4, high=1.0, starts=(0.02,)
         ),
-        "decay": Parameter(
-            unit="1/s",
-            nominal=rates,
-            usual=share(rates, 0.03),
-            tolerance=share(rates, 0.02),
-            low=0.0,
-            entries=tuple(at),
-            each=True,
-        ),
-        "extra_frequency": Parameter(
-            unit="Hz",
-            nominal=None,
-            usual=1.0,
-            low=1e-3,
-            high=1e4,
-            starts=tuple(grid.tolist()),
-            **extra,
-        ),
-        "extra_damping": Parameter(
-            unit="1", nominal=None, usual=0.02, low=1e-4, high=1.0, starts=(0.02,), **extra
-        ),
-        "extra_gain": Parameter(unit="1", usual=_usual_gain(plant, tried), **extra),
+        "extra_gain": extra(unit="1", usual=_usual_gain(plant, tried)),
         "start": Parameter(
             unit="1",
             nominal=(0.0,) * len(plant.A),
