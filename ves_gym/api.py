@@ -627,8 +627,8 @@ def export(
     """Write a run, or a machine, for the tools of others; the suffix says which.
 
     .rrd: runs by name, or one, for rerun's viewer (extra `rerun`). .mcap: a run as ROS 2
-    messages (extra `mcap`). .fmu: a system in mode ideal as an FMU, FMI 3.0 co-simulation,
-    compiled for this machine, sources beside it.
+    messages (extra `mcap`). .fmu: a system as an FMU, FMI 3.0 co-simulation, compiled for this
+    machine, sources beside it.
 
     Args:
         what: a log, logs by name (.rrd), or a system (.fmu).

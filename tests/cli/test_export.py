@@ -52,4 +52,4 @@ def test_the_same_run_twice_is_refused(refused, run_log):
 
 
 def test_a_machine_without_words_is_refused(refused):
-    assert "no words for mode emulated" in refused("export", "fmu", "--mode", "emulated")
+    assert "no words for jets" in refused("export", "fmu", "--vehicle", "free-flying")

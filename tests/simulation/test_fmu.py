@@ -1,7 +1,9 @@
 """A system as an FMU, run by FMPy beside the simulator."""
 
+import dataclasses
 import itertools
 import shutil
+import warnings
 import zipfile
 from pathlib import Path
 
@@ -15,7 +17,10 @@ from fmpy.validation import validate_fmu
 import ves_gym as vg
 from tests.effects.values import VALUES
 from tests.three_links import BALANCED, robot
+from ves_gym.hardware.leg_servo import LEG_SERVOS, leg_clock
+from ves_gym.mechanics.servo import OWN_GAINS
 from ves_gym.simulation import fmu as module
+from ves_gym.simulation.loop_linearisation import EmulationWarning
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.energy import base_energy
 
@@ -89,9 +94,10 @@ def slave(bent):
     out.close()
 
 
-def simulated(system, angles, rates, **start):
-    """Outputs of the simulator after each control period, but for wrenches."""
-    sim, rows = Simulator(system), []
+def simulated(system, angles, rates, servo=None, **start):
+    """Outputs of the simulator after each control period; in space but for wrenches."""
+    servo = None if servo is None else vg.JointServo(**{k: tuple(x) for k, x in servo.items()})
+    sim, rows = Simulator(system, servo=servo or OWN_GAINS), []
     sim.reset(**start)
     for q, v in zip(angles, rates, strict=True):
         command = sim.servo_command(q[None], v[None])
@@ -99,7 +105,13 @@ def simulated(system, angles, rates, **start):
         tau, ydd = sim.evaluate(command)
         parts = state.q, state.v, tau, state.y, state.yd, ydd
         energy = base_energy(system, state.q, state.y, state.yd, sim.base_modes)
-        rows.append([*np.hstack([k[0] for k in parts]), *(float(k[0]) for k in energy)])
+        told = []
+        if system.mode == "emulated":
+            seen = sim.readings
+            told = [*seen.wrench[0], *(seen.wrench - seen.gravity)[0], *seen.y_cmd[0]]
+            told += [float(sim.emulation_loop.frozen[0])]
+        energies = (float(k[0]) for k in energy)
+        rows.append([*np.hstack([k[0] for k in parts]), *told, *energies])
     return np.array(rows)
 
 
@@ -163,6 +175,44 @@ def test_other_systems_are_the_simulators(system, tmp_path, monkeypatch):
     expected = simulated(system, q, v, q=system.arm.home, y=y)
     scale = np.abs(expected).max(axis=0) + 1e-9
     assert (np.abs(rows - expected).max(axis=0) < 1e-8 * scale).all()
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "platform",
+    [None, pytest.param("filtered", marks=pytest.mark.slow),
+     pytest.param("limits", marks=pytest.mark.slow)],
+)  # fmt: skip
+def test_the_laboratory_is_the_simulators(platform, tmp_path):
+    """Reference: `Simulator`, sensors, platform and safety stop included; other gains, too.
+
+    Tolerance: the platform's acceleration takes rounding out of its pose, over a step squared.
+    """
+    effect = {"kind": "gravity/scale", **VALUES["gravity/scale"]}
+    system = vg.System.from_dict({"mode": "emulated", "effects": [effect]})
+    if platform == "filtered":
+        servo = LEG_SERVOS["filtered"]
+        control_dt, physics_dt = leg_clock(servo)
+        lab = dataclasses.replace(system.emulator_settings, platform=servo)
+        how = {"control_dt": control_dt, "physics_dt": physics_dt, "effects": ()}
+        system = system.replace(emulator=lab, **how)
+    if platform == "limits":  # a safety stop, which holds the platform
+        lab = dataclasses.replace(system.emulator_settings, force_max=925.0)
+        system = system.replace(emulator=lab)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", EmulationWarning)
+        slave = Slave(vg.export(system, tmp_path / "system.fmu"))
+        gains = {"kp": 0.7 * slave.get("kp"), "kd": 0.8 * slave.get("kd")}
+        dt = system.control_dt
+        t = dt * np.arange(round(2 / dt))
+        _, q, v, _ = MOTION.at(t)
+        slave.begin(**gains)
+        rows = np.delete(slave.play(t, dt, q, v), -3, axis=1)  # without the total energy
+        expected = simulated(system, q, v, servo=gains)
+    slave.close()
+    scale = np.abs(expected).max(axis=0) + 1e-9
+    assert (np.abs(rows - expected).max(axis=0) < 1e-8 * scale).all()
+    assert expected[-1, -3] == (platform == "limits")
 
 
 @needs_compiler
@@ -256,7 +306,14 @@ def test_what_is_wrong_is_said(slave, values, length, said, capfd):
 @pytest.mark.parametrize(
     ("system", "said"),
     [
-        ({"mode": "emulated"}, "mode emulated"),
+        ({"mode": "emulated", "emulator": {"operation": "position"}}, "operation position"),
+        (
+            {
+                "mode": "emulated",
+                "effects": [{"kind": "sensor/noise", **VALUES["sensor/noise"]}],
+            },
+            "noise and drift",
+        ),
         ({"vehicle": "free-flying"}, "jets"),
         ({"vehicle": "servicer"}, "reaction wheels"),
         ({"integrator": "euler"}, "integrator euler"),

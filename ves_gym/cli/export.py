@@ -22,7 +22,7 @@ def mcap(at: Context, log: Path) -> Answer:
 
 
 def fmu(at: Context, *, gains: JointServo | None = None) -> Answer:
-    """Arm and base as an FMU (FMI 3.0 co-simulation), for Simulink, Modelica and FMPy."""
+    """Arm, base, laboratory as an FMU (FMI 3.0 co-simulation), for Simulink, Modelica, FMPy."""
     system = at.case.system
     path = at.folder("out/export") / "system.fmu"
     vg.export(system, path, servo=gains or at.case.servo)

@@ -1,7 +1,8 @@
 /* Co-simulation by FMI 3.0 of one system, whose equations are in equations.c.
 
    Variables are all Float64 and lie in one row, their value reference the place: time, inputs,
-   parameters (gains, start, physics step), outputs. model.h has how many there are.
+   parameters (gains, start, and the step that communication steps are multiples of), outputs.
+   model.h has how many there are. In the laboratory (EMULATED) that step is a control period.
    Written for this project after the standard's text; no header of others is needed. */
 
 #include <math.h>
@@ -30,6 +31,14 @@ int slope(const double **, double **, long long *, double *, int);
 int slope_work(long long *, long long *, long long *, long long *);
 int observe(const double **, double **, long long *, double *, int);
 int observe_work(long long *, long long *, long long *, long long *);
+#if EMULATED
+int before(const double **, double **, long long *, double *, int);
+int before_work(long long *, long long *, long long *, long long *);
+int felt(const double **, double **, long long *, double *, int);
+int felt_work(long long *, long long *, long long *, long long *);
+int after(const double **, double **, long long *, double *, int);
+int after_work(long long *, long long *, long long *, long long *);
+#endif
 
 /* places of the first of each kind in the row of values; GAINS, START and STEP_AT are set */
 enum { TIME = 0, INPUTS = 1, GAINS = INPUTS + NU, START = GAINS + NG, STEP_AT = START + NS,
@@ -72,19 +81,45 @@ static void outputs(Instance *m) {
   m->s.fresh = true;
 }
 
-static void advance(Instance *m, double h) { /* the classic rule of Runge and Kutta */
-  double k[4][NX], at[NX], *x = m->s.x;
-  const double *u = m->s.value + INPUTS, share[4] = {0.0, 0.5, 0.5, 1.0};
+/* A physics step by the classic rule of Runge and Kutta, inputs linear from one to the other. */
+static void advance(Instance *m, double h, const double *from, const double *to) {
+  double k[4][NE], at[NE], middle[NI], *x = m->s.x;
+  const double *u[4] = {from, middle, middle, to}, share[4] = {0.0, 0.5, 0.5, 1.0};
+  for (int i = 0; i < NI; i++) middle[i] = from[i] + 0.5 * (to[i] - from[i]);
   for (int j = 0; j < 4; j++) {
-    for (int i = 0; i < NX; i++) at[i] = j ? x[i] + share[j] * h * k[j - 1][i] : x[i];
-    call(m, slope, at, u, k[j]);
+    for (int i = 0; i < NE; i++) at[i] = j ? x[i] + share[j] * h * k[j - 1][i] : x[i];
+    call(m, slope, at, u[j], k[j]);
   }
-  for (int i = 0; i < NX; i++)
+  for (int i = 0; i < NE; i++)
     x[i] += h / 6.0 * (k[0][i] + 2.0 * k[1][i] + 2.0 * k[2][i] + k[3][i]);
 }
 
+#if EMULATED
+/* A control period: readings to the platform's path, arm and platform on it, new readings. */
+static void go_on(Instance *m, double unit) {
+  double next[NX], path[6 * NODES], wrench[6 * NODES], u[NODES][NI], *x = m->s.x;
+  m->res[1] = path;
+  call(m, before, x, NULL, next);
+  memcpy(x, next, sizeof next);
+  for (int j = 0; j < NODES; j++) {
+    memcpy(u[j], path + 6 * j, 6 * sizeof *path);
+    memcpy(u[j] + 6, m->s.value + INPUTS, NU * sizeof *path);
+  }
+  for (int j = 0; j < NODES; j++) {
+    call(m, felt, x, u[j], wrench + 6 * j);
+    if (j + 1 < NODES) advance(m, unit / (NODES - 1), u[j], u[j + 1]);
+  }
+  call(m, after, x, wrench, next);
+  memcpy(x, next, sizeof next);
+}
+#else
+static void go_on(Instance *m, double unit) {
+  advance(m, unit, m->s.value + INPUTS, m->s.value + INPUTS);
+}
+#endif
+
 static const char *fault(const double *x) {
-  for (int i = 0; i < NX; i++)
+  for (int i = 0; i < NE; i++)
     if (!(fabs(x[i]) < MEANINGLESS)) return "the simulation diverged";
   if (FREE && cos(x[4]) < STEEPEST) return "phi_y reached 89 deg: Z-Y-X angles end at 90";
   return NULL;
@@ -93,9 +128,13 @@ static const char *fault(const double *x) {
 /* ------------------------------------------------------------------------ life */
 
 static bool reserve(Instance *m) {
-  const Sizes sizes[3] = {start_work, slope_work, observe_work};
+  const Sizes sizes[] = {start_work, slope_work, observe_work,
+#if EMULATED
+                         before_work, felt_work, after_work,
+#endif
+  };
   long long most[4] = {0};
-  for (int i = 0; i < 3; i++) {
+  for (size_t i = 0; i < sizeof sizes / sizeof *sizes; i++) {
     long long n[4] = {0};
     sizes[i](n, n + 1, n + 2, n + 3);
     for (int j = 0; j < 4; j++)
@@ -150,7 +189,7 @@ API Status fmi3ExitInitializationMode(Instance *m) {
   double h = m->s.value[STEP_AT];
   char text[128];
   if (m->s.phase != INITIALIZATION) return fail(m, "there is no initialization to end");
-  if (!(h > 0 && h <= LONGEST * (1 + 1e-9))) {
+  if (!(h > 0 && h <= LONGEST * (1 + 1e-9)) || (EMULATED && h != LONGEST)) {
     snprintf(text, sizeof text, "physics_dt must be > 0 and <= %g s, got %g", LONGEST, h);
     return fail(m, text);
   }
@@ -174,13 +213,13 @@ API Status fmi3DoStep(
     return fail(m, "a step must begin where the last one ended");
   if (count < 1 || fabs(length / h - count) > 1e-6 * count) {
     snprintf(text, sizeof text,
-             "a communication step must be a whole number of physics steps of %g s, got %.9g s",
-             h, length);
+             "a communication step must be a whole number of %s of %g s, got %.9g s",
+             EMULATED ? "control periods" : "physics steps", h, length);
     return fail(m, text);
   }
   const char *wrong = NULL;
   m->s.fresh = false;
-  for (double i = 0; i < count && !wrong; i++) advance(m, h), wrong = fault(m->s.x);
+  for (double i = 0; i < count && !wrong; i++) go_on(m, h), wrong = fault(m->s.x);
   if (wrong) return fail(m, wrong);
   m->s.value[TIME] = *reached = at + length;
   return OK;

@@ -26,7 +26,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from ves_gym._util.params import ParameterError, toml, write_bytes
+from ves_gym._util.params import Array, ParameterError, toml, write_bytes
 from ves_gym._util.version import __version__
 from ves_gym.engine.backends.base import MEANINGLESS
 from ves_gym.engine.kernel.numbers import model_of, parameters
@@ -34,6 +34,7 @@ from ves_gym.engine.kernel.symbolic import Traced, column, symbols, traced
 from ves_gym.mechanics.equations import base_energy
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.mechanics.vehicle import has_jets
+from ves_gym.simulation.fmu_loop import LoopGraphs
 from ves_gym.simulation.playback import base_wrench
 from ves_gym.simulation.stable_step import require_stable_step
 from ves_gym.system.effect import DelayEffect
@@ -48,6 +49,7 @@ _TEXT = Path(__file__).with_suffix(".c")
 _FLAGS = ("-std=c99", "-O1", "-shared", "-fPIC", "-fvisibility=hidden")
 _STEEPEST = math.cos(math.radians(89.0))  # of phi_y: no step jumps from there over 90 deg
 _UNITS = {  # exponents of SI's base units, as FMI has them
+    "1": {},
     "s": {"s": 1}, "m": {"m": 1}, "rad": {"rad": 1}, "m/s": {"m": 1, "s": -1},
     "rad/s": {"rad": 1, "s": -1}, "m/s2": {"m": 1, "s": -2}, "rad/s2": {"rad": 1, "s": -2},
     "N": {"kg": 1, "m": 1, "s": -2}, "N.m": {"kg": 1, "m": 2, "s": -2},
@@ -57,11 +59,14 @@ _UNITS = {  # exponents of SI's base units, as FMI has them
 }  # fmt: skip
 
 
+_VARIABILITY = {"parameter": "fixed", "local": "constant"}
+
+
 class Variable(NamedTuple):
     """One number that the FMU takes or gives; its value reference is its place."""
 
     name: str  # q[1]
-    causality: str  # independent, input, parameter, output
+    causality: str  # independent, input, parameter, local, output
     unit: str
     about: str
     start: float | None = None  # of what is not calculated
@@ -75,11 +80,14 @@ def write_fmu(
     Inputs, held through each communication step: joint references `q_cmd`, `v_cmd` and torque
     `tau_cmd` on top of the servo (a prescribed drive: accelerations `a_cmd`). Parameters: gains
     `kp`, `kd`, the start, `physics_dt`. Outputs: `q`, `v`, `tau`, base pose `y`, rate `yd` and
-    acceleration `ydd`, wrench `w` of the arm on the base, `E`, `E_strain`, `E_kinetic`.
+    acceleration `ydd`, wrench `w` of the arm on the base, `E`, `E_strain`, `E_kinetic`. In the
+    laboratory `w` is the force sensor's, beside `wg`, `y_cmd` and `frozen`; it starts at the
+    arm's home, and a communication step is a whole number of control periods.
 
     Args:
         path: ends in .fmu.
-        system: mode ideal, without payload, contact, wheels, jets and delays.
+        system: without payload, contact, wheels, jets and delays of joints; in mode emulated
+            under micro-gravity, its sensor without noise.
         servo: gains that the parameters `kp`, `kd` begin with.
 
     Returns:
@@ -116,12 +124,11 @@ def _gains(system: System, servo: JointServo) -> JointServo:
     base, effects = system.base, system.effects
     wheels = any(part.kind == "wheel" for part in base.carried)
     lacking = {
-        "mode emulated": system.mode == "emulated",
         f"integrator {system.integrator} (rk4 alone)": system.integrator != "rk4",
         "a payload": system.payload is not None,
         "contact": system.contact is not None,
-        "jets": has_jets(system.vehicle),
-        "reaction wheels": wheels,
+        "jets": system.mode == "ideal" and has_jets(system.vehicle),
+        "reaction wheels": system.mode == "ideal" and wheels,
         "delays": any(isinstance(effect, DelayEffect) for effect in effects),
     }
     if found := [what for what, there in lacking.items() if there]:
@@ -141,6 +148,13 @@ class FmuModel:
 
     system: System
     servo: JointServo
+
+    @cached_property
+    def loop(self) -> LoopGraphs | None:
+        """The emulation loop, None in space."""
+        if self.system.mode == "ideal":
+            return None
+        return LoopGraphs(self.system, self.servo)
 
     # ------------------------------------------------------------------- variables
 
@@ -192,6 +206,10 @@ class FmuModel:
             kp, kd = self.servo.kp, self.servo.kd
             yield from self._per_joint("kp", kind, "N.m/rad", "servo stiffness, joint", kp)
             yield from self._per_joint("kd", kind, "N.m.s/rad", "servo damping, joint", kd)
+        if self.loop is not None:
+            about = "control period; communication steps are multiples of it"
+            yield Variable("control_dt", "local", "s", about, self.system.control_dt)
+            return
         yield from self._per_joint("q_start", kind, "rad", "first angle of joint", home)
         yield from self._per_joint("v_start", kind, "rad/s", "first rate of joint", 0)
         yield from self._per_axis("y_start", kind, ("m", "rad"), "first base pose", 0.0)
@@ -210,7 +228,14 @@ class FmuModel:
         yield from self._per_axis("yd", kind, ("m/s", "rad/s"), "rate of base pose")
         yield from self._per_axis("ydd", kind, ("m/s2", "rad/s2"), "acceleration of base pose")
         about = "wrench of the arm on the base, platform axes,"
+        if self.loop is not None:
+            about = "wrench that the force sensor reports,"
         yield from self._per_axis("w", kind, ("N", "N.m"), about)
+        if self.loop is not None:
+            about = "the same less the estimated weight,"
+            yield from self._per_axis("wg", kind, ("N", "N.m"), about)
+            yield from self._per_axis("y_cmd", kind, ("m", "rad"), "pose that is commanded")
+            yield Variable("frozen", kind, "1", "1 once a safety stop holds the platform")
         yield Variable("E", kind, "J", "base energy")
         yield Variable("E_strain", kind, "J", "of it strain energy")
         yield Variable("E_kinetic", kind, "J", "of it kinetic energy")
@@ -218,28 +243,44 @@ class FmuModel:
     # ---------------------------------------------------------------------- graphs
 
     def graphs(self) -> list[casadi.Function]:
-        """`start`, `slope` and `observe`, each of a state or start, of inputs, and of gains."""
+        """`start`, `slope`, `observe`, each of a state or start, of inputs, and of gains; in
+        the laboratory inputs begin with Y'' of the platform, and the loop has its halves."""
         import casadi as ca
 
         from ves_gym.engine.kernel.trace import equations
 
-        system, actual, n = self.system, self.system.actual, self.system.arm.n
-        motor, graph = system.drive == "motor", equations(actual)
+        actual, n, loop = self.system.actual, self.system.arm.n, self.loop
+        motor, graph = self.system.drive == "motor", equations(actual)
         u, g = symbols("u", ((3 if motor else 1) * n,)), symbols("g", (2 * n * motor,))
-        x, p = symbols("x", (2 * graph.order,)), self._p(g)
+        size = 2 * graph.order
+        x = symbols("x", (size if loop is None else loop.first.size,))
+        push = np.zeros(6) if loop is None else symbols("push", (6,))
         command = g[:n] * u[:n] + g[n:] * u[n : 2 * n] + u[2 * n :] if motor else u
-        given = column(x), column(np.zeros(6), command), column(p)
-        slope = graph.motion(*given)
-        seen = graph.observe(*given)[1]
-        size = 6 + n
-        zdd, tau = (traced(ca.vertsplit(k), (k.size1(),)) for k in (seen[:size], seen[size:]))
-        arguments = [column(x), column(u), column(g)]
+        engine, gains, p = x[:size], column(g), column(self._p(g))
+
+        def seen(acceleration: Array) -> list[Array]:
+            """z'', drive torque and, in the laboratory, the arm's wrench."""
+            given = column(engine), column(acceleration, command), p
+            out = ca.vertsplit(graph.observe(*given)[1])
+            row = traced(out, (len(out),))
+            return [row[: 6 + n], row[6 + n : 6 + 2 * n], row[6 + 2 * n :]]
+
+        inputs = column(u) if loop is None else column(push, u)
+        slope = graph.motion(column(engine), column(push, command), p)
+        moved = np.zeros(6) if loop is None else x[-6:]
+        zdd, tau, _ = seen(moved)
         out = self._observed(x, zdd, tau)
-        return [
+        graphs = [
             self._start(g),
-            ca.Function("slope", arguments, [ca.cse(slope)]),
-            ca.Function("observe", arguments, [ca.cse(out)]),
+            ca.Function("slope", [column(engine), inputs, gains], [ca.cse(slope)]),
+            ca.Function("observe", [column(x), column(u), gains], [ca.cse(out)]),
         ]
+        if loop is None:
+            return graphs
+        felt = column(seen(push)[2])
+        arguments = [column(engine), inputs, gains]
+        graphs.append(ca.Function("felt", arguments, [ca.cse(felt)]))
+        return [*graphs, loop.before(g), loop.after(g)]
 
     def _p(self, g: Traced) -> Traced:
         """Numbers of the system, its gains as symbols."""
@@ -254,6 +295,11 @@ class FmuModel:
         """State of a start (q, v, y, yd): nothing deflected, modes at rest on the base."""
         import casadi as ca
 
+        if self.loop is not None:
+            nothing = ca.SX(0, 1)
+            return ca.Function(
+                "start", [nothing, nothing, column(g)], [column(self.loop.first)]
+            )
         actual, n = self.system.actual, self.system.arm.n
         s = symbols("s", (2 * n + 12,))
         q, v, y, yd = s[:n], s[n : 2 * n], s[2 * n : 2 * n + 6], s[2 * n + 6 :]
@@ -262,23 +308,33 @@ class FmuModel:
         x = [part for a, b in ((y, q), (yd, v)) for part in (a, b, still, a @ C)]
         return ca.Function("start", [column(s), ca.SX(0, 1), column(g)], [column(*x)])
 
-    def _observed(self, x: Traced, zdd: Traced, tau: Traced) -> casadi.SX:
+    def _observed(self, x: Traced, zdd: Array, tau: Array) -> casadi.SX:
         """Outputs in their order."""
-        system, n = self.system, self.system.arm.n
-        size, order, gears = 6 + n, len(x) // 2, len(system.actual.arm.geared)
-        z, zd, h, hd = (
-            x[a : a + b] for a, b in ((0, size), (order, size), (size, order - size),
-                                      (order + size, order - size))
-        )  # fmt: skip
+        system, n, loop = self.system, self.system.arm.n, self.loop
+        size, gears = 6 + n, len(system.actual.arm.geared)
+        order = (len(x) if loop is None else loop.engine) // 2
+        z, h = x[:size], x[size:order]
+        zd, hd = x[order : order + size], x[order + size : 2 * order]
         rows = z[:6], zd[:6], zdd[:6]
-        hidden = None if not len(h) else (h[None], hd[None])
-        jets = (np.zeros((1, len(system.base.carried))), np.zeros((1, 6)))
-        actuators = jets if system.base.carried else None
+        readings: list[Array]
+        if loop is None:
+            modes = slice(gears, gears + system.arm.bends + system.base.hidden)
+            u, ud = h[modes], hd[modes]
+            readings = [self._wrench(rows, h, hd)]
+        else:
+            u, ud = loop.modes(x)
+            readings = list(loop.seen(x).values())
+        E, strain = base_energy(model_of(system.ideal()), z, zd, u, ud)
+        return column(z[6:], zd[6:], tau, *rows, *readings, E, strain, E - strain)
+
+    def _wrench(self, rows: tuple[Array, ...], h: Array, hd: Array) -> Array:
+        """Of the arm on a base (6,) that moves by `rows`, with what is hidden."""
+        carried = len(self.system.base.carried)
         y, yd, ydd = (k[None] for k in rows)
-        w = base_wrench(system, y, yd, ydd, hidden, actuators)[0]
-        modes = slice(gears, gears + system.arm.bends + system.base.hidden)
-        E, strain = base_energy(model_of(system), z, zd, h[modes], hd[modes])
-        return column(z[6:], zd[6:], tau, *rows, w, E, strain, E - strain)
+        hidden = (h[None], hd[None]) if len(h) else None
+        jets = (np.zeros((1, carried)), np.zeros((1, 6))) if carried else None
+        out: Array = base_wrench(self.system, y, yd, ydd, hidden, jets)[0]
+        return out
 
     # ----------------------------------------------------------------------- files
 
@@ -293,18 +349,24 @@ class FmuModel:
         return {"fmu.c": _TEXT.read_text(), "equations.c": equations, "model.h": self._header()}
 
     def _header(self) -> str:
-        arm, base = self.system.actual.arm, self.system.actual.base
-        hidden = len(arm.geared) + arm.bends + len(base.carried) + base.m
+        system, loop, n = self.system, self.loop, self.system.arm.n
+        arm, base = system.actual.arm, system.actual.base
+        state = 2 * (6 + n + len(arm.geared) + arm.bends + len(base.carried) + base.m)
+        if loop is not None:
+            state = loop.engine
         starts = [0.0 if k.start is None else float(k.start) for k in self.variables]
-        n, gains = arm.n, 2 * arm.n if self.system.drive == "motor" else 0
         numbers = {
-            "NX": 2 * (6 + n + hidden),
+            "EMULATED": int(loop is not None),
+            "NE": state,
+            "NX": state if loop is None else loop.first.size,
+            "NI": self.count("input") + (0 if loop is None else 6),
+            "NODES": system.substeps + 1,
             "NU": self.count("input"),
-            "NG": gains,
-            "NS": 2 * n + 12,
+            "NG": 2 * n if system.drive == "motor" else 0,
+            "NS": 2 * n + 12 if loop is None else 0,
             "NY": self.count("output"),
-            "FREE": int(base.body is not None),
-            "LONGEST": repr(self.system.physics_dt),
+            "FREE": int(base.body is not None and loop is None),
+            "LONGEST": repr(system.physics_dt if loop is None else system.control_dt),
             "MEANINGLESS": repr(MEANINGLESS),
             "STEEPEST": repr(_STEEPEST),
             "TOKEN": f'"{self.token}"',
@@ -355,7 +417,7 @@ def _attributes(place: int, variable: Variable) -> dict[str, str]:
     kind = variable.causality
     out = {
         "name": variable.name, "valueReference": str(place), "causality": kind,
-        "variability": "fixed" if kind == "parameter" else "continuous",
+        "variability": _VARIABILITY.get(kind, "continuous"),
         "description": variable.about, "unit": variable.unit,
     }  # fmt: skip
     if kind == "parameter":
