@@ -8,15 +8,17 @@ import pytest
 
 import ves_gym  # noqa: F401 - registers the environments
 from tests.envs.test_divergence import derail
+from tests.urdf_arms import chain, six_joint_urdf
 from ves_gym._util.params import ParameterError
 from ves_gym.envs.build import build_task
+from ves_gym.mechanics.arm import Arm, Follower
 from ves_gym.mechanics.arm_library import PUMA_560, get_arm
 from ves_gym.mechanics.servo import own_gains
 from ves_gym.system.runlog import RunLog
 
 IDS = ("PumaRestToRest", "PumaReachGoal", "PumaDamp", "BeamLQR")
 MORE = ("PumaReach", "PumaTrack", "FreeFlyerReach")
-IIWA = get_arm("iiwa14")
+IIWA, UR5E = get_arm("iiwa14"), get_arm("ur5e")
 
 
 def bent():
@@ -35,6 +37,64 @@ def test_seven_joints_in_every_environment(id):
         assert env.observation_space.contains(observation)
         observation, reward, *_ = env.step(env.action_space.sample())
         assert env.observation_space.contains(observation) and np.isfinite(reward)
+
+
+def balanced():
+    """The UR5e with a counterweight that turns against its shoulder's second joint."""
+    weight = dataclasses.replace(UR5E.links[1], d=0.0, a=0.0, name="counterweight")
+    follower = Follower(link=weight, ratios=(0.0, -1.0, 0.0, 0.0, 0.0, 0.0), on=0)
+    return dataclasses.replace(UR5E, followers=(follower,), name="balanced")
+
+
+def maker(path):
+    return Arm.from_file(six_joint_urdf(path), tip="tool0", collision=False)
+
+
+def published(n):
+    def read(path):
+        path.write_text(chain(n, seed=n))
+        return Arm.from_file(path, collision=False)
+
+    return read
+
+
+ARMS = {
+    **{f"chain{n}": published(n) for n in (4, 5, 7, 8, 9)},
+    **{k: lambda _, k=k: get_arm(k) for k in ("puma560-wrist", "ur5e", "iiwa14", "canadarm2")},
+    "maker6": maker,
+    "bent": lambda _: bent(),
+    "balanced": lambda _: balanced(),
+}
+REASONS = {  # of tasks, by what they say, for which arms
+    "needs an arm of 6 joints or more": {"chain4", "chain5"},
+    "and the platform's safety stop acts at": {"canadarm2"},
+    "takes an arm of driven joints alone": {"balanced"},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:unstable emulation")  # true of random arms
+@pytest.mark.parametrize("name", ARMS)
+def test_every_environment_runs_100_steps_on_an_arm_of_4_to_9_joints(name, tmp_path):
+    """Or says why its task takes no such arm."""
+    arm = ARMS[name](tmp_path / "arm.urdf")
+    ran = 0
+    for id in [k for k in gym.registry if k.startswith("ves/")]:
+        try:
+            env = gym.make(id, arm=arm)
+        except ParameterError as error:
+            assert any(k in str(error) and name in arms for k, arms in REASONS.items()), error
+            continue
+        env.reset(seed=0)
+        env.action_space.seed(0)
+        for _ in range(100):
+            observation, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+            assert env.observation_space.contains(observation) and np.isfinite(reward), id
+            if terminated or truncated:
+                env.reset()
+        env.close()
+        ran += 1
+    assert ran >= 11
 
 
 def test_starts_are_inside_the_limits_and_spread():
