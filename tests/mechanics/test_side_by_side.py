@@ -1,6 +1,7 @@
 """Several arms on one base: computed and simulated as Pinocchio and MuJoCo do, or refused."""
 
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -154,3 +155,72 @@ def test_inverse_kinematics_moves_the_arm_whose_tool_it_is():
     found, miss = joints_for(TWO, points, near)
     assert miss.max() < 1e-6
     np.testing.assert_array_equal(found[:, :6], near[:, :6])
+
+
+# ------------------------------------------------------------------- one file, two chains
+
+
+def two_chains(path, arms=(LEFT, RIGHT), torso=False):
+    """Write a URDF of two arms on one base link, or on a torso that turns on it."""
+    robot = ElementTree.Element("robot", name="two")
+    foot = ElementTree.SubElement(robot, "link", name="foot")
+    if torso:
+        turn = ElementTree.fromstring(
+            '<joint name="torso" type="revolute"><parent link="foot"/><child link="chest"/>'
+            '<limit lower="-1" upper="1" effort="50" velocity="1"/></joint>'
+        )
+        robot.append(turn)
+        foot = ElementTree.SubElement(robot, "link", name="chest")
+    for prefix, arm in zip("ab", arms, strict=True):
+        arm.to_urdf(path)
+        for part in ElementTree.parse(path).getroot():
+            for element in part.iter():
+                for key in ("link", "name"):
+                    if (
+                        element.tag in ("link", "joint", "parent", "child")
+                        and key in element.attrib
+                    ):
+                        element.set(key, f"{prefix}_{element.get(key)}")
+            if part.tag in ("link", "joint"):
+                robot.append(part)
+        fixed = f'<joint name="{prefix}_foot" type="fixed"><parent link="{foot.get("name")}"/>'
+        robot.append(ElementTree.fromstring(f'{fixed}<child link="{prefix}_base"/></joint>'))
+    ElementTree.ElementTree(robot).write(path)
+    return path
+
+
+def test_two_chains_of_a_file_are_two_arms(tmp_path):
+    """Against Pinocchio's own reading of the file; without rotors, which it has none of."""
+    arms = [
+        replace(k, links=tuple(replace(link, rotor_inertia=0.0) for link in k.links))
+        for k in (LEFT, RIGHT)
+    ]
+    path = two_chains(tmp_path / "two.urdf", arms)
+    arm = get_arm(path, tip=["a_tool", "b_tool"])
+    assert arm.n == 12 and [k.name for k in arm.beside] == ["a_tool"] and arm.name == "two"
+    model = pin.buildModelFromUrdf(str(path))
+    data = model.createData()
+    total = sum(k.mass for k in model.inertias)
+    assert arm.mass == pytest.approx(total, rel=1e-12)
+    for q in np.random.default_rng(0).uniform(-1, 1, (5, 12)):
+        H = pin.crba(model, data, q)
+        H = np.triu(H) + np.triu(H, 1).T
+        np.testing.assert_allclose(inertia(arm, q)[6:, 6:], H, atol=1e-10)
+        pin.framesForwardKinematics(model, data, q)
+        place = data.oMf[model.getFrameId("b_tool")].translation
+        np.testing.assert_allclose(tool_frame(arm, q)[0], place, atol=1e-12)
+    again = get_arm(path, tip=["b_tool", "a_tool"])
+    assert again.beside[0].name == "b_tool" and again.mass == pytest.approx(total, rel=1e-12)
+    mine = get_arm(path, tip="a_tool")
+    assert mine.n == 6 and mine.mass == pytest.approx(total, rel=1e-12)
+
+
+def test_chains_that_share_a_joint_are_refused_by_name(tmp_path):
+    path = two_chains(tmp_path / "two.urdf", torso=True)
+    with pytest.raises(
+        ParameterError, match="share joint 'torso' and its link 'chest': hold it"
+    ):
+        get_arm(path, tip=["a_tool", "b_tool"])
+    assert get_arm(path, tip=["a_tool", "b_tool"], locked={"torso": 0.2}).n == 12
+    with pytest.raises(ParameterError, match="tips must be different"):
+        get_arm(path, tip=["a_tool", "a_tool"])

@@ -39,6 +39,8 @@ def arm_option(text: str, place: Place) -> Arm:
     for name in ("lock", "rotor"):
         pairs = choice.pop(name, ())
         choice |= {"locked" if name == "lock" else "rotors": dict(pairs)} if pairs else {}
+    if len(tips := choice.pop("tip", ())):
+        choice["tip"] = tips[0] if len(tips) == 1 else tuple(tips)
     for flag, parameter in (("no_collision", "collision"), ("no_check", "check")):
         choice |= {parameter: False} if choice.pop(flag, False) else {}
     arm = get_arm(text, **choice, **({"degrees": True} if "locked" in choice else {}))
@@ -58,7 +60,8 @@ def arm_flags(default: str) -> tuple[Flag, ...]:
     """Option --arm, by name or file, and how a file is read; its default in words."""
     help = f"{', '.join(arm_names())}, or a URDF, MJCF or TOML file; FILE#LINK names the tool"
     file = (
-        Flag("--tip", "LINK", help="link, body or site that is the tool"),
+        Flag("--tip", "LINK", help="link, body or site that is the tool; repeatable, an arm to"
+             " each on one base, the last one's tool the tool", many=True),
         Flag("--root", "LINK", help="link or body that stands on the platform"),
         Flag("--lock", "JOINT=ANGLE", read(_pair, "JOINT=ANGLE, like elbow=90"),
              "a joint that stands still [deg, m]; repeatable", many=True),

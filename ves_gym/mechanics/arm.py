@@ -748,7 +748,7 @@ class Arm:
     def from_file(
         path: str | os.PathLike[str],
         *,
-        tip: str | None = None,
+        tip: str | Sequence[str] | None = None,
         root: str | None = None,
         locked: Mapping[str, float] | None = None,
         collision: bool = True,
@@ -767,7 +767,8 @@ class Arm:
 
         Args:
             tip: link, body or site that is the tool; default the site `tool`, else the last
-                one, where there is one.
+                one, where there is one. Several: an arm to each, side by side on one base, as
+                `System(arms=...)` has them; the last one's tool is the tool.
             root: link or body that stands on the platform; default the file's, or the world.
             locked: angles [rad] of joints that stand still, by name; [m] of those that slide.
             collision: read shapes as capsules; False: capsules along the links.

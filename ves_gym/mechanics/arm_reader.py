@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
@@ -18,18 +18,20 @@ import numpy as np
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import BANDWIDTH, Arm, Inertial, matrix, rigid_moments
 from ves_gym.mechanics.chain import ENDLESS, Joint, LinkMass, Lump, Segment, arm_of
+from ves_gym.mechanics.side_by_side import side_by_side
 
 # Numbers beyond these look like mm, g and kg mm^2 (this project).
 _REACH = 100.0  # m
 _DENSITY = 1e4  # kg/m^3: moving mass over the cube of the reach; a PUMA has 60
 _ROUND = 1e-12  # determinant of followers that follow each other, below which they are a ring
+_NOTHING = Inertial(mass=0.0, com=(0.0,) * 3, inertia=((0.0,) * 3,) * 3)
 _GYRATION = 10.0  # radius of gyration over the reach
 
 
 class ChainChoice(NamedTuple):
     """The chain of a file that is taken, and how it is read; see `Arm.from_file`."""
 
-    tip: str | None
+    tip: str | Sequence[str] | None
     root: str | None
     locked: dict[str, float]  # name -> angle [rad]
     collision: bool
@@ -131,7 +133,7 @@ class Tree(ABC):
             raise ParameterError(
                 f"has {len(ends)} ends: {', '.join(ends)}; name the {self.tip_nouns} that is"
                 f" the tool (--tip {ends[0]}, in Python tip={ends[0]!r}, or"
-                f" {self.path.name}#{ends[0]})"
+                f" {self.path.name}#{ends[0]}), or several, an arm to each"
             )
         return ends[0], ends[0]
 
@@ -196,7 +198,7 @@ class Tree(ABC):
 
 
 def arm_of_tree(tree: Tree, choice: ChainChoice) -> Arm:
-    """Return the arm that a chain of a tree is.
+    """Return the arm that a chain of a tree is, or the arms of several on one base.
 
     Args:
         tree: of a file.
@@ -205,9 +207,47 @@ def arm_of_tree(tree: Tree, choice: ChainChoice) -> Arm:
     Raises:
         ParameterError: names the body or the joint, and what is wrong with it.
     """
+    tips = [choice.tip] if choice.tip is None or isinstance(choice.tip, str) else choice.tip
+    if len(tips) == 1:
+        return _arm_of_chain(tree, choice, tips[0])
+    moved = _chains(tree, choice, [str(tip) for tip in tips])
+    arms: list[Arm] = []
+    for tip, mine in moved.items():
+        others = {name for joints in moved.values() for name in joints - mine}
+        rotors = {k: v for k, v in choice.rotors.items() if k not in others}
+        arm = _arm_of_chain(tree, choice._replace(rotors=rotors), tip, others)
+        arm = replace(arm, name=tip)
+        arms.append(replace(arm, base=_NOTHING, base_shape=None) if arms else arm)
+    return replace(side_by_side(arms), name=tree.name)
+
+
+def _chains(tree: Tree, choice: ChainChoice, tips: Sequence[str]) -> dict[str, set[str]]:
+    """The joints that move on the way to each of several tips, refused where two share one."""
+    if not tips or len(set(tips)) < len(tips):
+        raise ParameterError(f"tips must be different, got {', '.join(tips) or 'none'}")
+    root = tree.root(choice.root)
+    out: dict[str, set[str]] = {}
+    for tip in tips:
+        chain = tree.chain(root, tree.tip(tip, root)[0])
+        joints = {k.name: body for body in chain for k in tree.joints[body] if not k.fixed}
+        for other, theirs in out.items():
+            for name, body in joints.items():
+                if name in theirs and name not in choice.locked:
+                    raise ParameterError(
+                        f"the arms to {other!r} and {tip!r} share joint {name!r} and its"
+                        f" {tree.noun} {body!r}: hold it ({held(name)})"
+                    )
+        out[tip] = joints.keys() - choice.locked.keys()
+    return out
+
+
+def _arm_of_chain(
+    tree: Tree, choice: ChainChoice, tip: str | None, others: Set[str] = frozenset()
+) -> Arm:
+    """The arm of one chain; what other arms' joints move is no part of it."""
     tree.repair, tree.repairs = choice.repair, []
     root = tree.root(choice.root)
-    end, tip = tree.tip(choice.tip, root)
+    end, tip = tree.tip(tip, root)
     chain = tree.chain(root, end)
     tree.coupled = coupled = _coupled(tree, root, chain, _locked(tree, choice))
     if not coupled.free:
@@ -215,7 +255,8 @@ def arm_of_tree(tree: Tree, choice: ChainChoice) -> Arm:
     tree.place(root, coupled.at)
     joints, lost = _moving(tree, root, chain, coupled)
     rotors = _with_rotors(joints, choice.rotors)
-    movers = tree.movers(root, set(joints))
+    movers = tree.movers(root, {*joints, *others})
+    movers = {body: mover for body, mover in movers.items() if mover not in others}
     for body in choice.massless:
         tree.require(body, "massless")
     masses = {
