@@ -162,6 +162,9 @@ def kinds(root: Path) -> dict[str, Kind]:
     )
     out["stl-binary"] = [file("b.stl", binary)], mesh_points
     out["obj"] = [file("m.obj", "v 0 0 1\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")], mesh_points
+    head = b"ply\nformat binary_little_endian 1.0\nelement vertex 3\n"
+    head += b"".join(b"property float %c\n" % k for k in b"xyz") + b"end_header\n"
+    out["ply"] = [file("m.ply", head + np.arange(9, dtype="<f4").tobytes())], mesh_points
     out["dae"] = [file("m.dae", _DAE)], mesh_points
     plan = vg.plan([0, 0, 0], [0.2, 0.1, -0.1], duration=1.0, planner="straight")
     Case(query=plan.query, motion=plan.motion).save(root / "case.toml")

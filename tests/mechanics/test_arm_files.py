@@ -293,6 +293,23 @@ def mesh_file(kind, corners):
         return b"\0" * 80 + (3).to_bytes(4, "little") + rows.tobytes()
     if kind == "ascii.stl":
         return ("solid\n" + "".join(f"vertex {vector(p)}\n" for p in corners)).encode()
+    if kind.endswith("ply"):
+        order = {"ascii.ply": "ascii", "big.ply": "binary_big_endian"}
+        kinds = "property float x\nproperty double y\nproperty uchar red\nproperty float z\n"
+        head = (
+            f"ply\nformat {order.get(kind, 'binary_little_endian')} 1.0\ncomment by a program\n"
+        )
+        head += f"element vertex {len(corners)}\n{kinds}element face 1\n"
+        head += "property list uchar int vertex_indices\nend_header\n"
+        sign = ">" if kind == "big.ply" else "<"
+        types = zip("xyrz", (f"{sign}f4", f"{sign}f8", "u1", f"{sign}f4"), strict=True)
+        rows = np.zeros(len(corners), dtype=list(types))
+        rows["x"], rows["y"], rows["z"] = corners.T
+        text = "".join(f"{float(x)!r} {float(y)!r} 7 {float(z)!r}\n" for x, y, z in corners)
+        body = (
+            text.encode() + b"3 0 1 2\n" if kind == "ascii.ply" else rows.tobytes() + bytes(13)
+        )
+        return head.encode() + body
     if kind == "obj":
         return "".join(f"v {vector(p)}\n" for p in corners).encode()
     return (
@@ -305,7 +322,10 @@ def mesh_file(kind, corners):
     ).encode()
 
 
-@pytest.mark.parametrize("kind", ["stl", "ascii.stl", "obj", "dae"])
+KINDS = ["stl", "ascii.stl", "obj", "dae", "ply", "ascii.ply", "big.ply"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_mesh_becomes_a_capsule_that_holds_it(write, tmp_path, kind):
     rng = np.random.default_rng(0)
     corners = rng.normal(size=(9, 3)).astype(np.float32) * [0.05, 0.1, 0.4]

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import named, read_bytes, read_xml
 
-_FORMATS = (".stl", ".obj", ".dae")
+_FORMATS = (".stl", ".obj", ".dae", ".ply")
 _SWELL = (1.0, 1.05, 1.1, 1.2, 1.4)  # radii tried: a thicker capsule may be shorter
 _ROUNDS = 60  # of the circle around a set of points
 _STL = np.dtype([("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("color", "<u2")])
@@ -22,7 +22,7 @@ def mesh_points(path: Path) -> Array:
     """Return the corners of a mesh.
 
     Args:
-        path: an STL, OBJ or Collada file.
+        path: an STL, OBJ, Collada or PLY file.
 
     Returns:
         (k, 3) in the file's unit (Collada: m).
@@ -38,7 +38,7 @@ def mesh_points(path: Path) -> Array:
             if kind == ".dae":
                 points = _collada(read_xml(path))
             else:
-                points = (_stl if kind == ".stl" else _obj)(read_bytes(path))
+                points = {".stl": _stl, ".obj": _obj, ".ply": _ply}[kind](read_bytes(path))
         except (ValueError, IndexError, OverflowError) as error:
             raise ParameterError(f"cannot be read: {error}") from None
         points = points.reshape(-1, 3)
@@ -109,6 +109,35 @@ def _centre(points: Array) -> Array:
             best, least = centre, distance[far]
         centre = centre + (points[far] - centre) / (k + 1)
     return best
+
+
+# scalars of a PLY file by NumPy's names, of its old words and its new ones
+_PLY = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
+_PLY |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4"}
+_PLY |= {"uint32": "u4", "float": "f4", "float32": "f4", "double": "f8", "float64": "f8"}
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+def _ply(data: bytes) -> Array:
+    """Vertices, the first element of a file (Turk, The PLY Polygon File Format, 1994)."""
+    head, ended, body = data.partition(b"end_header")
+    lines = [line.split() for line in head.decode("latin-1").splitlines()]
+    elements = [k for k, words in enumerate(lines) if words[:1] == ["element"]]
+    order = next((words[1] for words in lines if words[:1] == ["format"]), "")
+    if not ended or order not in _ORDERS or not elements or lines[elements[0]][1] != "vertex":
+        raise ValueError("a PLY file begins with its format and its vertices")
+    last = elements[1] if len(elements) > 1 else len(lines)
+    own = [words for words in lines[elements[0] + 1 : last] if words[:1] == ["property"]]
+    names, kinds = [words[-1] for words in own], [words[1] for words in own]
+    if not {"x", "y", "z"} <= set(names) or not set(kinds) <= _PLY.keys():
+        raise ValueError(f"its vertices must have numbers x, y and z, got {', '.join(names)}")
+    count, body = int(lines[elements[0]][2]), body.partition(b"\n")[2]
+    if order == "ascii":
+        values = np.array(body.split()[: count * len(names)], float).reshape(count, -1)
+        return values[:, [names.index(k) for k in "xyz"]]
+    row = np.dtype([(k, _ORDERS[order] + _PLY[t]) for k, t in zip(names, kinds, strict=True)])
+    rows = np.frombuffer(body, row, count)
+    return np.stack([rows[k].astype(float) for k in "xyz"], axis=1)
 
 
 def _stl(data: bytes) -> Array:
