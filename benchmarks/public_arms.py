@@ -32,7 +32,7 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.arm_reader import ChainChoice, Tree, arm_of_tree
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
-from ves_gym.mechanics.kinematics import frames
+from ves_gym.mechanics.kinematics import tool_twists
 from ves_gym.mechanics.limits import check_reference, limits_of
 from ves_gym.mechanics.mjcf_arm import MjcfTree
 from ves_gym.mechanics.motion import Motion
@@ -105,10 +105,8 @@ def _arm_in(path: Path) -> Found | None:
 
 def of_arm(arm: Arm, q: Array, v: Array) -> Reading:
     """Mass matrix without rotors, bias and tool Jacobian (6, n) of an arm."""
-    at = frames(arm, q)
-    J = np.concatenate([np.cross(at.axis, at.position[-1] - at.origin), at.axis], axis=1)
     H = inertia(arm, q)[6:, 6:] - np.diag(arm.column("rotor_inertia"))
-    return H, inverse_dynamics(arm, q, v, 0 * q, GRAVITY)[0], J.T
+    return H, inverse_dynamics(arm, q, v, 0 * q, GRAVITY)[0], tool_twists(arm, q)
 
 
 class ByPinocchio:
@@ -184,6 +182,9 @@ def read(found: Found) -> bool:
     """Print how an arm differs from what others read."""
     path, tip, arm = found
     mjcf, names = path.suffix == ".xml", [str(link.name) for link in arm.links]
+    if arm.coupling is not None:
+        print(f"{path.name}, {tip}: joints that follow others are not compared")
+        return True
     try:
         theirs = (ByMujoco if mjcf else ByPinocchio)(path, tip, names)
     except (ValueError, KeyError) as error:
