@@ -123,6 +123,17 @@ class Scene:
         return None if line is None else line[:, None]
 
     @property
+    def surroundings(self) -> Array:
+        """(k, 3) points of what bears the arm, at the start [m]: none of a plate alone."""
+        body = self.system.base.body
+        if self.support is not None:
+            return self.support[0].reshape(-1, 3)
+        if body is None:
+            return np.zeros((0, 3))
+        reach = 3.0 * float(body.box()[0].max())  # its panels stand out
+        return np.array(body.com) + reach * np.array([[-1.0] * 3, [1.0] * 3])
+
+    @property
     def _carried(self) -> Array:
         """(N, c + m) motion of what the base carries, and of its modes; zero if unknown."""
         base, bends = self.system.base, self.system.arm.bends
@@ -262,6 +273,9 @@ def _plate(scene: Scene, shapes: list[tuple[Capsule, ...]]) -> Any:
     if body is not None and scene.system.mode == "ideal":
         return _box(body)
     radius = 3.6 * max((k.radius for shape in shapes for k in shape), default=0.1)
+    if scene.system.mode == "emulated":
+        top = np.array(scene.system.emulator_settings.stewart.top)
+        radius = float(np.linalg.norm(top[:, :2], axis=1).max())
     return rr.Cylinders3D(
         lengths=[0.06],
         radii=[radius],
@@ -293,15 +307,15 @@ def _blueprint(scenes: Mapping[str, Scene]) -> Any:
         for entity, title in _PLOTTED.items()
     ]
     arms = [scene.tool for scene in scenes.values()] + [np.zeros((1, 3))]
-    every = [scene.support for scene in scenes.values() if scene.support is not None]
+    around = [scene.surroundings for scene in scenes.values()]
     near, whole = (
         rrb.Spatial3DView(name=title, contents=contents, eye_controls=_eye(np.vstack(points)))
         for title, points in (
             ("arms", arms),
-            ("whole", [*arms, *(lines[0].reshape(-1, 3) for lines in every)]),
+            ("whole", [*arms, *around]),
         )
     )
-    space = rrb.Vertical(near, whole, row_shares=[3, 2]) if every else near
+    space = rrb.Vertical(near, whole, row_shares=[3, 2]) if any(map(len, around)) else near
     layout = rrb.Horizontal(space, rrb.Vertical(*plots), column_shares=[3, 2])
     return rrb.Blueprint(layout, collapse_panels=True)
 
