@@ -27,6 +27,7 @@ import scipy.io
 import scipy.sparse
 
 import ves_gym as vg
+from tests import ros_logs
 from ves_gym._util.optional import lacking
 from ves_gym._util.params import ParameterError, write_table
 from ves_gym._util.recordings import read_columns
@@ -155,6 +156,14 @@ def kinds(root: Path) -> dict[str, Kind]:
     out["mat"] = [root / "log.mat"], read_columns
     rows = "".join(f"{k * 0.01:.2f},{k}.5,{k * 2}.25\n" for k in range(30))
     out["csv"] = [file("log.csv", "t,q1,tau1\n" + rows)], read_columns
+    if not lacking("", "rosbags"):
+        t = 0.01 * np.arange(30)
+        for storage, kind in (("MCAP", "mcap"), ("SQLITE3", "db3")):
+            series = ros_logs.joints("/joint_states", t, "ab", np.stack([t, t], 1))
+            written = ros_logs.write(root / kind, series, storage=storage)
+            out[kind] = [written], read_columns
+    scipy.io.hb_write(root / "K.hb", scipy.sparse.csc_matrix(eye))
+    out["hb"] = [root / "K.hb"], read_matrices
     stl = b"solid\n" + b"vertex 0 0 1\nvertex 1 0 0\nvertex 0 1 0\n" * 3
     out["stl"] = [file("m.stl", stl)], mesh_points
     binary = (

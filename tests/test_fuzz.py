@@ -11,7 +11,7 @@ from ves_gym.cli.flags import Answer
 
 @pytest.mark.parametrize("count", [1_000, pytest.param(20_000, marks=pytest.mark.slow)])
 def test_damaged_files_are_read_or_refused_in_a_sentence(count):
-    """Claim: of 20,000 seeded damages of 25 kinds of files, each is read or refused in one
+    """Claim: of 20,000 seeded damages of 26 kinds of files, each is read or refused in one
     sentence within 12 s; none ends a process, none is a traceback."""
     assert list(faults(count, seed=4)) == []
 

@@ -5,6 +5,7 @@ import tomllib
 
 import numpy as np
 import pytest
+import scipy
 
 from tests.diagnosis.machines import rigid_arm
 from ves_gym._util.params import ParameterError
@@ -203,6 +204,38 @@ def test_a_clock_is_described_as_it_is(tmp_path, damage, said):
     t, q = motion()
     table, text = described(tmp_path, {"t": damage(t), "q_1": q[:, 0], "v_1": q[:, 1]})
     assert said in text and table["time"]["column"] == "t"
+
+
+@pytest.mark.parametrize("late", [1e-3, 4e-3])
+def test_what_resampling_is_wrong_by_is_told(tmp_path, late):
+    """The truth is known: the bound that is told holds, and is small where the error is."""
+    even, _ = motion()
+    t = even + late * np.random.default_rng(0).uniform(-1, 1, len(even))
+    q = np.sin(9 * t)
+    _, text = described(tmp_path, {"t": t, "q_1": q, "v_1": 9 * np.cos(9 * t)})
+    told = float(text.split("resampled, wrong by at most ")[1].split(" ")[0])
+    error = np.abs(
+        scipy.interpolate.CubicSpline(t, 9 * np.cos(9 * t))(even) - 9 * np.cos(9 * even)
+    )
+    assert error[5:-5].max() <= told < 0.05
+
+
+def test_joints_are_the_models_by_name_or_by_a_place_that_is_told(tmp_path, capsys):
+    """In another order than the model's: names count; words that name no joint go by place."""
+    (tmp_path / "robot.urdf").write_text(rigid_arm.urdf())
+    t, q = motion(3)
+    for names, order, said in (
+        (("elbow", "waist", "shoulder"), ("waist", "shoulder", "elbow"), ""),
+        (("a", "b", "c"), ("a", "b", "c"), "a = waist, b = shoulder, c = elbow"),
+    ):
+        (tmp_path / "out" / "mapping.toml").unlink(missing_ok=True)
+        columns = {"t": t} | {f"{k}_joint_position": x for k, x in zip(names, q.T, strict=True)}
+        table, _ = described(tmp_path, columns, "--model", str(tmp_path / "robot.urdf"))
+        assert [joint["name"] for joint in table["joint"]] == ["waist", "shoulder", "elbow"]
+        got = [joint["position"]["column"] for joint in table["joint"]]
+        assert got == [f"{k}_joint_position" for k in order]
+        out = capsys.readouterr().out
+        assert said in out and ("names do not tell which joint is which" in out) == bool(said)
 
 
 def test_a_mapping_without_rates_and_torques_has_nothing_to_compare(tmp_path, capsys):

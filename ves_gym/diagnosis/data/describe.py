@@ -149,8 +149,8 @@ def describe(
     measured = f"; the log has {rate:.4g} Hz" if clock else ""
     lines.append(f"band = {band:g} # Hz compared{measured}")
     lines += [time.text, "", *_SETTINGS]
-    for (key, guess), (name, kind) in zip(joints.items(), named, strict=True):
-        lines += ["", *_joint_lines(complete, key, guess, name, kind, time.step)]
+    for key, name, kind in named:
+        lines += ["", *_joint_lines(complete, key, joints[key], name, kind, time.step)]
     return "\n".join(lines) + "\n"
 
 
@@ -324,10 +324,13 @@ def _kind(parts: Sequence[str]) -> str:
     return ""
 
 
-def _names(keys: Sequence[str], model: Path | None, told: list[str]) -> list[tuple[str, str]]:
-    """Names and types of joints, from the model where it has as many; by place is told."""
+def _names(
+    keys: Sequence[str], model: Path | None, told: list[str]
+) -> list[tuple[str, str, str]]:
+    """Key, name and type of each joint, as the model has them and in its order, where there is
+    one; pairs by place are told."""
     if model is None:
-        return [(k if not k.isdigit() else f"joint_{k}", "hinge") for k in keys]
+        return [(k, k if not k.isdigit() else f"joint_{k}", "hinge") for k in keys]
     inside = _of_model(model)
     if len(inside) != len(keys):
         raise ParameterError(
@@ -339,11 +342,12 @@ def _names(keys: Sequence[str], model: Path | None, told: list[str]) -> list[tup
         next((v for k, v in by_name.items() if k == key or k.endswith(f"_{key}")), None)
         for key in keys
     ]
-    if all(alike) and len({v for v in alike if v}) == len(keys):
-        return [v for v in alike if v]
+    if None not in alike and len({*alike}) == len(keys):
+        by_joint = dict(zip(alike, keys, strict=True))
+        return [(by_joint[joint], *joint) for joint in inside]
     pairs = ", ".join(f"{key} = {name}" for key, (name, _) in zip(keys, inside, strict=True))
     told.append(f"names do not tell which joint is which, their order does: {pairs}")
-    return inside
+    return [(key, *joint) for key, joint in zip(keys, inside, strict=True)]
 
 
 def _key(parts: Sequence[str], kind: str = "position") -> str:
