@@ -303,6 +303,10 @@ def test_what_is_wrong_is_said(slave, values, length, said, capfd):
     assert said in out + err
 
 
+SATELLITE = vg.get_vehicle("free-floating")
+ON_ORBIT = dataclasses.replace(SATELLITE, orbit=vg.mechanics.Orbit(altitude=4e5))
+
+
 @pytest.mark.parametrize(
     ("system", "said"),
     [
@@ -317,6 +321,7 @@ def test_what_is_wrong_is_said(slave, values, length, said, capfd):
         ({"vehicle": "free-flying"}, "jets"),
         ({"vehicle": "servicer"}, "reaction wheels"),
         ({"integrator": "euler"}, "integrator euler"),
+        (vg.System(vehicle=ON_ORBIT).to_dict(), "an orbit"),
         ({"effects": [{"kind": "command/delay", "delay": 0.01}]}, "delays"),
     ],
 )

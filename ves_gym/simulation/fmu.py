@@ -33,7 +33,7 @@ from ves_gym.engine.kernel.numbers import model_of, parameters
 from ves_gym.engine.kernel.symbolic import Traced, column, symbols, traced
 from ves_gym.mechanics.equations import base_energy
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
-from ves_gym.mechanics.vehicle import has_jets
+from ves_gym.mechanics.vehicle import has_jets, orbit_of
 from ves_gym.simulation.fmu_loop import LoopGraphs
 from ves_gym.simulation.playback import base_wrench
 from ves_gym.simulation.stable_step import require_stable_step
@@ -128,6 +128,7 @@ def _gains(system: System, servo: JointServo) -> JointServo:
         "a payload": system.payload is not None,
         "contact": system.contact is not None,
         "jets": system.mode == "ideal" and has_jets(system.vehicle),
+        "an orbit": orbit_of(system.vehicle) is not None,
         "reaction wheels": system.mode == "ideal" and wheels,
         "delays": any(isinstance(effect, DelayEffect) for effect in effects),
     }
