@@ -217,8 +217,9 @@ def _find(
         source = os.path.basename(os.fspath(files))
         if "M" not in out or "K" not in out:
             raise ParameterError(
-                f"{source}: expected a mass and a stiffness matrix (--names M=...,K=...,"
-                f" in Python names=, says which), got {', '.join(matrices)}"
+                f"{source}: expected a mass and a stiffness matrix (M=FILE K=FILE where each"
+                " has a file; --names M=...,K=..., in Python names=, where names do not tell),"
+                f" got {', '.join(matrices)}"
             )
     for key in "MK":
         if key not in out:
