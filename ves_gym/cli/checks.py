@@ -297,7 +297,7 @@ TABLE = {
     "structure": (structure, (
         Flag("FILE", many=True,
              help="one file with mass and stiffness (.npz, .pch, .dmig, .bdf, .op4, .full), or"
-             " M=FILE K=FILE and perhaps D=FILE (.npy, .npz, .mtx, .matrix, .sti, .mas, .op4, .pch)"),
+             " M=FILE K=FILE and perhaps D=FILE (.npy, .npz, .mtx, .matrix, .sti, .mas, .op4)"),
         Flag("--interface", "NODE", read(_interface, "a node or six freedoms"),
              "number of the node where the arm stands, or its six freedoms counted from 0:"
              " A,B,C,D,E,F", required=True),
