@@ -232,8 +232,9 @@ def test_a_coupled_arm_goes_out_and_comes_back(name, write, tmp_path):
             np.testing.assert_allclose(other.column(column), arm.column(column), rtol=1e-12)
 
 
+@pytest.mark.parametrize("drive", ["motor", "prescribed"])
 @pytest.mark.parametrize("name", [*URDF, "a differential"])
-def test_a_run_is_that_of_mujoco_with_the_equality(name, write):
+def test_a_run_is_that_of_mujoco_with_the_equality(name, drive, write):
     """The kernel has the joint exactly, MuJoCo as a soft constraint as stiff as it takes.
 
     What MuJoCo leaves of the constraint's acceleration is 1e-4 of what it would be without,
@@ -243,7 +244,7 @@ def test_a_run_is_that_of_mujoco_with_the_equality(name, write):
     text = robot(URDF[name]) if name in URDF else three_links(MJCF[name][0])
     path = write(text, "arm.urdf" if name in URDF else "arm.xml")
     arm = Arm.from_file(path, tip="tool" if name in URDF else "tcp")
-    system = System(arm=arm, vehicle="bent")
+    system = System(arm=arm, vehicle="bent", drive=drive)
     motion = Motion.straight(arm.home, arm.home + 0.5 * (arm.column("q_max") - arm.home), 2.0)
     exact, soft = (
         play_motions(
@@ -254,7 +255,7 @@ def test_a_run_is_that_of_mujoco_with_the_equality(name, write):
     for quantity, most in (("q", 1e-7), ("v", 1e-6), ("y", 1e-7), ("yd", 1e-6)):
         mine, theirs = getattr(exact, quantity), getattr(soft, quantity)
         assert np.abs(mine - theirs).max() < most * max(1.0, np.abs(mine).max()), quantity
-    assert EnergyBalance.of(exact).relative < 1e-4
+    assert drive == "prescribed" or EnergyBalance.of(exact).relative < 1e-4
 
 
 @pytest.fixture

@@ -111,6 +111,7 @@ def _add_tie(spec: mujoco.MjSpec, joint: str, ratios: Vector) -> None:
     for i, ratio in enumerate(ratios, start=1):
         if ratio:
             tendon.wrap_joint(f"q_{i}", -ratio)
+    spec.option.tolerance = 0.0  # it is relative to the mean inertia, 1e10 of prescribed joints
     tie = spec.add_equality(type=mujoco.mjtEq.mjEQ_TENDON, name1=joint)
     tie.solref, tie.solimp = [2 * spec.option.timestep, 1.0], [_STIFF, _STIFF, 1e-3, 0.5, 2.0]
 
