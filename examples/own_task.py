@@ -53,10 +53,10 @@ class Letter(vg.Task):
     def remember(self, s, dt):
         s.memory[:, 0] += self.distance2(s) * dt
 
-    def reward(self, s, dt, last):
+    def costs(self, s, dt, last):
         share = dt / self.duration
         error = self.distance2(s) / self.near**2
-        return {"error": -share * error, "energy": -share * s.energy}
+        return {"error": share * error, "energy": share * s.energy}
 
     def success(self, s):
         at_end = s.time > self.duration - 1e-6

@@ -207,7 +207,8 @@ def _info(env: VesEnv) -> str:
     names = [k.removeprefix("reward/") for k in told if k.startswith("reward/")]
     terms = ", ".join(f"`reward/{k}`" for k in names)
     return (
-        f"Terms of the reward: {terms}. `reward/failure` is -2 once, where an episode fails."
+        f"Terms of the reward: {terms}. They are what [costs, success and failure](README.md#"
+        "what-an-episode-returns) come to."
         "\n\n"
         + _table(("info", "what"), [(f"`{k}`", INFO[k]) for k in known])
         + "\n\n"
@@ -302,7 +303,7 @@ def _page(name: str) -> str:
     )
     size = sum(f.size for f in task.fields())
     options = ", ".join(f"`{k}`" for k in ("index", *task.options))
-    end = f"The deadline of {task.duration:g} s ({task.steps} steps) is `{task.ends}`"
+    end = f"The deadline of {task.duration:g} s ({task.steps} steps) is `terminated`"
     failed = type(task).failed
     fail = "a joint is beyond its limits." if failed is Task.failed else failed.__doc__
     goals = ""

@@ -1,7 +1,7 @@
 """PPO on the tasks of arms with six and seven joints, beside their reference controllers.
 
 `python scripts/new_tasks.py RUNS` trains what is not in the folder RUNS yet, by the
-configurations in examples/training, and writes docs/training/new_tasks.json and the picture of
+configurations of the package, and writes docs/training/new_tasks.json and the picture of
 the learning curves, docs/pictures/new_tasks.png. Without RUNS the picture is drawn again.
 """
 
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ves_gym._util.params import write_text
-from ves_gym.baselines.config import read_config
+from ves_gym.baselines.config import CONFIGS, read_config
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.registry import get_controller
 from ves_gym.baselines.train import train
@@ -35,7 +35,7 @@ CURVE = ("steps", "return", "success")
 
 def trained(name: str, runs: Path) -> dict[str, Any]:
     """Learning curves of a task, a list of rows per seed, and what controllers reach."""
-    config = read_config(ROOT / "examples" / "training" / f"{name}.toml")
+    config = read_config(CONFIGS / f"{name}-ppo.toml")
     curves = []
     for seed in config.seeds:
         folder = runs / name / f"seed-{seed}"

@@ -58,6 +58,12 @@ def test_minari_reads_what_was_made(made, monkeypatch):
         assert [env.step(a)[1] for a in episode.actions] == episode.rewards.tolist()
 
 
+def test_a_relative_folder_will_do(made, tmp_path, monkeypatch):
+    _, data, _ = made
+    monkeypatch.chdir(tmp_path)
+    assert replay(write_dataset(data, "sets")).exact
+
+
 def test_a_changed_episode_is_seen(made, tmp_path):
     _, data, _ = made
     folder = write_dataset(data, tmp_path)

@@ -19,11 +19,16 @@ def decisions(id="ves/PumaReach-v0", n=4, seed=0, settings=SHORT, **choices):
     return Decisions(env.unwrapped, **choices)
 
 
-def learner(env, frames=1, layers=(16, 16), seed=0, activation="tanh", **settings):
+def learner(
+    env, frames=1, layers=(16, 16), seed=0, activation="tanh", privileged=False, **settings
+):
     rng = np.random.default_rng(seed)
-    size = flat(env.observe()).shape[1]
-    agent = ActorCritic((size * frames, *layers, env.env.batch.width), activation, -0.5, rng)
-    return PPO(env, agent, ObservationStack(size, frames), Settings(**settings), rng)
+    size, batch = flat(env.observe()).shape[1], env.env.batch
+    beside = batch.privileged().shape[1] if privileged else 0
+    sizes = (size * frames, *layers, batch.width)
+    agent = ActorCritic(sizes, activation, -0.5, rng, beside)
+    parts = env, agent, ObservationStack(size, frames), Settings(**settings), rng
+    return PPO(*parts, privileged=privileged)
 
 
 # ------------------------------------------------------------ Stable-Baselines3
@@ -77,8 +82,9 @@ def test_an_update_gives_the_weights_that_stable_baselines3_gives(id, activation
     assert over.any()
     with torch.no_grad():
         following = model.policy.predict_values(torch.as_tensor(model._last_obs))[:, 0].numpy()
+    beside = np.empty((*b.observations.shape[:2], 0), np.float32)
     rollout = Experience(
-        b.observations, b.actions, b.log_probs, b.values, b.rewards, over, following
+        b.observations, beside, b.actions, b.log_probs, b.values, b.rewards, over, following
     )
     advantages = rollout.advantages(k["gamma"], k["gae_lambda"])
     np.testing.assert_allclose(advantages, b.advantages, rtol=1e-5, atol=1e-6)
@@ -115,18 +121,25 @@ def test_the_scale_of_observations_is_their_mean_and_spread_and_changes_no_actio
     np.testing.assert_allclose(agent.actor(stack.scaled(rows)), wanted, atol=2e-5)
 
 
-@pytest.mark.parametrize(("id", "endless"), [("PumaReach", False), ("PumaDamp", True)])
-def test_what_a_time_limit_cut_off_counts_and_a_deadline_does_not(id, endless):
-    env = decisions(f"ves/{id}-v0", 3, settings={"duration": 0.5})
-    ours = learner(env, n_steps=40, gamma=0.5)
+@pytest.mark.parametrize("privileged", [False, True])
+def test_rewards_are_those_of_whole_episodes_and_the_critic_may_see_more(privileged):
+    """What it sees beside is there at every decision, and decides what it says."""
+    env = decisions("ves/PumaReach-v0", 3, settings={"duration": 0.5})
+    ours = learner(env, n_steps=40, gamma=0.5, privileged=privileged)
     endings = []
     ours.on_endings = endings.append
     rollout = ours.collect()
     (ended,) = endings
-    worth = ours.agent.critic(flat(ended.final))[:, 0]
-    total = rollout.reward.sum(axis=0) - ended.total
-    np.testing.assert_allclose(total, endless * 0.5 * worth, atol=1e-4)
+    np.testing.assert_allclose(rollout.reward.sum(axis=0), ended.total, atol=1e-5)
     assert rollout.over[-1].all() and rollout.over.sum() == 3
+    beside = env.env.batch.privileged().shape[1] if privileged else 0
+    assert rollout.beside.shape == (40, 3, beside)
+    assert ours.agent.actor.layers[0][0].shape[0] == rollout.inputs.shape[2]
+    assert ours.agent.critic.layers[0][0].shape[0] == rollout.inputs.shape[2] + beside
+    if privileged:  # the return that is left falls, and the time
+        assert (np.diff(rollout.beside[:, :, 0], axis=0) <= 0).all()
+        assert (np.diff(rollout.beside[:, :, 1], axis=0) < 0).all()
+    ours.update(rollout, 1e-3)
 
 
 def test_an_update_stops_where_the_policy_has_moved_too_far():

@@ -61,15 +61,6 @@ def test_gives_what_the_environment_gives():
         total[done] = 0
 
 
-def test_a_time_limit_that_is_no_part_of_the_task_truncates():
-    venv = Sb3VecEnv(vector("ves/PumaDamp-v0", duration=0.5))
-    venv.seed(0)
-    venv.reset()
-    for _ in range(40):
-        _, _, done, infos = venv.step(np.zeros((3, *venv.action_space.shape), np.float32))
-    assert done.all() and all(info["TimeLimit.truncated"] for info in infos)
-
-
 def test_goals_are_a_dictionary_and_rewards_can_be_asked_again():
     hold = 5
     venv = Sb3VecEnv(vector("ves/PumaReachGoal-v0", duration=0.5), hold=hold, reward_scale=0.5)

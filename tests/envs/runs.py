@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 
 from tests.envs.walks import part
@@ -27,19 +29,32 @@ class Blind(Resolved):
 
 
 def controlled(controller, n, task, seed=0, **settings):
-    """n whole episodes: environment, returns, sums of the reward's terms, the last info."""
+    """n whole episodes: environment, returns, what they cost by name, the last info."""
+    if hasattr(controller, "settings"):
+        spec = SimpleNamespace(kwargs={"task": task, **settings})
+        settings = {**controller.settings(spec), **settings}
     env = VesVectorEnv(n, task, autoreset_mode="Disabled", **settings)
     observation, _ = env.reset(seed=seed)
     controller.reset(env, np.arange(n))
-    total, terms = np.zeros(n), {}
+    total, costs = np.zeros(n), {}
     for _ in range(env.task.steps):
         action = controller.act(env, observation)
         observation, reward, terminated, truncated, info = env.step(action)
+        terms = part(info, "reward")
+        assert not terms.pop("failure").any() and (terms.pop("success") >= 0).all()
+        left = 1 + total
+        after = left + sum(terms.values())
+        for name, term in terms.items():  # the inverse of `episode.judge`
+            costs[name] = costs.get(name, 0.0) - term / (left * after)
         total += reward
-        for name, term in part(info, "reward").items():
-            terms[name] = terms.get(name, 0.0) + term
-    assert (terminated | truncated).all()
-    return env, total, terms, info
+    assert terminated.all() and not truncated.any()
+    np.testing.assert_allclose(sum(costs.values()), cost_of(total, info["success"]), rtol=1e-9)
+    return env, total, costs, info
+
+
+def cost_of(returns, solved):
+    """What episodes that did not fail cost, J, from what they returned (`episode.judge`)."""
+    return 1 / (1 + returns - solved) - 1
 
 
 def unscaled(task, observation):

@@ -222,9 +222,9 @@ class Calm(vg.envs.RestToRest):
 
     kind: ClassVar[str] = "calm"
 
-    def reward(self, s, dt, last):
+    def costs(self, s, dt, last):
         """Energy alone."""
-        return {"energy": -s.energy}
+        return {"energy": s.energy}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -234,10 +234,10 @@ class Formula(Calm):
     kind: ClassVar[str] = "formula"
     compiled: ClassVar[bool] = True
 
-    def reward(self, s, dt, last):
+    def costs(self, s, dt, last):
         """Energy, and where the tool is."""
         far = np.linalg.norm(s.tool, axis=1)
-        return {"energy": -s.energy, "far": np.where(far > 0.5, -far, np.tanh(far.clip(0, 1)))}
+        return {"energy": s.energy, "far": np.where(far > 0.5, far, np.tanh(far.clip(0, 1)))}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,9 +247,9 @@ class Branching(Formula):
     kind: ClassVar[str] = "branching"
     compiled: ClassVar[bool] = True
 
-    def reward(self, s, dt, last):
+    def costs(self, s, dt, last):
         """Another formula where any base moves."""
-        return {"energy": -s.energy if s.energy.max() > 1e-3 else np.zeros(len(s.q))}
+        return {"energy": s.energy if s.energy.max() > 1e-3 else np.zeros(len(s.q))}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,9 +259,9 @@ class Crowd(Formula):
     kind: ClassVar[str] = "crowd"
     compiled: ClassVar[bool] = True
 
-    def reward(self, s, dt, last):
+    def costs(self, s, dt, last):
         """Energy in that of the first."""
-        return {"energy": -s.energy + s.energy[::-1]}
+        return {"energy": s.energy + s.energy[::-1]}
 
 
 @pytest.mark.parametrize(("cls", "compiled"), [(Calm, False), (Formula, True)])

@@ -70,14 +70,13 @@ def test_momentum_stays_zero():
     assert (np.abs(base + joints).max(axis=0) < 2e-6 * size).all()
 
 
-def test_rewards_sum_and_resting_costs_the_way():
-    env, total, terms, info = controlled(get_controller("zero"), 16, "free_flyer", duration=0.5)
-    assert set(terms) == {"distance", "energy", "turn", "failure"}
-    np.testing.assert_allclose(sum(terms.values()), total, rtol=1e-12)
+def test_resting_costs_the_way():
+    env, _, costs, info = controlled(get_controller("zero"), 16, "free_flyer", duration=0.5)
+    assert set(costs) == {"distance", "energy", "turn"}
     s = env.batch.scene
     way = np.linalg.norm(s.goal - joint_positions(env.task.system.arm, s.q)[:, -1], axis=1)
-    np.testing.assert_allclose(terms["distance"], -way / 0.5, rtol=1e-6)
-    assert np.abs(terms["energy"] + terms["turn"]).max() < 1e-9
+    np.testing.assert_allclose(costs["distance"], way / 0.5, rtol=1e-6)
+    assert (costs["energy"] + costs["turn"]).max() < 1e-9
     assert not info["success_once"].any()
 
 
@@ -89,5 +88,5 @@ def test_tumbling_is_a_failure():
         if terminated:
             break
     y = env.unwrapped.batch.scene.y[0]
-    assert terminated and info["reward/failure"] == -2
+    assert terminated and info["reward/failure"] < -0.5
     assert 0.01 < np.abs(y[3:]).max() < 0.02

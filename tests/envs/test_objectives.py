@@ -91,7 +91,7 @@ def test_time_is_what_has_passed_unsolved():
     while not over:
         _, reward, over, _, info = env.step(np.ones(3))
         total += reward
-    assert info["reward/failure"] == -2 and env.unwrapped.batch.episodes.steps[0] < 100
+    assert info["reward/failure"] < -0.9 and env.unwrapped.batch.episodes.steps[0] < 100
     assert total[OBJECTIVES.index("time")] == pytest.approx(-1, rel=1e-12)
 
 

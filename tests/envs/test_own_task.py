@@ -9,6 +9,7 @@ import pytest
 import ves_gym as vg
 from examples import own_task
 from examples.own_task import Letter
+from tests.envs.runs import cost_of
 from ves_gym.envs import Field, Start
 from ves_gym.envs.task import TASKS
 
@@ -66,10 +67,14 @@ def test_the_example_is_compiled_and_gives_the_same_numbers():
             {"observe": lambda self, s: (*Letter.observe(self, s)[:-1], s.time)},
             "shape of time in observe, of two simulations must be (2, 1), got (2,)",
         ),
-        ({"reward": lambda self, s, dt, last: -s.energy}, "answer of reward must be dict"),
+        ({"costs": lambda self, s, dt, last: s.energy}, "answer of costs must be dict"),
         (
-            {"reward": lambda self, s, dt, last: {"energy": -1.0}},
-            "shape of 'energy' in reward, of two simulations must be (2,), got ()",
+            {"costs": lambda self, s, dt, last: {"energy": 1.0}},
+            "shape of 'energy' in costs, of two simulations must be (2,), got ()",
+        ),
+        (
+            {"costs": lambda self, s, dt, last: {"energy": -s.energy}},
+            "number of 'energy' in costs below 0 must be 0, got 2",
         ),
         (
             {"success": lambda self, s: s.time},
@@ -99,8 +104,8 @@ import ves_gym as vg
 
 @vg.register_task("again")
 class Again(vg.envs.RestToRest):
-    def reward(self, s, dt, last):
-        return {"energy": -FACTOR * s.energy}
+    def costs(self, s, dt, last):
+        return {"energy": FACTOR * s.energy}
 
 @vg.register_planner
 class Again:
@@ -137,7 +142,8 @@ def test_a_cell_run_again_replaces_what_it_registered():
             exec(CELL.replace("FACTOR", factor), cell)
             found.append((cell["energy"], cell["reward"]))
         assert found[0] == found[2] != found[1]
-        assert found[1][1] == pytest.approx(4 * found[0][1], rel=1e-9)
+        first, second = (cost_of(reward, False) for _, reward in found[:2])
+        assert second == pytest.approx(4 * first, rel=1e-9)
         with pytest.raises(vg.ParameterError, match="task 'again' is already registered by"):
             exec(CELL, {"__name__": "elsewhere"})
     finally:

@@ -17,12 +17,11 @@ TASK = "payload_transfer"
     ids=["eight", "hundred"],
 )
 def test_the_reference_berths_it(n, seed):
-    """99 of 100 starts of seed 0, and of seed 1000; return 0.99."""
-    env, total, terms, info = controlled(get_controller("resolved"), n, TASK, seed=seed)
+    """99 of 100 starts of seed 0, and of seed 1000."""
+    env, total, costs, info = controlled(get_controller("resolved"), n, TASK, seed=seed)
     print("solved", info["success"].mean(), "return", total.mean())
-    print({k: round(float(v.mean()), 3) for k, v in terms.items()})
+    print({k: round(float(v.mean()), 3) for k, v in costs.items()})
     assert info["success"].mean() >= 0.95
-    assert n < 100 or 0.7 < total.mean() < 1.2
     cargo, s = env.batch.sim.payload, env.batch.scene
     kinds = [[e.kind for e in cargo.events if e.simulation == i] for i in range(n)]
     solved = np.flatnonzero(info["success"])
@@ -35,9 +34,9 @@ def test_the_reference_berths_it(n, seed):
 
 def test_in_the_laboratory_the_weight_is_taken_for_a_force():
     """Solved nearly as often, at five times the energy."""
-    _, _, terms, info = controlled(get_controller("resolved"), 4, TASK, mode="emulated")
+    _, _, costs, info = controlled(get_controller("resolved"), 4, TASK, mode="emulated")
     assert info["success"].mean() >= 0.75
-    assert terms["energy"].mean() < -2.0
+    assert costs["energy"].mean() > 10 * 0.02  # of E_mean as expected, by `thrift`
 
 
 def test_mass_and_places_are_as_stated():
@@ -59,7 +58,7 @@ def test_mass_and_places_are_as_stated():
 
 
 def test_an_episode_is_its_own_whatever_its_neighbours_carry():
-    settings = {"autoreset_mode": "Disabled"}
+    settings = {"autoreset_mode": "Disabled", "control": "joint_velocity"}
     runs = []
     for n in (3, 1):
         env, controller = VesVectorEnv(n, TASK, **settings), get_controller("resolved")

@@ -9,6 +9,7 @@ from tests.arms import tool_pose
 from tests.envs.runs import EMULATED, controlled, unscaled
 from ves_gym.baselines.registry import get_controller
 from ves_gym.baselines.resolved import inverse_sparing
+from ves_gym.envs.arm_task import gap
 from ves_gym.envs.build import build_task
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.arm_library import get_arm
@@ -86,12 +87,13 @@ def test_options_choose_start_and_pose():
     np.testing.assert_allclose(marked[2] - marked[0], 0.15 * turn[:, 2], atol=1e-6)
 
 
-def test_reward_is_distance_turn_and_energy():
-    env, total, terms, info = controlled(get_controller("zero"), 8, "pose_reach", duration=0.5)
-    np.testing.assert_allclose(sum(terms.values()), total, rtol=1e-12)
-    s = env.batch.scene
-    np.testing.assert_allclose(terms["distance"], -s.memory[:, 0], rtol=1e-6)
-    np.testing.assert_allclose(terms["turn"], -0.5 * s.memory[:, 1], rtol=1e-6)
+def test_costs_are_distance_turn_and_energy():
+    env, _, costs, info = controlled(get_controller("zero"), 8, "pose_reach", duration=0.5)
+    s, task = env.batch.scene, env.task
+    late = 3 * np.mean((np.arange(1, task.steps + 1) / task.steps) ** 2)
+    distance, turn = gap(s.memory[:, 0], task.far), gap(s.memory[:, 1], 1.0)
+    np.testing.assert_allclose(costs["distance"], late * distance, rtol=1e-6)
+    np.testing.assert_allclose(costs["turn"], late * turn, rtol=1e-6)
     assert not info["success_once"].any()
 
 

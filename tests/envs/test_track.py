@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from tests.envs.runs import EMULATED, Blind, controlled, unscaled
+from ves_gym.baselines.registry import get_controller
 from ves_gym.baselines.resolved import Resolved
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.tool_pose import joints_for
@@ -63,18 +64,13 @@ def test_observation_previews_the_path(settings):
 # ---------------------------------------------------------------------------- reward
 
 
-def test_error_is_quadratic_near_and_linear_far():
+def test_the_error_is_the_root_of_the_distance():
     """At rest at the start: the path's distance from its first point."""
-    env = VesVectorEnv(4, "track", autoreset_mode="Disabled")
-    env.reset(seed=0)
+    env, _, costs, info = controlled(get_controller("zero"), 4, "track")
     task, path = env.task, env.task.path(env.batch.scene).copy()
-    error = 0.0
-    for _ in range(task.steps):
-        *_, info = env.step(np.zeros((4, 3)))
-        error = error + info["reward/error"]
     away = np.linalg.norm(path[:, 1:] - path[:, :1], axis=2)
-    expected = 1 - np.sqrt(1 + (away / task.near) ** 2).mean(axis=1)
-    np.testing.assert_allclose(error, expected, rtol=1e-9)
+    expected = np.sqrt(away / task.far).mean(axis=1)
+    np.testing.assert_allclose(costs["error"], expected, rtol=1e-9)
     np.testing.assert_allclose(
         env.batch.scene.memory[:, 1], (away**2).mean(axis=1) * task.duration, rtol=1e-9
     )

@@ -21,7 +21,7 @@ from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.policy import ACTIVATIONS, task_name
 
 CONFIGS = Path(__file__).parent / "configs"
-FEATURES = ("", "arm")
+FEATURES, CRITICS = ("", "arm"), ("", "privileged")
 ALGORITHMS = ("PPO", "DAgger")
 
 
@@ -47,6 +47,7 @@ class TrainConfig:
     imitation: dict = field(default_factory=dict)
     frames: int = 1  # observations that the policy sees, those of its last decisions
     features: str = ""  # arm: further inputs, see `arm_features.ArmFeatures`
+    critic: str = ""  # privileged: PPO's critic sees `Batch.privileged` too
     hold: int = 1
     settings: dict = field(default_factory=dict)
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
@@ -64,6 +65,7 @@ class TrainConfig:
         require_choice(self, "algorithm", ALGORITHMS)
         require_choice(self, "activation", ACTIVATIONS)
         require_choice(self, "features", FEATURES)
+        require_choice(self, "critic", CRITICS)
         if (self.imitation or self.algorithm == "DAgger") and not self.imitate:
             raise ParameterError(
                 "TrainConfig.imitation and algorithm DAgger need a controller to imitate"

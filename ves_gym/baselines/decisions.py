@@ -19,7 +19,6 @@ class Endings:
 
     ids: Index  # (k,) whose
     final: Any  # their last observations, (k, o) or a dictionary of such
-    cut_off: Mask  # (k,) by a time limit: values go on beyond it
     total: Array  # (k,) return, without `reward_scale`
     steps: Index  # (k,) control periods
     success: Mask  # (k,)
@@ -57,15 +56,12 @@ class Decisions:
         reward, done = np.zeros(n), np.zeros(n, bool)
         endings: list[Endings] = []
         for _ in range(self.hold):
-            gained, terminated, truncated, info = batch.step(
-                actions, done if done.any() else None
-            )
+            gained, ended, _, info = batch.step(actions, done if done.any() else None)
             reward = (
                 np.where(done, reward, self.hold * gained) if self.env.goal else reward + gained
             )
-            ended = terminated | truncated
             if ended.any():
-                endings.append(self._endings(ended, terminated, truncated, info))
+                endings.append(self._endings(ended, info))
                 done |= ended
         if done.any():
             batch.reset(np.flatnonzero(done))
@@ -78,12 +74,11 @@ class Decisions:
         rows = self.env.batch.observe()
         return split_goals(self.env.task, rows) if self.env.goal else rows
 
-    def _endings(self, ended: Mask, terminated: Mask, truncated: Mask, info: Any) -> Endings:
+    def _endings(self, ended: Mask, info: Any) -> Endings:
         ids, final, e = np.flatnonzero(ended), self.observe(), self.env.batch.episodes
         return Endings(
             ids=ids,
             final={k: v[ids] for k, v in final.items()} if self.env.goal else final[ids],
-            cut_off=(truncated & ~terminated)[ids],
             total=e.total[ids],
             steps=e.steps[ids],
             success=info["success"][ids],

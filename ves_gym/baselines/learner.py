@@ -215,8 +215,11 @@ class Learner:
         size += features.size if features else 0
         self.stack = ObservationStack(size, config.frames, features)
         sizes = (size * config.frames, *config.layers, env.batch.width)
-        self.agent = ActorCritic(sizes, config.activation, config.log_std, rng)
-        self.ppo = PPO(self.decisions, self.agent, self.stack, settings, rng, on_endings)
+        privileged = config.critic == "privileged"
+        beside = env.batch.privileged().shape[1] if privileged else 0
+        self.agent = ActorCritic(sizes, config.activation, config.log_std, rng, beside)
+        parts = self.decisions, self.agent, self.stack, settings, rng, on_endings
+        self.ppo = PPO(*parts, privileged)
         self.imitation: Imitation | None = None
         if config.imitate:
             expert = get_controller(config.imitate, seed)

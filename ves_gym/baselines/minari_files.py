@@ -75,7 +75,8 @@ def write_dataset(dataset: Dataset, root: str | os.PathLike[str]) -> Path:
 
     recipe = dataset.recipe
     noise = f" with noise of {recipe.noise:g} added to every action" if recipe.noise else ""
-    target = Path(root) / recipe.id
+    # absolute, for names of temporary folders are relative before Python 3.12
+    target = Path(root).absolute() / recipe.id
     target.parent.mkdir(parents=True, exist_ok=True)
     env = gym.make(recipe.env, **dataset.settings)
     with tempfile.TemporaryDirectory(

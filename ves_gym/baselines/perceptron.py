@@ -83,12 +83,18 @@ class ActorCritic:
         activation: tanh or relu.
         log_std: of the actions' noise at first.
         rng: draws the weights.
+        beside: numbers that the critic sees behind the observation.
     """
 
     def __init__(
-        self, sizes: Sequence[int], activation: str, log_std: float, rng: np.random.Generator
+        self,
+        sizes: Sequence[int],
+        activation: str,
+        log_std: float,
+        rng: np.random.Generator,
+        beside: int = 0,
     ) -> None:
-        shapes = {"actor": sizes, "critic": (*sizes[:-1], 1)}
+        shapes = {"actor": sizes, "critic": (sizes[0] + beside, *sizes[1:-1], 1)}
         count = sum(
             (n + 1) * m for widths in shapes.values() for n, m in itertools.pairwise(widths)
         )
@@ -121,6 +127,7 @@ class ActorCritic:
         """
         for net in (self.actor, self.critic):
             W, b = net.layers[0]
+            W = W[: len(factor)]
             b += shift @ W
             W *= factor[:, None]
 

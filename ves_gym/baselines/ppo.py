@@ -69,10 +69,11 @@ class Experience:
     """Decisions collected for an update: leading axes (n_steps, n)."""
 
     inputs: Floats  # observations as the networks take them
+    beside: Floats  # what the critic alone sees
     action: Floats  # as drawn, not clipped
     chance: Floats  # logarithm of its density
     value: Floats
-    reward: Floats  # with the value beyond where a time limit cut off
+    reward: Floats
     over: Mask
     following: Floats  # (n,) values after the last step
 
@@ -171,6 +172,7 @@ class PPO:
         settings: hyper-parameters.
         rng: of noise and of the batches' order.
         on_endings: told of every episode that ends.
+        privileged: the critic sees `Batch.privileged` beside the observation.
     """
 
     def __init__(
@@ -181,17 +183,30 @@ class PPO:
         settings: Settings,
         rng: np.random.Generator,
         on_endings: Callable[[Endings], None] = lambda endings: None,
+        privileged: bool = False,
     ) -> None:
+        self.privileged = privileged
         self.env, self.agent, self.stack, self.settings = env, agent, stack, settings
         self.rng, self.on_endings = rng, on_endings
         self.optimiser = Adam(len(agent.numbers))
         self.updates = 0
-        self.rows = stack.first(flat(env.observe()))  # what is seen now
+        self.rows, self.beside = stack.first(flat(env.observe())), self._beside()  # seen now
         self.logged: dict[str, float] = {}
 
     def restart(self) -> None:
         """Every environment has begun an episode."""
-        self.rows = self.stack.first(flat(self.env.observe()))
+        self.rows, self.beside = self.stack.first(flat(self.env.observe())), self._beside()
+
+    def _beside(self) -> Floats:
+        """(n, k) what the critic alone sees."""
+        batch = self.env.env.batch
+        return batch.privileged() if self.privileged else np.empty((batch.n, 0), np.float32)
+
+    def _worth(self, inputs: Floats, beside: Floats) -> Floats:
+        """(k,) values; overwritten by the next call."""
+        if self.privileged:
+            inputs = np.concatenate([inputs, beside], axis=1)
+        return self.agent.critic(inputs)[:, 0]
 
     # ------------------------------------------------------------------ collect
 
@@ -200,6 +215,7 @@ class PPO:
         k, n, agent = self.settings, self.env.env.num_envs, self.agent
         width = len(agent.log_std)
         inputs = np.empty((k.n_steps, n, self.rows.shape[1]), np.float32)
+        beside = np.empty((k.n_steps, *self.beside.shape), np.float32)
         action = np.empty((k.n_steps, n, width), np.float32)
         chance, value, reward = (np.empty((k.n_steps, n), np.float32) for _ in range(3))
         over = np.empty((k.n_steps, n), bool)
@@ -208,11 +224,12 @@ class PPO:
         for t in range(k.n_steps):
             inputs[t] = self.stack.scaled(self.rows)
             action[t] = agent.actor(inputs[t]) + spread * noise[t]
-            value[t] = agent.critic(inputs[t])[:, 0]
+            beside[t] = self.beside
+            value[t] = self._worth(inputs[t], beside[t])
             reward[t], over[t] = self._step(np.clip(action[t], -1.0, 1.0))
         chance = -0.5 * np.square(noise).sum(axis=2) - self._volume()
-        following = agent.critic(self.stack.scaled(self.rows))[:, 0].copy()
-        return Experience(inputs, action, chance, value, reward, over, following)
+        following = self._worth(self.stack.scaled(self.rows), self.beside).copy()
+        return Experience(inputs, beside, action, chance, value, reward, over, following)
 
     def _volume(self) -> np.float32:
         """Minus the logarithm of the density of the mean action."""
@@ -223,12 +240,7 @@ class PPO:
         observation, reward, over, endings = self.env.step(actions)
         for ended in endings:
             self.on_endings(ended)
-            cut = ended.cut_off
-            if cut.any():  # the episode would go on: what it is worth from there counts
-                last = self.stack.after(self.rows[ended.ids], flat(ended.final))[cut]
-                worth = self.agent.critic(self.stack.scaled(last))[:, 0]
-                reward[ended.ids[cut]] += np.float32(self.settings.gamma) * worth
-        new = flat(observation)
+        new, self.beside = flat(observation), self._beside()
         self.rows = self.stack.after(self.rows, new)
         if endings:
             ids = np.flatnonzero(over)
@@ -253,6 +265,7 @@ class PPO:
         count = len(aim)
         parts = (
             rollout.inputs.reshape(count, -1),
+            rollout.beside.reshape(count, rollout.beside.shape[2]),
             rollout.action.reshape(count, -1),
             rollout.chance.ravel(),
             gain.ravel(),
@@ -288,7 +301,7 @@ class PPO:
 
     def _learn(self, batch: list[Floats], rate: float) -> tuple[float, float, float, float]:
         """One step of the optimiser; KL divergence, share clipped, losses of both."""
-        inputs, action, chance, gain, aim = batch
+        inputs, beside, action, chance, gain, aim = batch
         k, agent, count = self.settings, self.agent, np.float32(len(aim))
         if k.normalize_advantage and len(gain) > 1:
             gain = (gain - gain.mean()) / (gain.std(ddof=1) + np.float32(1e-8))
@@ -306,7 +319,7 @@ class PPO:
         slope = np.where(beyond, 0, ratio * gain) * (-1 / count)
         agent.actor.backward(slope[:, None] * (z * inverse))
         agent.log_std_slope[:] = slope @ (square - 1) - np.float32(k.ent_coef)
-        miss = agent.critic(inputs)[:, 0] - aim
+        miss = self._worth(inputs, beside) - aim
         agent.critic.backward((np.float32(2 * k.vf_coef) / count * miss)[:, None])
         if self.updates < k.critic_first:
             agent.slopes[: agent.actor_size] = 0
@@ -324,7 +337,7 @@ class PPO:
             "numbers": self.agent.numbers.copy(),
             "optimiser": self.optimiser.state(),
             "stack": (self.stack.mean, self.stack.variance, self.stack.count),
-            "rows": self.rows,
+            "rows": (self.rows, self.beside),
             "updates": self.updates,
             "logged": self.logged,
             "random": self.rng.bit_generator.state,
@@ -335,5 +348,6 @@ class PPO:
         self.agent.numbers[:] = state["numbers"]
         self.optimiser.restore(state["optimiser"])
         self.stack.mean, self.stack.variance, self.stack.count = state["stack"]
-        self.rows, self.updates, self.logged = state["rows"], state["updates"], state["logged"]
+        self.rows, self.beside = state["rows"]
+        self.updates, self.logged = state["updates"], state["logged"]
         self.rng.bit_generator.state = state["random"]

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from scipy.spatial.transform import Rotation
 
 from ves_gym._util.params import Array, Index
@@ -20,6 +21,7 @@ from ves_gym.baselines.controllers import (
     row_of_step,
 )
 from ves_gym.envs.berthing_contact import MEET, BerthingContact
+from ves_gym.envs.build import get_task
 from ves_gym.envs.free_flyer import FreeFlyerReach
 from ves_gym.envs.payload_transfer import PayloadTransfer
 from ves_gym.envs.pose_reach import PoseReach, goal_pose
@@ -94,6 +96,12 @@ class Resolved:
         self, name: str = "resolved", follow: float = FOLLOW, braced: bool = False
     ) -> None:
         self.name, self.follow, self.braced = name, follow, braced
+
+    def settings(self, spec: EnvSpec) -> dict[str, Any]:
+        """Joints to lead, where the task's own control moves the tool."""
+        fields: Any = get_task(spec.kwargs["task"]).__dataclass_fields__
+        own = "control" in spec.kwargs or fields["control"].default.per_joint
+        return {} if own else {"control": {"kind": "joint_velocity"}}
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         task, s = env.task, env.batch.scene

@@ -78,7 +78,7 @@ class Sb3VecEnv(VecEnv):
                 "terminal_observation": (
                     {n: v[k] for n, v in final.items()} if self.env.goal else final[k]
                 ),
-                "TimeLimit.truncated": bool(ended.cut_off[k]),
+                "TimeLimit.truncated": False,  # deadlines are part of the tasks
                 "episode": {
                     "r": float(ended.total[k]),
                     "l": int(ended.steps[k]),

@@ -117,11 +117,19 @@ class ArmTask(Task):
         """(k,) energy that counts as one: as expected, at least a quarter of the median [J]."""
         return np.maximum(self.expected(*ends), self._least_energy)
 
-    def energy_terms(self, s: Scene, dt: float, energy: Array) -> dict[str, Array]:
-        """Minus `thrift` times E_mean in an energy (n,), as terms of the reward."""
+    def energy_costs(self, s: Scene, dt: float, energy: Array) -> dict[str, Array]:
+        """`thrift` times E_mean in an energy (n,)."""
         thrift: float = self.thrift  # type: ignore[attr-defined]
         scale = energy * (self.duration + self.tail) / thrift
-        return {"energy": -s.energy * dt / scale, "tail": -s.tail / scale}
+        return {"energy": s.energy * dt / scale, "tail": s.tail / scale}
+
+    def late(self, s: Scene, dt: float) -> Array:
+        """(n,) share of a period, by the square of the time: being there late is what counts.
+
+        Were every period worth the same, the shortest way would pay, which shakes the base.
+        """
+        out: Array = 3 * (s.time / self.duration) ** 2 * (dt / self.duration)
+        return out
 
     # ------------------------------------------------------------------ observation
 
@@ -172,6 +180,21 @@ class ArmTask(Task):
                 "options['target'] must be a point in space that the tool reaches, got"
                 f" {points[worst].tolist()} m, which it misses by {gap[worst]:.3g} m"
             )
+
+
+def gap(distance: Array, far: float) -> Array:
+    """Return what is missing to a place: the root of a distance (...,) in `far`.
+
+    A root tells apart at every scale: the last centimetre of a metre is worth a tenth of it.
+    """
+    out: Array = np.sqrt(distance / far)
+    return out
+
+
+def braked(way: Array, rate: Array, seconds: float) -> Array:
+    """Return the length (n,) of ways (n, k) left, rates as what they make in `seconds`."""
+    out: Array = np.sqrt((way**2).sum(axis=1) + seconds**2 * (rate**2).sum(axis=1))
+    return out
 
 
 def wide(values: Vector, arm: Arm) -> Array:

@@ -30,10 +30,10 @@ from ves_gym.envs.episode import (
     endings,
     goal_width,
     judge,
-    outcome,
     require_answers,
     scaled_observation,
 )
+from ves_gym.envs.privileged import Privileged
 from ves_gym.envs.randomize import Draws
 from ves_gym.envs.recording import Recorder
 from ves_gym.envs.tail import FreeDecay
@@ -157,6 +157,7 @@ class Batch:
         }  # fmt: skip
         require_answers(task, self._blank(2)[0], self.dt)
         self.scene, self.episodes = self._blank(n)
+        self.privileged = Privileged(self)
         self.drawn: dict[str, Array] = {r.label: np.zeros((n, r.size)) for r in task.randomize}
 
         if compiled and CompiledStep.possible(self.sim, task):
@@ -453,7 +454,7 @@ class Batch:
         info["clipped"] = e.clipped.copy()
         info.update(task.step_info(self.sim, ended))
         info.update(self.account(stopped, over))
-        return reward, *outcome(task, last, failed), info
+        return reward, ended, np.zeros(self.n, bool), info
 
     def account(self, stopped: Mask | None, over: Mask | None) -> dict[str, Any]:
         """Entries of an info that tell of the simulations rather than of the task.

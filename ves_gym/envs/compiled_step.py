@@ -26,7 +26,7 @@ from ves_gym.engine.kernel.compiled_function import (
 from ves_gym.engine.kernel.maps import SceneMap, TorqueMap
 from ves_gym.envs import compiled
 from ves_gym.envs.compiled import WIDEST, Shape, carry_rows, compiles, layout, width
-from ves_gym.envs.episode import FAILURE, Episodes, ended_energies, outcome
+from ves_gym.envs.episode import Episodes, ended_energies, judge
 from ves_gym.envs.tail import FreeDecay
 from ves_gym.envs.task import Scene, Task
 from ves_gym.mechanics.latch import BODY, NUMBERS
@@ -243,13 +243,16 @@ class CompiledStep:
         s = Scene(**{k: rng.uniform(0.1, 0.5, (2, *shape)) for k, shape in shapes.items()})
         with np.errstate(all="ignore"):
             task.remember(s, dt)
-            last = np.array([False, True])
-            terms = task.reward(s, dt, last)
-            parts: list[npt.NDArray[Any]] = [*task.observe(s), s.memory, *terms.values()]
-            parts += [task.success(s), task.failed(s), *task.joint_range]
+            last, none = np.array([False, True]), np.zeros(2, bool)
+            counters = {f.name: np.full(2, 0.5) for f in dataclasses.fields(Episodes)}
+            e: Any = Episodes(**counters | {"once": none})
+            parts: list[npt.NDArray[Any]] = [*task.observe(s), s.memory, *task.joint_range]
+            for failed in (none, last):
+                terms = judge(task, s, e, dt, last, failed, none, none).terms
+                parts += terms.values()
+            parts += [task.success(s), task.failed(s)]
             parts += [task.closes(s), task.opens(s)] if task.interacts else []
-        parts += [np.array([FAILURE])]
-        return (*terms, "failure"), b"".join(np.ascontiguousarray(k).tobytes() for k in parts)
+        return tuple(terms), b"".join(np.ascontiguousarray(k).tobytes() for k in parts)
 
     # ------------------------------------------------------------- rows and scene
 
@@ -371,7 +374,7 @@ class CompiledStep:
         last, failed, info["success"], info["success_once"] = flags[:4]
         info["clipped"] = self._next[:, self._clipped].astype(np.int64).reshape(-1)[: self.n]
         self.observation = rows[self._observed].T.astype(np.float32, order="C")
-        return rows[self._reward], *outcome(self.task, last, failed), info
+        return rows[self._reward], last | failed, np.zeros(self.n, bool), info
 
     def _note_diverged(self) -> None:
         """Those that have diverged stay where they are, and have failed."""

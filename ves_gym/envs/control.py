@@ -15,7 +15,7 @@ import numpy as np
 from ves_gym._util.params import Array, ParameterError, Vector, finite, require_positive, unit
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.kinematics import tool_jacobian
+from ves_gym.mechanics.kinematics import frames, tool_motions
 from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo, own_gains
 from ves_gym.system.system import System
 
@@ -316,6 +316,7 @@ class ToolVelocity(SmoothReference):
     """
 
     kind: ClassVar[str] = "tool_velocity"
+    compiled: ClassVar[bool] = True
     per_joint: ClassVar[bool] = False
     speed: float = unit("m/s", default=0.5)
     damping: float = unit("m/rad", default=0.05)
@@ -328,14 +329,15 @@ class ToolVelocity(SmoothReference):
         return 3
 
     def asked(self, s: Moving, action: Array, arm: Arm, dt: float, rate: Array) -> Array:
-        J = tool_jacobian(arm, s.ref[:, 0])
-        across = np.swapaxes(J, -1, -2)
+        across = tool_motions(arm, frames(arm, s.ref[:, 0]))[..., :3]
+        J = np.swapaxes(across, -1, -2)
         load = np.linalg.solve(
             J @ across + self.damping**2 * np.eye(3), self.speed * action[..., None]
         )
         rates = (across @ load)[..., 0]
-        most = (np.abs(rates) / arm.column("v_max")).max(axis=1, keepdims=True)
-        return np.asarray(rates / np.maximum(most, 1.0), dtype=np.float64)
+        most = (np.abs(rates) / arm.column("v_max")).max(axis=1)[:, None]
+        out: Array = rates / np.maximum(most, 1.0)
+        return out
 
 
 def _stoppable(room: Array, most: Array, dt: float) -> Array:

@@ -29,7 +29,6 @@ from ves_gym.envs import compiled
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task, require_keywords
 from ves_gym.envs.compiled import Shape, width
-from ves_gym.envs.episode import outcome
 from ves_gym.envs.signals import observation_space, require_seed
 from ves_gym.envs.tail import by_doubling
 from ves_gym.envs.task import Task
@@ -130,7 +129,7 @@ class DeviceVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         """
         if self._tables is None:
             raise gym.error.ResetNeeded("call reset before step")
-        rows, task, outputs = self.rows, self.task, self.shape.outputs
+        rows, outputs = self.rows, self.shape.outputs
         with rows.on_stream():
             if self.shape.table_values:
                 rows.look_up(self._tables["table_values"], self._row)
@@ -145,7 +144,8 @@ class DeviceVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             last, failed, success = (
                 latest[outputs[k]][0] > 0 for k in ("last", "failed", "solved")
             )
-            terminated, truncated = outcome(task, last, failed)
+            terminated = last | failed
+            truncated = last & ~last
             reward = latest[outputs["reward"]][0].clone()
             for name in self.shape.terms:
                 info[f"reward/{name}"] = latest[outputs[f"reward/{name}"]][0].clone()

@@ -51,13 +51,14 @@ class Episodic:
         goal: bool,
         reward: str,
         cost: Mapping[str, float] | bool | None,
+        privileged: bool,
         **engine: Any,
     ) -> tuple[gym.spaces.Box, gym.spaces.Space[Any]]:
         """Make task and batch; spaces of an action and of an observation of one environment.
 
         Args:
             task, settings: see `build_task`.
-            render_mode, goal, reward, cost: see `VesEnv`.
+            render_mode, goal, reward, cost, privileged: see `VesEnv`.
             engine: backend, threads and dump of the `Batch`.
         """
         require_keywords(type(self), task, settings)
@@ -65,7 +66,7 @@ class Episodic:
         self._signals = Signals(reward, cost, goal)
         if self._signals.vector:
             self.reward_space, self.reward_weights = self._signals.space, np.array(WEIGHTS)
-        self._engine = engine
+        self._engine, self._tells = engine, privileged
         self.batch = self._batch()
         self._ready = False
         space = observation_space(self.task)
@@ -74,6 +75,10 @@ class Episodic:
 
     def _batch(self) -> Batch:
         return Batch(self.task, self.num_envs, **self._engine)
+
+    def _told(self, info: dict[str, Any]) -> dict[str, Any]:
+        """An info with what critics may know, where that was asked for."""
+        return info | {"privileged": self.batch.privileged()} if self._tells else info
 
     def _observed(self, rows: npt.NDArray[np.float32]) -> Any:
         return split_goals(self.task, rows) if self.goal else rows
@@ -127,6 +132,8 @@ class VesEnv(Episodic, gym.Env[Any, Any]):  # type: ignore[misc]
         dump: folder for run logs of episodes that diverge (`info["dump"]` names the file).
         reward: "scalar", or "vector" by objective (`signals.OBJECTIVES`): `reward_space`.
         cost: entries `cost` and `cost_...` of the info: True, or some `CostBounds` by name.
+        privileged: an entry `privileged` of the info, for critics and teachers: what decides
+            and is not observed (`batch.privileged.fields`).
         settings: see `build_task`: mode, vehicle, effects, control, randomize, ...
     """
 
@@ -142,13 +149,14 @@ class VesEnv(Episodic, gym.Env[Any, Any]):  # type: ignore[misc]
         dump: str | os.PathLike[str] | None = None,
         reward: str = "scalar",
         cost: Mapping[str, float] | bool | None = None,
+        privileged: bool = False,
         **settings: Any,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(
                 f"render_mode must be None, human or rgb_array, got {render_mode!r}"
             )
-        form = render_mode, goal, reward, cost
+        form = render_mode, goal, reward, cost, privileged
         self.action_space, self.observation_space = self._set_up(
             task, settings, *form, backend=backend, threads=1, dump=dump
         )
@@ -180,7 +188,7 @@ class VesEnv(Episodic, gym.Env[Any, Any]):  # type: ignore[misc]
             self.batch.seed(_ONE, seed, index)
         self.batch.reset(_ONE, {k: v[None] for k, v in options.items()})
         self._ready, self._over = True, False
-        info = {k: v[0] for k, v in self.batch.randomized().items()}
+        info = {k: v[0] for k, v in self._told(self.batch.randomized()).items()}
         if self.render_mode == "human":
             self.render()
         return self._observation(), info
@@ -199,7 +207,9 @@ class VesEnv(Episodic, gym.Env[Any, Any]):  # type: ignore[misc]
             k: v.item()
             if v.dtype.kind in "bi" and v.ndim == 1
             else v[0]  # floats stay NumPy's,
-            for k, v in info.items()  # which are floats too: TorchRL reads their dtype
+            for k, v in self._told(
+                info
+            ).items()  # which are floats too: TorchRL reads their dtype
             if k[0] != "_"
         }
         if self.render_mode == "human":

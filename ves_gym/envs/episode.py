@@ -13,7 +13,7 @@ from ves_gym._util.params import Array, Index, Mask, ParameterError
 from ves_gym.envs.task import Scene, Start, Task
 
 AT_ONCE = 64  # beginnings: a call costs as much as ten of them
-FAILURE = -2.0  # added to the reward when an episode fails; a straight motion returns about -1
+_LEAST = 1e-9  # share of the return that is always left, so that a failure always shows
 
 
 @dataclass
@@ -72,18 +72,21 @@ def require_answers(task: Task, s: Scene, dt: float) -> None:
         ParameterError: what the formula gave, and what was expected.
     """
     with np.errstate(all="ignore"):  # zeros are no scene
+        s.energies = s.energies + 1.0  # costs are of something
         seen = task.observe(s)
         task.remember(s, dt)
-        terms = task.reward(s, dt, np.zeros(2, bool))
+        terms = task.costs(s, dt, np.zeros(2, bool))
         verdicts = {"success": task.success(s), "failed": task.failed(s)}
     _require(task, "number of arrays of observe", len(seen), len(task.fields()))
     for f, value in zip(task.fields(), seen, strict=True):
         where = f"shape of {f.name} in observe, of two simulations"
         _require(task, where, np.shape(value), (2, f.size))
-    _require(task, "answer of reward", type(terms), dict)
+    _require(task, "answer of costs", type(terms), dict)
     for name, value in terms.items():
-        where = f"shape of {name!r} in reward, of two simulations"
+        where = f"shape of {name!r} in costs, of two simulations"
         _require(task, where, np.shape(value), (2,))
+        below = int((np.asarray(value) < 0).sum())
+        _require(task, f"number of {name!r} in costs below 0", below, 0)
     for name, verdict in verdicts.items():
         got = np.shape(verdict), str(np.asarray(verdict).dtype)
         _require(task, f"shape and type of {name}, of two simulations", got, ((2,), "bool"))
@@ -145,34 +148,40 @@ def judge(
 ) -> Verdict:
     """Reward and success of a period.
 
+    An episode that has cost J (`Task.costs`) has been paid 1 / (1 + J) - 1; one that is solved
+    at its deadline is paid 1 more, and a failure takes what is left. So returns are
+
+        solved 1 / (1 + J), unsolved -J / (1 + J), failed -1:
+
+    less cost is more return, any solved episode returns more than any that is not, and no end
+    before the deadline is worth more than going on. Of goal variants, whose reward is that of
+    their goals, a period costs what `costs` says, and a failure as much as reaching nothing.
+
     Args:
         task, s, e, dt: as in `count`.
         last, failed, over: (n,) of `endings`.
         diverged: (n,) simulations whose numbers may be none.
     """
-    terms = task.reward(s, dt, last & ~failed)
-    terms["failure"] = np.where(failed, FAILURE, 0.0)
-    for name, term in terms.items():
-        meaningless = diverged & ~(np.abs(term) < np.inf)  # a NaN is not
-        terms[name] = np.where(over | meaningless, 0.0, term)
+    solved = task.success(s) & ~failed & ~over
+    costs = task.costs(s, dt, last & ~failed)
+    for name, cost in costs.items():
+        meaningless = diverged & ~(np.abs(cost) < np.inf)  # a NaN is not
+        costs[name] = np.where(over | meaningless, 0.0, cost)
+    if task.goal_fields is None:
+        left = np.maximum(1.0 + e.total, _LEAST)  # 1 / (1 + J) before the period
+        after = left / (1.0 + left * sum(costs.values()))
+        terms = {name: -cost * (left * after) for name, cost in costs.items()}
+        terms["success"] = np.where(last & solved, 1.0, 0.0)
+        terms["failure"] = np.where(failed, -after, 0.0)
+    else:
+        terms = {name: -cost for name, cost in costs.items()}
+        lost = task.steps + _LEAST + e.total - sum(costs.values())
+        terms["failure"] = np.where(failed, -lost, 0.0)
     first, *others = terms.values()
     reward = sum(others, start=first)  # in the order of the terms
-    solved = task.success(s) & ~failed & ~over
     e.once |= solved
     e.total += reward
     return Verdict(terms, reward, solved)
-
-
-def outcome(task: Task, last: Mask, failed: Mask) -> tuple[Mask, Mask]:
-    """Return what is terminated (n,) and what is truncated.
-
-    Args:
-        task: says which of them the deadline is.
-        last, failed: (n,) of `endings`.
-    """
-    if task.ends == "terminated":
-        return failed | last, last & ~last
-    return failed, last & ~failed
 
 
 def ended_energies(

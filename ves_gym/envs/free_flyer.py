@@ -29,7 +29,7 @@ class FreeFlyerReach(ArmTask):
     `home` +- `span`; the elbow stays bent by 60 deg, so that the target is within reach
     however the base has moved. The target is `away` or more from the tool's start.
 
-    Reward, minus means over the episode: `distance`, of tool from target in `far`; `energy`,
+    Cost, means over the episode: `distance`, of tool from target in `far`; `energy`,
     of the base's kinetic energy E; `turn`, of the norm of its attitude. The weights bring each
     to 0.1 to 0.2 on a good motion (this project). An episode terminates at the deadline, or as
     a failure when the base turns by more than `tumble` or a joint limit is broken. Solved: for
@@ -37,8 +37,8 @@ class FreeFlyerReach(ArmTask):
     faster than `rest`.
 
     Measured, in space, 1000 starts of seed 0: the reference pulled to the inverse kinematics
-    of the target as the base sees it solves 999 and returns -0.44; no motion returns -1.29,
-    random actions -1.80. Learned policies: docs/training.md.
+    of the target as the base sees it solves 999 and costs 0.44; no motion costs 1.29,
+    random actions 1.80. Learned policies: docs/training.md.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q", "target")
@@ -106,12 +106,12 @@ class FreeFlyerReach(ArmTask):
         to_base = np.swapaxes(rotation(s.y_seen), -1, -2)
         return (*self.sense(s), matvec(to_base, s.goal - s.tool_seen), self.left(s))
 
-    def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+    def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         distance, share = s.memory[:, 0], dt / self.duration
         return {
-            "distance": -share * distance / self.far,
-            "energy": -share * self.energy * s.energy,
-            "turn": -share * self.turn * np.linalg.norm(s.y[:, 3:], axis=1),
+            "distance": share * distance / self.far,
+            "energy": share * self.energy * s.energy,
+            "turn": share * self.turn * np.linalg.norm(s.y[:, 3:], axis=1),
         }
 
     def failed(self, s: Scene) -> Mask:

@@ -44,19 +44,19 @@ class Lqr(ArmTask):
     thesis's configuration of 4.3.2, the joints are damped by its PPED gains (eq. 4.5b); the
     other numbers keep motions small and the optimal torque within bounds (this project).
 
-    Reward: minus the cost, `state` and `effort`, over the expected optimal cost, so that the
-    optimum returns -1 on average. Finite horizon: an episode terminates after `duration`, or
+    The episode's cost is that, `state` and `effort`, over the expected optimal cost, so that
+    the optimum costs 1 on average. Finite horizon: an episode terminates after `duration`, or
     with a joint limit as a failure. Solved: the whole episode has cost at most 1 + `slack`
     times the least that its start allows.
 
     The base is the thesis's condensed beam: internal modes, which an optimal feedback would
     need, are not measured.
 
-    Measured, that beam in space, 1000 starts of seed 0: the optimal feedback returns -1.01695,
-    in closed form -1.01694; single starts differ by 4e-4, at most 2e-3, by what the linear
-    plant leaves out. Gains 5 % off cost 3e-4 more, no torque returns -1.84. In the laboratory
+    Measured, that beam in space, 1000 starts of seed 0: the optimal feedback costs 1.01695,
+    in closed form 1.01694; single starts differ by 4e-4, at most 2e-3, by what the linear
+    plant leaves out. Gains 5 % off cost 3e-4 more, no torque costs 1.84. In the laboratory
     the platform's lag and errors come on top: no closed form holds, and the same feedback
-    returns -1.08.
+    costs 1.08.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q", "v", "y", "yd")
@@ -134,7 +134,7 @@ class Lqr(ArmTask):
 
     @cached_property
     def unit_cost(self) -> float:
-        """Expected optimal cost over the starts drawn [J s]: what the reward is measured in."""
+        """Expected optimal cost over the starts drawn [J s]: what costs are measured in."""
         return float((np.diag(self.optimum.cost) * self._spread**2).sum() / 3)
 
     def remember(self, s: Scene, dt: float) -> None:
@@ -182,10 +182,10 @@ class Lqr(ArmTask):
         away = s.q - self.middle
         return s.y_seen, away, s.yd_seen, s.v, self.left(s)
 
-    def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+    def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         return {
-            "state": -s.memory[:, 1] / self.unit_cost,
-            "effort": -s.memory[:, 2] / self.unit_cost,
+            "state": s.memory[:, 1] / self.unit_cost,
+            "effort": s.memory[:, 2] / self.unit_cost,
         }
 
     def success(self, s: Scene) -> Mask:

@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from ves_gym._util.params import Array, Mask, ParameterError, Vector, finite, unit
-from ves_gym.envs.arm_task import ArmTask
-from ves_gym.envs.control import Acceleration, Control
+from ves_gym.envs.arm_task import ArmTask, braked, gap
+from ves_gym.envs.control import Control, ToolVelocity
 from ves_gym.envs.reach import reachable
 from ves_gym.envs.task import Field, Scene, Start, register_task
 from ves_gym.mechanics.arm import Inertial, Mount, diagonal
@@ -50,10 +50,10 @@ class PayloadTransfer(ArmTask):
     drawn as those of task reach, both legs straight quintics of a third of the episode within
     the speed limits and at least `away` long.
 
-    Reward, summed over an episode: minus the mean distance still to go in `far` (from tool to
-    payload and from there to the berth), and minus `thrift` times E_mean in that expected of
-    the two straight legs, at least a quarter of what it is in the median; `arrival` once, when
-    the berth takes the payload: more than the energy that bringing it there costs.
+    Cost: the mean of what is missing, between 1 and a half until the payload is carried, then
+    down to nothing until it is berthed (`arm_task.gap`, in `far`; a speed counts as
+    the way that it makes in `brake`); and `thrift` times E_mean in that expected of the two
+    straight legs, at least a quarter of what it is in the median.
 
     The default masses are the PUMA's; give arms with slender wrists lighter ones (`mass`).
 
@@ -70,10 +70,10 @@ class PayloadTransfer(ArmTask):
     positive: ClassVar[tuple[str, ...]] = (
         "dexterous", "catch", "tolerance", "rest", "hold", "far", "off_centre", "away",
     )  # fmt: skip
-    not_negative: ClassVar[tuple[str, ...]] = ("thrift", "arrival")
+    not_negative: ClassVar[tuple[str, ...]] = ("thrift", "brake")
     leg: ClassVar[float] = _LEG
     system: System = System(vehicle=BENT_THESIS, physics_dt=2.5e-3, payload=BOX)
-    control: Control = Acceleration()
+    control: Control = ToolVelocity()
     duration: float = unit("s", default=10.0)
     tail: float = unit("s", default=0.0)
     span: Vector = unit("rad", default=tuple(np.deg2rad([120.0, 60.0, 120.0]).tolist()))
@@ -86,8 +86,8 @@ class PayloadTransfer(ArmTask):
     rest: float = unit("m/s", default=0.05)  # of the fixture, at most
     hold: float = unit("s", default=0.5)
     far: float = unit("m", default=2.0)  # distance that counts as one
-    thrift: float = unit("1", default=0.2)
-    arrival: float = unit("1", default=2.0)
+    brake: float = unit("s", default=0.3)
+    thrift: float = unit("1", default=0.01)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -174,34 +174,45 @@ class PayloadTransfer(ArmTask):
         return (
             *self.sensed(),
             Field("to_payload", "m", reach, "fixture less tool, in the base's axes"),
-            Field("to_berth", "m", reach, "berth less fixture, in space"),
+            Field("to_berth", "m", reach, "berth less fixture, in the base's axes"),
+            Field("to_next", "m", np.full(3, 0.05), "the first until carried, then the second"),
+            Field("closing", "m/s", np.full(3, 0.1), "of tool against fixture, then in space"),
+            Field("carried", "1", np.ones(1), "whether the latch holds the payload"),
+            Field("held", "1", np.ones(1), "share of `hold` that the berth has had it"),
             self.time_left,
         )
 
     def observe(self, s: Scene) -> tuple[Array, ...]:
         to_base = np.swapaxes(rotation(s.y_seen), -1, -2)
-        fixture = LatchTarget.of(s.payload).fixture
+        t = LatchTarget.of(s.payload)
+        ways = t.fixture - s.tool_seen, s.goal[:, 3:6] - t.fixture
+        carried = t.carried[:, None] > 0
+        _, closing = self._next(s)
         return (
             *self.sense(s),
-            matvec(to_base, fixture - s.tool_seen),
-            s.goal[:, 3:6] - fixture,
+            *(matvec(to_base, k) for k in (*ways, np.where(carried, *ways[::-1]), closing)),
+            np.where(carried, 1.0, 0.0),
+            s.memory[:, _HELD, None] / self.hold,
             self.left(s),
         )
 
+    def _next(self, s: Scene) -> tuple[Array, Array]:
+        """Way (n, 3) [m] that is left to the fixture, then to the berth, and its rate [m/s]."""
+        t = LatchTarget.of(s.payload)
+        carried = t.carried[:, None] > 0
+        way = np.where(carried, s.goal[:, 3:6] - t.fixture, t.fixture - s.tool)
+        return way, np.where(carried, t.fixture_velocity, t.relative[:, :3])
+
     # -------------------------------------------------------------------- reward
 
-    def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        # the count of the hold is back at zero a period after the berth took the payload
-        taken = (s.memory[:, _BERTHED] > 0) & (s.memory[:, _HELD] > 0)
-        t = LatchTarget.of(s.payload)
-        tool = np.linalg.norm(t.fixture - s.tool, axis=1)
-        berth = np.linalg.norm(s.goal[:, 3:6] - t.fixture, axis=1)
-        to_go = np.where(t.carried > 0, berth, tool + berth)
-        to_go = np.where(s.memory[:, _BERTHED] > 0, 0.0, to_go)
+    def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+        way, closing = self._next(s)
+        missing = gap(braked(way, closing, self.brake), self.far)
+        phase = np.where(LatchTarget.of(s.payload).carried > 0, missing, 1.0 + missing) / 2
+        phase = np.where(s.memory[:, _BERTHED] > 0, 0.0, phase)
         return {
-            "arrival": np.where(taken, self.arrival, 0.0),
-            "distance": -to_go * (dt / self.duration / self.far),
-            **self.energy_terms(s, dt, s.goal[:, 10]),
+            "distance": phase * (dt / self.duration),
+            **self.energy_costs(s, dt, s.goal[:, 10]),
         }
 
     def marker(self, s: Scene) -> Array:

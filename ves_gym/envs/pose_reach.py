@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ves_gym._util.params import Array, Mask, ParameterError, Vector, unit
-from ves_gym.envs.arm_task import ArmTask, straight_pace
-from ves_gym.envs.control import Acceleration, Control
+from ves_gym.envs.arm_task import ArmTask, gap, straight_pace
+from ves_gym.envs.control import Control, JointVelocity
 from ves_gym.envs.reach import reachable
 from ves_gym.envs.task import Field, Scene, Start, register_task
 from ves_gym.mechanics.arm import Arm
@@ -38,10 +38,10 @@ class PoseReach(ArmTask):
     seconds the tool has been within `tolerance` of the place and within `turned` of the
     orientation, and slower than `rest` and `turning`.
 
-    Reward, summed over an episode: minus the mean distance in `far`, minus `attitude` times
-    the mean of the sine of half the angle that is missing to the orientation, and minus
-    `thrift` times E_mean in that expected of the straight motion in half the time
-    (`scales.straight_energy`), at least a quarter of what it is in the median.
+    Cost: the means of what is missing to the place and, `attitude` times, to the orientation
+    (`arm_task.gap`, of a distance and of the sine of half an angle), the later the more
+    (`ArmTask.late`), and `thrift` times E_mean in that expected of the straight motion in half
+    the time (`scales.straight_energy`), at least a quarter of what it is in the median.
 
     An episode is terminated at the deadline (the horizon is part of the task, and the time
     left is observed) or beyond a joint limit.
@@ -62,7 +62,7 @@ class PoseReach(ArmTask):
     system: System = System(
         arm=get_arm("puma560-wrist"), vehicle=BENT_THESIS, physics_dt=2.5e-3
     )
-    control: Control = Acceleration()
+    control: Control = JointVelocity()
     duration: float = unit("s", default=5.0)
     span: Vector = unit(
         "rad", default=tuple(np.deg2rad([120.0, 60.0, 120.0, 90.0, 80.0, 120.0]).tolist())
@@ -74,8 +74,8 @@ class PoseReach(ArmTask):
     turning: float = unit("rad/s", default=0.1)
     hold: float = unit("s", default=0.5)
     far: float = unit("m", default=1.0)  # distance that counts as one
-    attitude: float = unit("1", default=0.5)
-    thrift: float = unit("1", default=0.2)
+    attitude: float = unit("1", default=1.0)
+    thrift: float = unit("1", default=0.01)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -170,12 +170,12 @@ class PoseReach(ArmTask):
 
     # -------------------------------------------------------------------- reward
 
-    def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        share = dt / self.duration
+    def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+        share, distance, half = self.late(s, dt), s.memory[:, 0], s.memory[:, 1]
         return {
-            "distance": -s.memory[:, 0] * (share / self.far),
-            "turn": -s.memory[:, 1] * (share * self.attitude),
-            **self.energy_terms(s, dt, s.goal[:, _ENERGY]),
+            "distance": share * gap(distance, self.far),
+            "turn": share * self.attitude * gap(half, 1.0),
+            **self.energy_costs(s, dt, s.goal[:, _ENERGY]),
         }
 
     def marker(self, s: Scene) -> Array:

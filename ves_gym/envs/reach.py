@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ves_gym._util.params import Array, Mask, Vector, unit
-from ves_gym.envs.arm_task import REFERENCES, ArmTask, straight_pace
-from ves_gym.envs.control import Acceleration, Control
+from ves_gym.envs.arm_task import REFERENCES, ArmTask, gap, straight_pace
+from ves_gym.envs.control import Control, JointVelocity
 from ves_gym.envs.task import Field, Scene, Start, register_task
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.kinematics import dexterity, joint_positions
@@ -69,11 +69,10 @@ class Reach(ArmTask):
     stays within reach while the base sways. Solved: the tool has been within `tolerance` of
     the target for the last `hold` seconds.
 
-    Reward, summed over an episode: minus the mean distance in `far`, and minus `thrift` times
-    E_mean in that expected of a straight motion to the target in half the time
-    (`scales.straight_energy`), at least a quarter of what it is in the median. Resting at the
-    start returns -0.6 in the median. `arrival` is the weight of the mean of
-    1 / (1 + (distance/near)^2): without it, to close the last 11 cm gains 0.04 and costs 0.05.
+    Cost: the mean of what is missing to the target (`arm_task.gap`, in `far`), the later the
+    more (`ArmTask.late`), and `thrift` times E_mean in that expected of a straight motion to
+    the target in half the time (`scales.straight_energy`), at least a quarter of what it is in
+    the median.
 
     An episode is terminated at the deadline (the horizon is part of the task, and the time
     left is observed) or beyond a joint limit.
@@ -83,18 +82,16 @@ class Reach(ArmTask):
     memory: ClassVar[int] = 2  # m from tool to target; s at the target without a break
     compiled: ClassVar[bool] = True
     rows: ClassVar[int] = 1 + _TRIES
-    positive: ClassVar[tuple[str, ...]] = ("dexterous", "tolerance", "hold", "far", "near")
-    not_negative: ClassVar[tuple[str, ...]] = ("thrift", "arrival")
-    control: Control = Acceleration()
+    positive: ClassVar[tuple[str, ...]] = ("dexterous", "tolerance", "hold", "far")
+    not_negative: ClassVar[tuple[str, ...]] = ("thrift",)
+    control: Control = JointVelocity()
     duration: float = unit("s", default=4.0)
     span: Vector = unit("rad", default=tuple(np.deg2rad([120.0, 60.0, 120.0]).tolist()))
     dexterous: float = unit("m/rad", default=0.1)  # least `tool.dexterity` at the target
     tolerance: float = unit("m", default=0.01)
     hold: float = unit("s", default=0.5)
     far: float = unit("m", default=1.0)  # distance that counts as one
-    thrift: float = unit("1", default=0.2)
-    arrival: float = unit("1", default=1.0)  # weight of being at the target
-    near: float = unit("m", default=0.02)  # where that is worth half
+    thrift: float = unit("1", default=0.01)
 
     # ------------------------------------------------------------------ episodes
 
@@ -157,12 +154,11 @@ class Reach(ArmTask):
 
     # -------------------------------------------------------------------- reward
 
-    def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        close = 1 / (1 + (s.memory[:, 0] / self.near) ** 2)
+    def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+        missing = gap(s.memory[:, 0], self.far)
         return {
-            "distance": -s.memory[:, 0] * (dt / self.duration / self.far),
-            **self.energy_terms(s, dt, s.goal[:, 3]),
-            "arrival": close * (self.arrival * dt / self.duration),
+            "distance": missing * self.late(s, dt),
+            **self.energy_costs(s, dt, s.goal[:, 3]),
         }
 
     def marker(self, s: Scene) -> Array:
@@ -177,7 +173,8 @@ class ReachGoal(Reach):
     Reward: 0 within `tolerance` of the target, -1 elsewhere, computed from the observation,
     so that it is `compute_reward` of what `step` returned, bit for bit. The base's energy is
     told in `info` only. No joint limit ends an episode, for no function of the goals could
-    tell and ending early would pay; the controls that are left keep the reference within.
+    tell; the controls that are left keep the reference within. Solved: the tool has been within
+    `tolerance` for `hold` seconds in all, so that what is solved has more return.
     """
 
     goal_fields: ClassVar[tuple[str, str] | None] = ("tool", "target")
@@ -199,9 +196,20 @@ class ReachGoal(Reach):
         """Never."""
         return np.zeros(len(s.q), bool)
 
-    def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        achieved, desired = self._goal_of(s.tool_seen), self._goal_of(s.goal[:, :3])
-        return {"reached": self._reached(achieved - desired)}
+    def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+        return {"reached": -self._reached_now(s)}
+
+    def remember(self, s: Scene, dt: float) -> None:
+        s.memory[:, 0] = np.sqrt(((s.goal[:, :3] - s.tool) ** 2).sum(axis=1))
+        s.memory[:, 1] += dt * (1.0 + self._reached_now(s))
+
+    def success(self, s: Scene) -> Mask:
+        """(n,) whether the tool has been there for long enough."""
+        settled: Mask = s.memory[:, 1] >= self.hold - 1e-9
+        return settled
+
+    def _reached_now(self, s: Scene) -> Array:
+        return self._reached(self._goal_of(s.tool_seen) - self._goal_of(s.goal[:, :3]))
 
     def _goal_of(self, place: Array) -> Array:
         """(n, 3) a place as the observation gives it, in float64."""

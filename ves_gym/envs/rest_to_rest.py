@@ -10,7 +10,7 @@ import numpy as np
 from ves_gym._util.params import Array, Mask, Vector, require_positive, unit
 from ves_gym.envs.arm_task import middle_and_half, straight_pace, usual_of
 from ves_gym.envs.control import Control, Guided
-from ves_gym.envs.scales import straight_energy, straight_motion
+from ves_gym.envs.scales import least_scale, straight_energy, straight_motion
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
 from ves_gym.mechanics.kinematics import joint_positions
 
@@ -22,8 +22,9 @@ class RestToRest(Task):
     """Bring the arm from one configuration to another, at rest at the deadline.
 
     Queries are drawn as those of the planning benchmark reach100: both ends uniform in a
-    box of joint angles, kept when the straight quintic respects the speed limits. The
-    reward adds up to -E_mean / E_straight, so the straight line returns about -1.
+    box of joint angles, kept when the straight quintic respects the speed limits. Cost: E_mean
+    in E_straight, or in a quarter of its median where that is more, so that the straight line
+    costs about one; and `miss` times the distance left at the end.
 
     E_straight is the energy that a straight motion is expected to leave on the machine as
     described (`scales.straight_energy`), in the laboratory and with effects too: what a machine
@@ -62,6 +63,16 @@ class RestToRest(Task):
 
     def start(self, u: Array, **options: Array) -> Start:
         """See `Task`. Goal: joint angles (joints), E_straight."""
+        q, goal = self._ends(u)
+        q, goal = options.get("q", q), options.get("goal", goal)
+        return Start(q, np.column_stack([goal, self._straight(q, goal)]))
+
+    @cached_property
+    def _least_energy(self) -> float:
+        return least_scale(lambda u: self._straight(*self._ends(u)), self.draws)
+
+    def _ends(self, u: Array) -> tuple[Array, Array]:
+        """Joint angles (k, joints) where motions start and end [rad]."""
         n = self.system.arm.n
         usual = usual_of(self, "span")
         middle, span = middle_and_half(self.system.arm, (0.0,), self.span, usual)
@@ -73,10 +84,7 @@ class RestToRest(Task):
         # none of the tries: shorten the first until it fits
         shrink = np.maximum(excess[rows, pick], 1.0)[:, None]
         q = chosen[:, 0]
-        goal = options.get("goal", q + (chosen[:, 1] - q) / shrink)
-        q = options.get("q", q)
-        scale = self._straight(q, goal)
-        return Start(q, np.column_stack([goal, scale]))
+        return q, q + (chosen[:, 1] - q) / shrink
 
     def remember(self, s: Scene, dt: float) -> None:
         s.memory[:, 0] += dt * s.energy
@@ -111,14 +119,14 @@ class RestToRest(Task):
             np.log10(s.goal[:, n : n + 1]),
         )
 
-    def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        n = self.system.arm.n
-        scale = self._scale(s)
+    def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+        n, length = self.system.arm.n, self.duration + self.tail
+        scale = np.maximum(self._scale(s), self._least_energy * length)
         distance = np.abs(s.goal[:, :n] - s.q).sum(axis=1)
         return {
-            "energy": -s.energy * dt / scale,
-            "tail": -s.tail / scale,
-            "miss": np.where(last, -self.miss * distance, 0.0),
+            "energy": s.energy * dt / scale,
+            "tail": s.tail / scale,
+            "miss": np.where(last, self.miss * distance, 0.0),
         }
 
     def marker(self, s: Scene) -> Array:

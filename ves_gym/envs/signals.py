@@ -96,24 +96,17 @@ class GoalFunctions:  # Gymnasium-Robotics' `GoalEnv`
     def compute_terminated(
         self, achieved_goal: npt.ArrayLike, desired_goal: npt.ArrayLike, info: Any
     ) -> Any:
-        """Return where an episode has failed, or is at a deadline that terminates it."""
-        by_deadline = self.task.ends == "terminated"
-        return self._ended(desired_goal, info, lambda k: by_deadline or _failure(k) < 0)
+        """Return where an episode has failed, or is at its deadline."""
+        like = np.zeros(np.shape(desired_goal)[:-1])
+        # energies come with the last step only
+        ended = self._each(info, like, lambda k: "energy/E_mean" in k)
+        return ended.astype(bool)[()]
 
     def compute_truncated(
         self, achieved_goal: npt.ArrayLike, desired_goal: npt.ArrayLike, info: Any
     ) -> Any:
-        """Return where an episode is at a deadline that truncates it."""
-        by_deadline = self.task.ends == "truncated"
-        return self._ended(desired_goal, info, lambda k: by_deadline and not _failure(k) < 0)
-
-    def _ended(
-        self, goal: npt.ArrayLike, info: Any, so: Callable[[Mapping[str, Any]], bool]
-    ) -> Any:
-        like = np.zeros(np.shape(goal)[:-1])
-        # energies come with the last step only
-        ended = self._each(info, like, lambda k: "energy/E_mean" in k and so(k))
-        return ended.astype(bool)[()]
+        """Nowhere: the deadline is part of the task."""
+        return np.zeros(np.shape(desired_goal)[:-1], bool)[()]
 
     def _each(
         self, info: Any, like: npt.ArrayLike, number: Callable[[Mapping[str, Any]], float]

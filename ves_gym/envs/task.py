@@ -149,11 +149,10 @@ class Task(ABC):
 
     - `draws`: uniform numbers that `start` takes per episode.
     - `memory`: columns of `Scene.memory`, 0.
-    - `ends`: what the deadline is, terminated or truncated.
     - `options`: what `reset` lets one choose; keywords of `start`.
-    - `energetic`: terms of the reward that are the objective energy.
+    - `energetic`: costs that are the objective energy.
     - `goal_fields`: names of the fields achieved and desired, of goal variants.
-    - `compiled`: that `observe`, `remember`, `reward`, `success`, `failed`, `closes` and
+    - `compiled`: that `observe`, `remember`, `costs`, `success`, `failed`, `closes` and
       `opens` are formulas of the scene alone, a simulation per row: the kernel then compiles
       their NumPy text. It holds for the class that says so, not for those derived from it.
     - `interacts`: that the system's payload takes part: `payload`, `closes` and `opens` are
@@ -164,7 +163,6 @@ class Task(ABC):
     CLIP: ClassVar[float] = 5.0  # of observations, in their scales
     kind: ClassVar[str]
     draws: ClassVar[int]
-    ends: ClassVar[str] = "terminated"
     options: ClassVar[tuple[str, ...]] = ()
     goal_fields: ClassVar[tuple[str, str] | None] = None
     memory: ClassVar[int] = 0
@@ -292,11 +290,15 @@ class Task(ABC):
         return {}
 
     def remember(self, s: Scene, dt: float) -> None:  # noqa: B027
-        """Bring `s.memory` up to date, once per period and before `reward` is asked."""
+        """Bring `s.memory` up to date, once per period and before `costs` is asked."""
 
     @abstractmethod
-    def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        """Terms (n,) of the reward of the period dt that ended here; `last`: the deadline's."""
+    def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+        """Costs (n,) >= 0 of the period dt that ended here, by name; `last`: the deadline's.
+
+        Summed over an episode they are its cost J, in units in which doing nothing costs about
+        one; what an episode returns is a function of J, success and failure (`episode.judge`).
+        """
 
     @abstractmethod
     def success(self, s: Scene) -> Mask:

@@ -50,7 +50,7 @@ class _Driven(Task):
     def observe(self, s: Scene) -> tuple[Array, ...]:
         return (s.q,)
 
-    def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+    def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         return {}
 
     def success(self, s: Scene) -> Mask:

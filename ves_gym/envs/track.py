@@ -11,8 +11,8 @@ import numpy.typing as npt
 from ves_gym._util.params import Array, Index, Mask, ParameterError, Vector, unit
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
 from ves_gym.engine.kernel.numbers import geometry
-from ves_gym.envs.arm_task import ArmTask, directions
-from ves_gym.envs.control import Acceleration, Control
+from ves_gym.envs.arm_task import ArmTask, directions, gap
+from ves_gym.envs.control import Control, ToolVelocity
 from ves_gym.envs.scales import BaseModes, motion_energy
 from ves_gym.envs.task import Field, Scene, Start, register_task
 from ves_gym.mechanics.arm import Arm
@@ -42,9 +42,9 @@ class Track(ArmTask):
     all along. Solved: at the deadline, when the root mean square of the tool's distance from
     where it was to be is within `tolerance`.
 
-    Reward, summed over an episode: minus the mean of sqrt(1 + (distance/near)^2) - 1, which
-    is quadratic up to `near` and linear beyond, and minus `thrift` times E_mean in that
-    expected of the joint motion that the path was made of (`scales.motion_energy`).
+    Cost: the mean of what is missing to where the tool is to be (`arm_task.gap`, in
+    `far`), and `thrift` times E_mean in that expected of the joint motion that the path was
+    made of (`scales.motion_energy`).
 
     An episode is terminated at the deadline (the horizon is part of the task, and the time
     left is observed) or beyond a joint limit.
@@ -54,9 +54,9 @@ class Track(ArmTask):
     memory: ClassVar[int] = 2  # m^2, squared distance; m^2 s, its integral
     compiled: ClassVar[bool] = True
     rows: ClassVar[int] = 4 * _TRIES
-    positive: ClassVar[tuple[str, ...]] = ("pace", "dexterous", "tolerance", "near")
+    positive: ClassVar[tuple[str, ...]] = ("pace", "dexterous", "tolerance", "far")
     not_negative: ClassVar[tuple[str, ...]] = ("thrift",)
-    control: Control = Acceleration()
+    control: Control = ToolVelocity(speed=1.5)
     duration: float = unit("s", default=6.0)
     rounds: int = 2
     span: Vector = unit("rad", default=tuple(np.deg2rad([120.0, 60.0, 120.0]).tolist()))
@@ -64,8 +64,8 @@ class Track(ArmTask):
     dexterous: float = unit("m/rad", default=0.1)  # least `tool.dexterity` along the path
     preview: Vector = unit("s", default=(0.1, 0.2, 0.4))  # how far ahead the path is observed
     tolerance: float = unit("m", default=0.005)
-    near: float = unit("m", default=0.03)  # distance up to which the cost is quadratic
-    thrift: float = unit("1", default=0.1)
+    far: float = unit("m", default=0.3)  # distance that counts as one
+    thrift: float = unit("1", default=0.01)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -190,10 +190,11 @@ class Track(ArmTask):
 
     # -------------------------------------------------------------------- reward
 
-    def reward(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+    def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+        missing = gap(np.sqrt(s.memory[:, 0]), self.far)
         return {
-            "error": (1 - np.sqrt(1 + s.memory[:, 0] / self.near**2)) * (dt / self.duration),
-            **self.energy_terms(s, dt, s.table_values[:, 0]),
+            "error": missing * (dt / self.duration),
+            **self.energy_costs(s, dt, s.table_values[:, 0]),
         }
 
 

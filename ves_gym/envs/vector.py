@@ -34,7 +34,7 @@ class VesVectorEnv(Episodic, gym.vector.VectorEnv[Any, Any, Any]):  # type: igno
         dump: folder for run logs of episodes that diverge (`info["dump"]` names the files).
         max_episode_steps: truncate after so many steps, as `TimeLimit` does around a single
             environment; None or -1: nothing but the task's own end.
-        reward, cost: see `VesEnv`; `reward_space` is that of one environment.
+        reward, cost, privileged: see `VesEnv`; `reward_space` is that of one environment.
         settings: see `build_task`.
 
     `info` holds arrays with the leading axis num_envs; what exists only at the end of an
@@ -61,6 +61,7 @@ class VesVectorEnv(Episodic, gym.vector.VectorEnv[Any, Any, Any]):  # type: igno
         max_episode_steps: int | None = None,
         reward: str = "scalar",
         cost: Mapping[str, float] | bool | None = None,
+        privileged: bool = False,
         **settings: Any,
     ) -> None:
         self._limit = _step_limit(max_episode_steps)
@@ -70,7 +71,7 @@ class VesVectorEnv(Episodic, gym.vector.VectorEnv[Any, Any, Any]):  # type: igno
             )
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.num_envs = num_envs
-        form = render_mode, goal, reward, cost
+        form = render_mode, goal, reward, cost, privileged
         self.single_action_space, self.single_observation_space = self._set_up(
             task, settings, *form, backend=backend, threads=threads, dump=dump
         )
@@ -108,7 +109,7 @@ class VesVectorEnv(Episodic, gym.vector.VectorEnv[Any, Any, Any]):  # type: igno
         self.batch.reset(ids, {k: v[ids] for k, v in options.items()})
         self._over[ids] = False
         self._ready = True
-        return self._observation(), self.batch.randomized()
+        return self._observation(), self._told(self.batch.randomized())
 
     def _seed(self, seed: Any, ids: Any) -> None:
         if seed is None and not self._ready:
@@ -153,13 +154,13 @@ class VesVectorEnv(Episodic, gym.vector.VectorEnv[Any, Any, Any]):  # type: igno
         ended = terminated | truncated
         self._over = ended
         if mode is AutoresetMode.SAME_STEP and ended.any():
-            final, last = self._observation(), dict(info)
+            final, last = self._observation(), dict(self._told(info))
             info["final_obs"], info["_final_obs"] = final, ended
             info["final_info"], info["_final_info"] = last, ended
             self.batch.reset(np.flatnonzero(ended))
             info.update(self.batch.randomized())
             self._over = np.zeros(self.num_envs, bool)
-        return self._observation(), reward, terminated, truncated, info
+        return self._observation(), reward, terminated, truncated, self._told(info)
 
     @property
     def episode_id(self) -> npt.NDArray[np.uint64]:
