@@ -142,6 +142,16 @@ def test_rewards_are_those_of_whole_episodes_and_the_critic_may_see_more(privile
     ours.update(rollout, 1e-3)
 
 
+def test_centred_rewards_have_no_mean_and_differ_by_a_constant():
+    rollouts = [
+        learner(decisions("ves/PumaReach-v0", 3), n_steps=40, centre=k).collect()
+        for k in (False, True)
+    ]
+    plain, centred = (k.reward[~k.over] for k in rollouts)
+    assert np.ptp(plain - centred) < 1e-6 < abs(plain.mean())
+    assert abs(centred.mean()) < 1e-6
+
+
 def test_an_update_stops_where_the_policy_has_moved_too_far():
     env = decisions()
     steps = []

@@ -35,7 +35,7 @@ _LEAST = 1e-6  # variance below which an entry of the observation is not stretch
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Hyper-parameters, with Stable-Baselines3's names and defaults, and three more."""
+    """Hyper-parameters, with Stable-Baselines3's names and defaults, and four more."""
 
     learning_rate: float = 3e-4
     n_steps: int = 2048  # decisions of every environment between updates
@@ -50,6 +50,10 @@ class Settings:
     max_grad_norm: float = 0.5
     target_kl: float | None = None  # an update ends beyond 1.5 times it
     normalise: bool = False  # observations, by their mean and spread so far
+    # Rewards less the mean of those that end no episode: a constant that changes nothing where
+    # episodes are equally long, and which a critic would have to learn before anything else
+    # ("Reward Centering", Naik et al., arXiv:2405.09999).
+    centre: bool = False
     critic_first: int = 0  # updates at first that leave the actor as it is
 
     def __post_init__(self) -> None:
@@ -227,6 +231,8 @@ class PPO:
             beside[t] = self.beside
             value[t] = self._worth(inputs[t], beside[t])
             reward[t], over[t] = self._step(np.clip(action[t], -1.0, 1.0))
+        if k.centre and not over.all():
+            reward -= reward[~over].mean()
         chance = -0.5 * np.square(noise).sum(axis=2) - self._volume()
         following = self._worth(self.stack.scaled(self.rows), self.beside).copy()
         return Experience(inputs, beside, action, chance, value, reward, over, following)
