@@ -15,10 +15,10 @@ import numpy as np
 import scipy
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.boom import NO_ARM, Boom, BoomJoint, BoomMember
 from ves_gym.mechanics.finite_elements import Material, Section
 from ves_gym.mechanics.flexure import expand
+from ves_gym.mechanics.link import Inertial, diagonal
 
 LENGTH, STIFFNESS, MASS = 10.0, 2e6, 80.0  # m, EI [N m^2], kg
 SLENDER = Section(area=1e-2, second_y=1e-6, second_z=1e-6, torsion=1e-6)

@@ -10,8 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.arm import Arm, Inertial, Link, diagonal, matrix
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.kinematics import ToolPose, frames, joint_positions, tool_frame
+from ves_gym.mechanics.link import Inertial, Link, diagonal, matrix
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.vehicle import BENT_THESIS, MatrixVehicle
 from ves_gym.planners.obstacles import link_radius

@@ -8,9 +8,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipkinc
 
-from ves_gym.mechanics.arm import Arm, Inertial, Link, Mount, diagonal
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.carried import carried_inertia
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.link import Inertial, Link, Mount, diagonal
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.spatial import matvec, rotation, twist
 

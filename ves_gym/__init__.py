@@ -50,7 +50,8 @@ if TYPE_CHECKING:  # for editors and type checkers: the same names as in the tab
     from ves_gym.envs.task import Task as Task, register_task as register_task
     from ves_gym.leaderboard.verify import make_entry as make_entry
     from ves_gym.leaderboard.verify import verify as verify_entry
-    from ves_gym.mechanics.arm import Arm as Arm, Inertial as Inertial, Link as Link
+    from ves_gym.mechanics.arm import Arm as Arm
+    from ves_gym.mechanics.link import Inertial as Inertial, Link as Link
     from ves_gym.mechanics.arm_library import PUMA_560 as PUMA_560
     from ves_gym.mechanics.motion import Motion as Motion
     from ves_gym.mechanics.servo import JointServo as JointServo
@@ -94,7 +95,8 @@ _TABLE = {  # module -> names; one that is called otherwise there is name=there
     "engine.kernel.sensitivity": "rollout_gradients",
     "envs.task": "Task register_task",
     "leaderboard.verify": "make_entry verify_entry=verify",
-    "mechanics.arm": "Arm Inertial Link",
+    "mechanics.arm": "Arm",
+    "mechanics.link": "Inertial Link",
     "mechanics.arm_library": "PUMA_560",
     "mechanics.motion": "Motion",
     "mechanics.servo": "JointServo",

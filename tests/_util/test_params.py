@@ -26,8 +26,8 @@ from ves_gym._util.params import (
     units,
     write_text,
 )
-from ves_gym.mechanics.arm import Inertial, Link, diagonal, matrix
 from ves_gym.mechanics.arm_library import PUMA_560
+from ves_gym.mechanics.link import Inertial, Link, diagonal, matrix
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES, Beam, MatrixVehicle
 from ves_gym.system.system import System
 

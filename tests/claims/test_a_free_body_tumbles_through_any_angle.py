@@ -9,7 +9,7 @@ import pytest
 
 from tests.free_bodies import NO_ARM, free_attitude, free_body
 from ves_gym.mechanics import attitude
-from ves_gym.mechanics.arm import Inertial, diagonal
+from ves_gym.mechanics.link import Inertial, diagonal
 from ves_gym.mechanics.spatial import twist
 from ves_gym.mechanics.vehicle import FREE_FLOATING, Satellite
 from ves_gym.simulation.simulator import Simulator

@@ -15,12 +15,12 @@ import pytest
 from tests import contact_mjcf
 from tests.free_bodies import NO_ARM, momentum_of, rebound
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.attitude import conjugate, from_angles, rotate
 from ves_gym.mechanics.contact import Contact, ContactShape
 from ves_gym.mechanics.kinematics import tool_frame, tool_jacobian
 from ves_gym.mechanics.latch import tool_motion
+from ves_gym.mechanics.link import Inertial, Mount, diagonal
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.spatial import twist

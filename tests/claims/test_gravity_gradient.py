@@ -20,9 +20,9 @@ import ves_gym as vg
 from ves_gym.engine.backends.kernel import KernelBackend
 from ves_gym.engine.backends.mujoco import compile_model
 from ves_gym.engine.mjcf import TO_Y
-from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.link import Inertial, diagonal
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.spatial import rotation, twist
 from ves_gym.mechanics.vehicle import FREE_FLOATING, SERVICER_FLEXIBLE, Orbit, Satellite

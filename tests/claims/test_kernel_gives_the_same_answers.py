@@ -21,7 +21,8 @@ import pytest
 from tests.arms import heavier
 from ves_gym.engine import mjcf
 from ves_gym.hardware.leg_servo import FILTERED, leg_clock
-from ves_gym.mechanics.arm import Arm, Inertial, Link, matrix
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.link import Inertial, Link, matrix
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.vehicle import VEHICLES, Beam, MatrixVehicle, Satellite, Vehicle

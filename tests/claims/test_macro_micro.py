@@ -15,12 +15,12 @@ import scipy
 from tests.arms import pinocchio_terms
 from ves_gym.engine.linear import linearise_ideal
 from ves_gym.engine.mjcf import TO_Y
-from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.boom import REACHING_OUT, SHUTTLE_LIKE, Boom
 from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.kinematics import joint_positions
+from ves_gym.mechanics.link import Inertial, diagonal
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS, JointServo, own_gains
 from ves_gym.mechanics.spatial import rate_matrix, rotation

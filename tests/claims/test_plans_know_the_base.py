@@ -11,8 +11,8 @@ import pytest
 
 from tests.claims.test_macro_micro import BRAKED
 from ves_gym.effects.payload import PayloadMass
-from ves_gym.mechanics.arm import Gear
 from ves_gym.mechanics.arm_library import get_arm
+from ves_gym.mechanics.link import Gear
 from ves_gym.mechanics.vehicle import BENT, SERVICER_FLEXIBLE
 from ves_gym.planners.coupling import band_limited, coupling_matrix
 from ves_gym.planners.motion_problem import MotionProblem

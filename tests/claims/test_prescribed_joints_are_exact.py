@@ -19,10 +19,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from ves_gym.engine.mjcf import TO_Y
-from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.dynamics import merged
+from ves_gym.mechanics.link import Inertial, diagonal
 from ves_gym.mechanics.payload import numbers_of
 from ves_gym.mechanics.vehicle import Satellite
 from ves_gym.simulation.simulator import Simulator

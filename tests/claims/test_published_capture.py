@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from ves_gym.mechanics.arm import Arm, Inertial, Link, Mount, diagonal
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.latch import tool_motion
+from ves_gym.mechanics.link import Inertial, Link, Mount, diagonal
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.vehicle import Satellite

@@ -23,11 +23,11 @@ import pytest
 from tests.arms import heavier, pinocchio_terms
 from ves_gym.engine.backends.mujoco import compile_model
 from ves_gym.engine.mjcf import TO_Y
-from ves_gym.mechanics.arm import Inertial, matrix
 from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.kinematics import joint_positions
+from ves_gym.mechanics.link import Inertial, matrix
 from ves_gym.mechanics.spatial import rate_matrix
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES, MatrixVehicle, Satellite
 from ves_gym.simulation.simulator import Simulator

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from ves_gym.hardware.leg_servo import FILTERED, FILTERED_FEEDBACK, closed_loop, leg_clock
-from ves_gym.mechanics.arm import matrix
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.link import matrix
 from ves_gym.mechanics.vehicle import BENT_THESIS, MatrixVehicle
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.simulation.stability import linearise

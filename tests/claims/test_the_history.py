@@ -16,10 +16,11 @@ import scipy.linalg
 import scipy.signal
 
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.arm import Arm, Inertial, diagonal
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.kinematics import frames
+from ves_gym.mechanics.link import Inertial, diagonal
 from ves_gym.mechanics.vehicle import BENT_THESIS, STRAIGHT_VERTICAL_THESIS, Beam
 from ves_gym.planners.coupling import blocks, coupling_length, coupling_matrix, modes
 from ves_gym.system.system import System

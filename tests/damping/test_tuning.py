@@ -18,9 +18,10 @@ from ves_gym.damping.plant import (
 )
 from ves_gym.damping.tuning import OBJECTIVES, Bounds, objective_of, tune
 from ves_gym.engine.mjcf import TO_Y
-from ves_gym.mechanics.arm import Arm, matrix
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.arm_library import PUMA_560
+from ves_gym.mechanics.link import matrix
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS, JointServo
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from ves_gym.mechanics.arm import matrix
+from ves_gym.mechanics.link import matrix
 from ves_gym.system.effect import EFFECTS, Effect
 
 CROSS = 0.02 * np.random.default_rng(0).normal(size=(6, 6))

@@ -26,8 +26,8 @@ from ves_gym.effects import (
 )
 from ves_gym.hardware.leg_servo import LOW_GAINS, leg_clock
 from ves_gym.hardware.platform import PoseServo
-from ves_gym.mechanics.arm import Inertial, diagonal, matrix
 from ves_gym.mechanics.arm_library import PUMA_560
+from ves_gym.mechanics.link import Inertial, diagonal, matrix
 from ves_gym.mechanics.servo import PPED_GAINS, JointServo
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,

@@ -16,8 +16,8 @@ from ves_gym.engine.backends.base import BackendWarning
 from ves_gym.engine.backends.kernel import stepper
 from ves_gym.engine.kernel import build, numbers, trace
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
-from ves_gym.mechanics.arm import matrix
 from ves_gym.mechanics.arm_library import PUMA_560
+from ves_gym.mechanics.link import matrix
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,
     DECOUPLED,

@@ -11,8 +11,9 @@ from tests.envs.test_divergence import derail
 from tests.urdf_arms import chain, six_joint_urdf
 from ves_gym._util.params import ParameterError
 from ves_gym.envs.build import build_task
-from ves_gym.mechanics.arm import Arm, Follower
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import PUMA_560, get_arm
+from ves_gym.mechanics.link import Follower
 from ves_gym.mechanics.servo import own_gains
 from ves_gym.system.runlog import RunLog
 

@@ -8,9 +8,9 @@ import pytest
 import ves_gym as vg
 from tests.foreign.conftest import difference
 from tests.foreign.servo_loop import link_rows, queries, row, servo_loop, without_rotors
-from ves_gym.mechanics.arm import diagonal
 from ves_gym.mechanics.arm_library import PUMA_560, get_arm
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.link import diagonal
 from ves_gym.mechanics.orbit import EARTH, EARTH_RADIUS, Orbit
 from ves_gym.mechanics.pointing import allocated, wrench_matrix
 from ves_gym.mechanics.spatial import rotation

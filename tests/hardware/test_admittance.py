@@ -15,7 +15,7 @@ from ves_gym.hardware.admittance import (
     integrate,
     rigid_bodies,
 )
-from ves_gym.mechanics.arm import diagonal
+from ves_gym.mechanics.link import diagonal
 from ves_gym.mechanics.spatial import matvec, rotation, skew, twist
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,

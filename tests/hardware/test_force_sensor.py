@@ -7,7 +7,7 @@ import scipy.signal
 from tests.running_blocks import RunningSensor
 from ves_gym._util.params import ParameterError
 from ves_gym.hardware.force_sensor import ForceSensor, SensorErrors, low_pass
-from ves_gym.mechanics.arm import matrix
+from ves_gym.mechanics.link import matrix
 
 NODES = np.arange(11) * 1.25e-3
 DT = float(NODES[-1])

@@ -11,10 +11,10 @@ import ves_gym as vg
 from tests.arms import PLANAR_GAINS, WRIST_GAINS, planar_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.engine.backends.mujoco import compile_model
-from ves_gym.mechanics.arm import Inertial, diagonal, matrix
 from ves_gym.mechanics.arm_library import PUMA_560, get_arm
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.kinematics import joint_positions
+from ves_gym.mechanics.link import Inertial, diagonal, matrix
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS, OWN_GAINS, own_gains
 from ves_gym.mechanics.spatial import skew

@@ -15,11 +15,12 @@ import pytest
 from tests.urdf_arms import body, chain, joint, slider_urdf, vector
 from ves_gym._util.params import ParameterError
 from ves_gym.effects.joint_friction import JointCoulomb, JointViscous
-from ves_gym.mechanics.arm import BANDWIDTH, Arm, Capsule, Gear
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_files import ExportWarning
 from ves_gym.mechanics.arm_library import PUMA_560, arm_names, get_arm
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.kinematics import frames, tool_frame, tool_twists
+from ves_gym.mechanics.link import BANDWIDTH, Capsule, Gear
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
 from ves_gym.planners.obstacles import Sphere, Surroundings, collisions
 from ves_gym.simulation.simulator import Simulator

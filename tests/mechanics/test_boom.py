@@ -10,7 +10,6 @@ import scipy
 
 from ves_gym._util.params import ParameterError
 from ves_gym.damping.plant import plant_at
-from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.boom import (
     NO_ARM,
@@ -25,6 +24,7 @@ from ves_gym.mechanics.finite_elements import Tube
 from ves_gym.mechanics.flexible_base import FlexibleBase, Polyline, Strut, beam_line
 from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.kinematics import joint_positions
+from ves_gym.mechanics.link import Inertial, diagonal
 from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.planners.query import Query, solve

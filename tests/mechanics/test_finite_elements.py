@@ -11,7 +11,6 @@ import scipy.linalg
 import scipy.optimize
 
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.finite_elements import (
     ALUMINIUM,
     Material,
@@ -20,6 +19,7 @@ from ves_gym.mechanics.finite_elements import (
     cowper,
 )
 from ves_gym.mechanics.flexible_base import CornerBody, Polyline, Strut
+from ves_gym.mechanics.link import Inertial, diagonal
 
 # so slender that rotary inertia and shear change nothing in six digits
 HAIR = Tube(outer_diameter=4e-3, wall=5e-4)

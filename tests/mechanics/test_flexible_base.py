@@ -7,7 +7,6 @@ import pytest
 import scipy.linalg
 
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.arm import Inertial, diagonal, matrix
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.craig_bampton import reduce
 from ves_gym.mechanics.finite_elements import Section, Tube
@@ -19,6 +18,7 @@ from ves_gym.mechanics.flexible_base import (
     Strut,
 )
 from ves_gym.mechanics.latch import tool_motion
+from ves_gym.mechanics.link import Inertial, diagonal, matrix
 from ves_gym.mechanics.modes import natural_modes
 from ves_gym.mechanics.structure import Structure
 from ves_gym.mechanics.vehicle import (

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.arms import planar_arm, six_joint_arm
 from ves_gym._util.params import ParameterError
 from ves_gym.engine.mjcf import TO_Y
-from ves_gym.mechanics.arm import Arm, Inertial, Link, diagonal
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inverse_dynamics
@@ -21,6 +21,7 @@ from ves_gym.mechanics.gravity import (
     minimal_model,
     moment_regressor,
 )
+from ves_gym.mechanics.link import Inertial, Link, diagonal
 from ves_gym.mechanics.vehicle import VEHICLES
 from ves_gym.system.system import System
 

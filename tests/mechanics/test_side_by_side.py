@@ -10,11 +10,11 @@ import pytest
 from tests.two_engines import require_alike
 from ves_gym._util.params import ParameterError
 from ves_gym.engine.mjcf import TO_Y
-from ves_gym.mechanics.arm import Gear, Limb
 from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.arm_library import PUMA_560, get_arm
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.kinematics import joint_positions, tool_frame, tool_twists
+from ves_gym.mechanics.link import Gear, Limb
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.side_by_side import side_by_side
 from ves_gym.mechanics.tool_pose import joints_for

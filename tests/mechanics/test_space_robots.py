@@ -21,9 +21,10 @@ from tests.space_robots import (
     possible,
 )
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.arm import Arm, Inertial, diagonal
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia, newton_euler
 from ves_gym.mechanics.kinematics import frames
+from ves_gym.mechanics.link import Inertial, diagonal
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import Satellite

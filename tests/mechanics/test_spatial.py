@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ves_gym.mechanics.arm import Inertial, matrix
+from ves_gym.mechanics.link import Inertial, matrix
 from ves_gym.mechanics.spatial import (
     body_wrench,
     rate_matrix,

@@ -8,9 +8,9 @@ import pytest
 
 from tests.arms import seven_joint_arm
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.arm import Mount
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.kinematics import tool_frame
+from ves_gym.mechanics.link import Mount
 from ves_gym.mechanics.spherical_wrist import has_spherical_wrist, shortest_way
 from ves_gym.mechanics.tool_pose import configurations_at_each
 

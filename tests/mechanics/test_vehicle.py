@@ -9,7 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ves_gym._util.params import ParameterError, write_table
-from ves_gym.mechanics.arm import diagonal, matrix
+from ves_gym.mechanics.link import diagonal, matrix
 from ves_gym.mechanics.modes import modal_damping
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,

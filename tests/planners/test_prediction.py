@@ -8,10 +8,10 @@ import scipy.signal
 
 from tests.arms import with_modes
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.arm import Mount
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.kinematics import joint_positions
+from ves_gym.mechanics.link import Mount
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS, get_vehicle

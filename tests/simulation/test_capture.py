@@ -11,9 +11,9 @@ from ves_gym._util.optional import installed
 from ves_gym._util.params import ParameterError
 from ves_gym.effects.joint_drive import JointElasticity
 from ves_gym.effects.payload import PayloadMass
-from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.attitude import rotate
 from ves_gym.mechanics.latch import body_momentum
+from ves_gym.mechanics.link import Inertial, Mount, diagonal
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.spatial import quadratic
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING, SERVICER_FLEXIBLE

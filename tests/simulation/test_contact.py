@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.boom import get_boom
 from ves_gym.mechanics.contact import Contact, ContactShape
 from ves_gym.mechanics.kinematics import tool_frame
+from ves_gym.mechanics.link import Inertial, diagonal
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.vehicle import BENT, FREE_FLOATING

@@ -14,11 +14,11 @@ from ves_gym.engine.mjcf import TO_Y
 from ves_gym.hardware.leg_servo import FILTERED, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.hardware.stewart import VES
-from ves_gym.mechanics.arm import diagonal
 from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.arm_library import PUMA_560, get_arm
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.mechanics.gravity import GRAVITY, GravityModel, gravity_vector
+from ves_gym.mechanics.link import diagonal
 from ves_gym.mechanics.spatial import rate_matrix
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED, FREE_FLOATING, MatrixVehicle
 from ves_gym.simulation.simulator import Simulator

@@ -7,8 +7,8 @@ import pytest
 import ves_gym as vg
 from ves_gym._util.params import ParameterError
 from ves_gym.effects.joint_friction import JointViscous
-from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.arm_library import get_arm
+from ves_gym.mechanics.link import Inertial, diagonal
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import OWN_SERVO, JointServo
 from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, FREE_FLOATING, SERVICER

@@ -5,9 +5,9 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.arm import diagonal
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.dynamics import inverse_dynamics
+from ves_gym.mechanics.link import diagonal
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS, OWN_GAINS, OWN_SERVO, JointServo
 from ves_gym.mechanics.spatial import matvec, rotation, twist

@@ -7,7 +7,7 @@ import pytest
 
 from tests.display import require_opengl
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.arm import Inertial, diagonal
+from ves_gym.mechanics.link import Inertial, diagonal
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.vehicle import BENT, BENT_THESIS, FREE_FLOATING, get_vehicle

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from ves_gym._util.params import ParameterError
-from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.arm_library import PUMA_560
+from ves_gym.mechanics.link import Inertial, diagonal
 from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,

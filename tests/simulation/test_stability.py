@@ -12,9 +12,9 @@ from ves_gym.effects import LABORATORY_ERRORS
 from ves_gym.hardware.force_sensor import ForceSensor
 from ves_gym.hardware.leg_servo import FILTERED, leg_clock
 from ves_gym.hardware.platform import PoseServo
-from ves_gym.mechanics.arm import diagonal
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.link import diagonal
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,
     DECOUPLED,

@@ -11,8 +11,8 @@ import scipy.signal
 from ves_gym._util.params import ParameterError
 from ves_gym.engine.backends.mujoco import model_spec
 from ves_gym.engine.mjcf import TO_Y
-from ves_gym.mechanics.arm import Mount
 from ves_gym.mechanics.arm_library import PUMA_560
+from ves_gym.mechanics.link import Mount
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS, get_vehicle
 from ves_gym.simulation.playback import play_motions

@@ -10,7 +10,7 @@ from ves_gym._util.params import ParameterError
 from ves_gym.effects import EFFECTS, LABORATORY_ERRORS
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
-from ves_gym.mechanics.arm import diagonal
+from ves_gym.mechanics.link import diagonal
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.deviations import LoopParameters

@@ -25,7 +25,8 @@ from ves_gym.diagnosis.output.common import DescriptionFiles
 from ves_gym.diagnosis.output.mjcf_file import described, write_machine
 from ves_gym.diagnosis.output.residual_file import write_parameters
 from ves_gym.diagnosis.output.system_file import write_system
-from ves_gym.mechanics.arm import Arm, Inertial
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.link import Inertial
 from ves_gym.system.effect import Effect
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector
-from ves_gym.mechanics.arm import Arm, Gear
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.link import Gear
 from ves_gym.system.candidate import Candidate, Number, Scope, at_joint, number_of, placed
 from ves_gym.system.deviations import Delays
 from ves_gym.system.effect import ArmEffect, DelayEffect, TorqueEffect, parameter, register

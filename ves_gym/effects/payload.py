@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector
-from ves_gym.mechanics.arm import Arm, Inertial, matrix
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.body_numbers import (
     PARAMETER_UNITS,
     PARAMETERS,
@@ -18,6 +18,7 @@ from ves_gym.mechanics.body_numbers import (
     is_body,
     nearest_body,
 )
+from ves_gym.mechanics.link import Inertial, matrix
 from ves_gym.mechanics.payload import carrying
 from ves_gym.system.candidate import Candidate, Number, Scope, placed
 from ves_gym.system.deviations import LoopParameters

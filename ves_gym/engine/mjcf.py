@@ -14,8 +14,9 @@ import numpy as np
 
 from ves_gym._util.mujoco_loader import mujoco
 from ves_gym._util.params import Array, Index, Vector
-from ves_gym.mechanics.arm import Arm, Inertial, matrix
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.flexure import expand
+from ves_gym.mechanics.link import Inertial, matrix
 from ves_gym.mechanics.vehicle import (
     Appendage,
     BaseModel,

@@ -10,11 +10,11 @@ from ves_gym._util.params import Array, Mask, ParameterError, Vector, finite, un
 from ves_gym.envs.arm_task import ArmTask, directions, gap
 from ves_gym.envs.control import Acceleration, Control
 from ves_gym.envs.task import Field, Scene, Start, register_task
-from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.attitude import from_matrix, rotate
 from ves_gym.mechanics.contact import Contact, ContactShape
 from ves_gym.mechanics.kinematics import dexterity, joint_positions
 from ves_gym.mechanics.latch import LatchTarget
+from ves_gym.mechanics.link import Inertial, Mount, diagonal
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.spatial import matvec, rotation
 from ves_gym.mechanics.vehicle import BENT

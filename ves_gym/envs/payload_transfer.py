@@ -11,10 +11,10 @@ from ves_gym.envs.arm_task import ArmTask, braked, gap
 from ves_gym.envs.control import Control, ToolVelocity
 from ves_gym.envs.reach import reachable
 from ves_gym.envs.task import Field, Scene, Start, register_task
-from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.attitude import from_angles, to_matrix
 from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.latch import LatchTarget
+from ves_gym.mechanics.link import Inertial, Mount, diagonal
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.spatial import matvec, rotation
 from ves_gym.mechanics.vehicle import BENT_THESIS

@@ -13,11 +13,11 @@ from ves_gym.envs.arm_task import ArmTask, directions, gap
 from ves_gym.envs.base_control import BaseControl, wheels_of
 from ves_gym.envs.control import Acceleration, Control
 from ves_gym.envs.task import Field, Scene, Start, register_task
-from ves_gym.mechanics.arm import Inertial, Mount, diagonal
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.attitude import from_matrix, log, rotate
 from ves_gym.mechanics.kinematics import joint_positions, pose_dexterity, tool_frame
 from ves_gym.mechanics.latch import BODY, LatchTarget, named
+from ves_gym.mechanics.link import Inertial, Mount, diagonal
 from ves_gym.mechanics.payload import Payload
 from ves_gym.mechanics.spatial import cross, matvec, rotation, twist
 from ves_gym.mechanics.vehicle import SERVICER_FLEXIBLE, Satellite

@@ -24,7 +24,7 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
-from ves_gym.mechanics.arm import matrix
+from ves_gym.mechanics.link import matrix
 from ves_gym.mechanics.spatial import skew
 
 _UNIT_MATRIX = matrix(np.eye(6))

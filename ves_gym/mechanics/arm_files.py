@@ -15,11 +15,12 @@ import numpy as np
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import named, read_xml
-from ves_gym.mechanics.arm import BANDWIDTH, Arm, Capsule, Inertial, Part
+from ves_gym.mechanics.arm import Arm, ArmPart
 from ves_gym.mechanics.arm_reader import ChainChoice, arm_of_tree
 from ves_gym.mechanics.attitude import from_matrix
 from ves_gym.mechanics.chain import angles_of, upright
 from ves_gym.mechanics.flexure import expand
+from ves_gym.mechanics.link import BANDWIDTH, Capsule, Inertial
 from ves_gym.mechanics.mjcf_arm import MjcfTree
 from ves_gym.mechanics.urdf import UrdfTree
 
@@ -52,7 +53,7 @@ def _joint_names(arm: Arm) -> list[str]:
     return [part.link.name or part.joint for part in arm.parts]
 
 
-def _leaders(arm: Arm, part: Part) -> dict[str, float]:
+def _leaders(arm: Arm, part: ArmPart) -> dict[str, float]:
     """Names of the joints that one follows, and their ratios; none: it is driven."""
     links = zip(arm.links, part.ratios or (), strict=part.ratios is not None)
     return {link.name or f"q_{i}": r for i, (link, r) in enumerate(links, start=1) if r}
@@ -150,7 +151,7 @@ def _urdf_joint(
     return joint
 
 
-def _mimic(arm: Arm, part: Part, joint: Element) -> None:
+def _mimic(arm: Arm, part: ArmPart, joint: Element) -> None:
     """How a follower follows, for which URDF has words if it is one joint."""
     leaders = _leaders(arm, part)
     if len(leaders) > 1:
@@ -352,8 +353,8 @@ def pinocchio_model(arm: Arm, base: BaseModel | None = None) -> pinocchio.Model:
             append(base.body)
     append(chain.arm.base)
     *places, tool = (pin.SE3(R, p) for R, p in chain.arm.placements)
-    own = range(len(arm.parts)) if arm.followers else chain.driven
-    names = dict(zip(own, _joint_names(arm), strict=True))
+    moving = range(len(arm.parts)) if arm.followers else chain.driven
+    names = dict(zip(moving, _joint_names(arm), strict=True))
     names |= {place: f"f_{k}" for k, place in enumerate(chain.passive, start=1)}
     joints = {-1: joint}
     for i in chain.arm.depth_first():
@@ -375,8 +376,8 @@ def _with_mimic(arm: Arm, model: pinocchio.Model) -> pinocchio.Model:
 
     for part, name in zip(arm.parts, _joint_names(arm), strict=True):
         leaders = [(model.getJointId(k), r) for k, r in _leaders(arm, part).items()]
-        own = model.getJointId(name)
-        if len(leaders) > 1 or any(leader > own for leader, _ in leaders):
+        joint = model.getJointId(name)
+        if len(leaders) > 1 or any(leader > joint for leader, _ in leaders):
             raise ParameterError(
                 f"Pinocchio has no words for {name}, which follows several joints or one"
                 " beyond it"
@@ -384,5 +385,5 @@ def _with_mimic(arm: Arm, model: pinocchio.Model) -> pinocchio.Model:
         for leader, ratio in leaders:
             rotor = ratio**2 * part.link.rotor_inertia
             model.armature[model.joints[leader].idx_v] += rotor
-            model = pin.transformJointIntoMimic(model, leader, own, ratio, 0.0)
+            model = pin.transformJointIntoMimic(model, leader, joint, ratio, 0.0)
     return model

@@ -16,8 +16,9 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.arm import BANDWIDTH, Arm, Inertial, matrix, rigid_moments
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.chain import ENDLESS, Joint, LinkMass, Lump, Segment, arm_of
+from ves_gym.mechanics.link import BANDWIDTH, Inertial, matrix, rigid_moments
 from ves_gym.mechanics.side_by_side import side_by_side
 
 # Numbers beyond these look like mm, g and kg mm^2 (this project).
@@ -331,8 +332,8 @@ def _coupled(tree: Tree, root: str, chain: list[str], locked: Mapping[str, float
     moving = {k: row[:n] for k, row in rows.items() if row[:n].any()}
     for tie in ties.values():
         if tie.bend:
-            some = [k for k in tie.ratios if k in moving or k in ties]
-            _refuse(tie, some, [tie.follower])
+            involved = [k for k in tie.ratios if k in moving or k in ties]
+            _refuse(tie, involved, [tie.follower])
     for name in moving:
         if fault := joints[name].fault:
             raise ParameterError(fault)
@@ -352,8 +353,8 @@ def _ties(
     out: dict[str, Tie] = {}
     for tie in tree.ties:
         if math.isnan(tie.shift):  # by a tendon between sites
-            some = [k for k in (tie.follower, *tie.ratios) if k in loose]
-            _refuse(tie, some, some)
+            involved = [k for k in (tie.follower, *tie.ratios) if k in loose]
+            _refuse(tie, involved, involved)
             continue
         there = tie.ratios.keys() <= joints
         if tie.follower not in beyond or tie.follower in locked:
@@ -373,31 +374,31 @@ def _solved(tree: Tree, ties: Mapping[str, Tie], rows: Mapping[str, Array]) -> d
     if not names:
         return {}
     among = np.eye(len(names))  # followers less what they follow of each other = what is known
-    known = np.zeros((len(names), len(next(iter(rows.values())))))
+    constants = np.zeros((len(names), len(next(iter(rows.values())))))
     for i, tie in enumerate(ties.values()):
-        known[i, -1] = tie.shift
+        constants[i, -1] = tie.shift
         if tie.bend:  # of what stands still; else refused
             way = sum(k * (rows[j][-1] - tree.rest(j)) for j, k in tie.bend[1].items())
-            known[i, -1] += np.polyval([*tie.bend[0][::-1], 0.0, 0.0], way)
+            constants[i, -1] += np.polyval([*tie.bend[0][::-1], 0.0, 0.0], way)
         for leader, ratio in tie.ratios.items():
             if leader in ties:
                 among[i, names.index(leader)] -= ratio
             else:
-                known[i] += ratio * rows[leader]
+                constants[i] += ratio * rows[leader]
     if abs(np.linalg.det(among)) < _ROUND:
         raise ParameterError(
             f"joints {', '.join(map(repr, names))} follow each other in a ring: hold one"
             f" ({held(names[0])})"
         )
-    return dict(zip(names, np.linalg.solve(among, known), strict=True))
+    return dict(zip(names, np.linalg.solve(among, constants), strict=True))
 
 
 def _refuse(tie: Tie, moving: list[str], remedy: list[str]) -> None:
     """Refuse a tie in no proportion, of which joints would move, unless some are held."""
     if moving:
-        some, hold = (", ".join(map(repr, names)) for names in (moving, remedy))
+        involved, hold = (", ".join(map(repr, names)) for names in (moving, remedy))
         raise ParameterError(
-            f"{tie.what}, but not in proportion, and {some} would move: hold {hold}"
+            f"{tie.what}, but not in proportion, and {involved} would move: hold {hold}"
             f" ({held(*remedy)})"
         )
 

@@ -23,13 +23,13 @@ from ves_gym._util.params import (
     unit,
     write_table,
 )
-from ves_gym.mechanics.arm import Inertial, matrix, require_length_1
 from ves_gym.mechanics.carried import (
     Carried,
     ReactionWheel,
     carried_inertia,
     linear_joints,
 )
+from ves_gym.mechanics.link import Inertial, matrix, require_length_1
 
 
 class Saved:

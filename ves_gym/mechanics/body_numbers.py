@@ -13,7 +13,7 @@ import numpy.typing as npt
 import scipy
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.arm import Inertial
+from ves_gym.mechanics.link import Inertial
 
 PARAMETERS = (  # about the origin of the body's frame
     "mass",

@@ -28,21 +28,14 @@ from ves_gym._util.params import (
 )
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.threads import on_one_thread
-from ves_gym.mechanics.arm import (
-    WEIGHTLESS,
-    Arm,
-    Flexure,
-    Inertial,
-    Link,
-    Mount,
-    diagonal,
-)
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.chain import Joint, LinkMass, Lump, angles_of, arm_of
 from ves_gym.mechanics.craig_bampton import reduce
 from ves_gym.mechanics.finite_elements import Material, Section, Tube
 from ves_gym.mechanics.flexible_base import REACH, FlexibleBase, Reduced
 from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.kinematics import frames
+from ves_gym.mechanics.link import WEIGHTLESS, Flexure, Inertial, Link, Mount, diagonal
 
 _SOFTEST = 1e-9  # of the flange's ways, in compliance over the largest: below it none
 _EVENLY = 7  # points of a member that a picture shows

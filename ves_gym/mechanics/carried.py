@@ -22,7 +22,6 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
-from ves_gym.mechanics.arm import Inertial, require_length_1
 from ves_gym.mechanics.dynamics import (
     body_loads,
     moments,
@@ -32,6 +31,7 @@ from ves_gym.mechanics.dynamics import (
     swing,
     turned_inertia,
 )
+from ves_gym.mechanics.link import Inertial, require_length_1
 from ves_gym.mechanics.spatial import cross, room, skew
 
 

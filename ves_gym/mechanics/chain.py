@@ -14,10 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError, finite
-from ves_gym.mechanics.arm import (
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.dynamics import drawn_configurations, inertia
+from ves_gym.mechanics.link import (
     BANDWIDTH,
     WEIGHTLESS,
-    Arm,
     Capsule,
     Flexure,
     Follower,
@@ -28,7 +29,6 @@ from ves_gym.mechanics.arm import (
     rigid_moments,
     turned_about,
 )
-from ves_gym.mechanics.dynamics import drawn_configurations, inertia
 
 ENDLESS = 2 * math.pi  # rad either way, the range taken for a joint without limits
 _NOTHING = 1e-13  # of m c^2

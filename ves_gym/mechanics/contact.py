@@ -30,9 +30,10 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
-from ves_gym.mechanics.arm import Chain, Mount
+from ves_gym.mechanics.arm_arrays import Chain
 from ves_gym.mechanics.attitude import product, to_matrix
 from ves_gym.mechanics.kinematics import frames, tool_motions
+from ves_gym.mechanics.link import Mount
 from ves_gym.mechanics.spatial import cross, matvec, rate_matrix, rotation, solve_symmetric
 
 FORMS = {"sphere": 1, "capsule": 2, "box": 3, "cone": 3}  # numbers of its size

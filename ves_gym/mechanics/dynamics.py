@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.arm import Arm, Mechanism, Root, spans
+from ves_gym.mechanics.arm import Arm, Mechanism
+from ves_gym.mechanics.arm_arrays import Root, spans
 from ves_gym.mechanics.kinematics import frames, joint_values, outwards, twists
 from ves_gym.mechanics.spatial import base_motion, cross, room
 
@@ -206,7 +207,7 @@ class Composites(NamedTuple):
     mass: Array  # (..., n) of all beyond a joint [kg]
     first: Array  # (..., n, 3) [kg m]
     second: Array  # (..., n, 6) [kg m^2]
-    whole: tuple[Array, Array, Array]  # the same of all bodies, the base link's among them
+    total: tuple[Array, Array, Array]  # the same of all bodies, the base link's among them
     moving: Array  # (..., n, 3) velocity per rate, of the origin as a point of what moves
     turning: Array  # (..., n, 3) angular velocity per rate
 
@@ -224,18 +225,18 @@ def composites(arm: Mechanism, q: npt.ArrayLike) -> Composites:
     base = moments(
         bodies.mass[..., 0], bodies.com[..., 0, :], packed(bodies.inertia[..., 0, :, :])
     )
-    whole = (
+    total = (
         _of_all(roots, mass[..., None])[..., 0] + bodies.mass[..., 0],
         _of_all(roots, first) + base[0],
         _of_all(roots, second) + base[1],
     )
-    return Composites(mass, first, second, whole, *twists(arm, at))
+    return Composites(mass, first, second, total, *twists(arm, at))
 
 
 def inertia_parts(arm: Mechanism, q: npt.ArrayLike) -> InertiaParts:
     """Return the parts of `inertia`, at joint angles q (..., n) [rad]."""
     bodies, n, roots = arm.bodies, len(arm.joints), arm.roots
-    mass, first, second, whole, moving, turning = composites(arm, q)
+    mass, first, second, total, moving, turning = composites(arm, q)
     # unit rate of a joint: linear and angular momentum (about the origin) of what it moves
     across = room(first, *first.shape[:-1], 6)
     linear, angular = across[..., :3], across[..., 3:]
@@ -254,7 +255,7 @@ def inertia_parts(arm: Mechanism, q: npt.ArrayLike) -> InertiaParts:
     if arm.coupling is not None:  # G^T M G, for the joints' rates are G of the driven ones'
         across, half = arm.coupling.reduced(across), arm.coupling.reduced(joints)
         joints = arm.coupling.reduced(np.swapaxes(half, -1, -2))
-    return InertiaParts(spatial_inertia(*whole), across, joints)
+    return InertiaParts(spatial_inertia(*total), across, joints)
 
 
 def inertia(arm: Arm, q: npt.ArrayLike) -> Array:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.arm import Chain
+from ves_gym.mechanics.arm_arrays import Chain
 from ves_gym.mechanics.carried import inertia_of, load_of, passive_effort
 from ves_gym.mechanics.contact import ContactLoad, ContactModel, contact_load
 from ves_gym.mechanics.dynamics import inertia_parts, newton_euler
@@ -328,11 +328,11 @@ def solved(
     """
     if not model.prescribed:
         return solve_symmetric(mass, loads[..., None])[..., 0], drive
-    told = [first + k for k in model.driven]
+    prescribed = [first + k for k in model.driven]
     out = loads.copy()
-    out[..., told] = command
-    out = solve_partly(mass, out[..., None], told)[..., 0]
-    return out, matvec(mass[..., told, :], out) - loads[..., told]
+    out[..., prescribed] = command
+    out = solve_partly(mass, out[..., None], prescribed)[..., 0]
+    return out, matvec(mass[..., prescribed, :], out) - loads[..., prescribed]
 
 
 def _implicit(model: Model, ask: Array, step: float) -> Array:

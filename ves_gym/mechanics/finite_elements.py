@@ -23,7 +23,7 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
-from ves_gym.mechanics.arm import Inertial
+from ves_gym.mechanics.link import Inertial
 
 _GAUSS = np.polynomial.legendre.leggauss(4)  # exact to degree 7; the mass needs 6
 

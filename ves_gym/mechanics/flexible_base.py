@@ -28,7 +28,6 @@ from ves_gym._util.params import (
     unit,
 )
 from ves_gym._util.threads import on_one_thread
-from ves_gym.mechanics.arm import Inertial, matrix
 from ves_gym.mechanics.base_model import (
     BaseModel,
     InternalModes,
@@ -43,6 +42,7 @@ from ves_gym.mechanics.finite_elements import (
     Section,
     Tube,
 )
+from ves_gym.mechanics.link import Inertial, matrix
 from ves_gym.mechanics.modes import modal_damping
 
 ELEMENTS = 24  # of a member: eight modes to 1e-5 of their frequency (tests/mechanics)

@@ -20,7 +20,9 @@ from ves_gym._util.params import (
     freeze_arrays,
     unit,
 )
-from ves_gym.mechanics.arm import Arm, JointFrame, Mechanism, Root, Turn, spans, turn_by
+from ves_gym.mechanics.arm import Arm, Mechanism
+from ves_gym.mechanics.arm_arrays import JointFrame, Root, spans
+from ves_gym.mechanics.link import Turn, turn_by
 from ves_gym.mechanics.spatial import cross, numbers, room, rotation
 
 Rows = slice | list[int]  # of an axis

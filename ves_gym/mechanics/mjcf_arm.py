@@ -145,12 +145,12 @@ class MjcfTree(Tree):
         taken = {tie.follower for tie in self.ties}
         able = [name for of in sums for name in reversed(of) if total[name]]
         follower = next((k for k in able if k not in taken), able[0])
-        own = total.pop(follower)
-        ratios = {name: -part / own for name, part in total.items() if part or curve}
-        shift = start / own + self.rest(follower)
+        factor = total.pop(follower)
+        ratios = {name: -part / factor for name, part in total.items() if part or curve}
+        shift = start / factor + self.rest(follower)
         shift -= sum(ratio * self.rest(name) for name, ratio in ratios.items())
-        bend = tuple(k / own for k in curve), sums[1]
-        return Tie(what, follower, ratios, shift, bend if curve or math.isnan(own) else None)
+        bend = tuple(k / factor for k in curve), sums[1]
+        return Tie(what, follower, ratios, shift, bend if curve or math.isnan(factor) else None)
 
     def _sum(self, tendon: int) -> dict[str, float]:
         """Coefficients of the joints that a fixed tendon leads over; NaN of a spatial one."""
@@ -257,11 +257,11 @@ class MjcfTree(Tree):
     def _require_motors(self) -> None:
         """Refuse joints that tendons pull together, with fewer motors than joints."""
         levers = self._levers()
-        together = np.count_nonzero(levers, axis=1) > 1
-        pulled = np.flatnonzero(levers[together].any(axis=0))
+        several = np.count_nonzero(levers, axis=1) > 1
+        pulled = np.flatnonzero(levers[several].any(axis=0))
         if np.linalg.matrix_rank(levers[:, pulled]) < len(pulled):
             names = [self.coupled.free[i].name for i in pulled]
-            motor = self._name("actuator", int(np.flatnonzero(together)[0]))
+            motor = self._name("actuator", int(np.flatnonzero(several)[0]))
             raise ParameterError(
                 f"actuator {motor!r} pulls {', '.join(map(repr, names))} together by a tendon:"
                 f" each joint of an arm has a motor. Hold all but one ({held(*names[1:])}), or"

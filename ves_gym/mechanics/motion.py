@@ -21,7 +21,7 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
-from ves_gym.mechanics.arm import matrix
+from ves_gym.mechanics.link import matrix
 
 DEGREE = 5
 _GRADING = 0.6  # of the knots: 1 - this is their relative spacing at the ends

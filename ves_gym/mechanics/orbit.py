@@ -21,9 +21,10 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector, freeze_arrays, unit
-from ves_gym.mechanics.arm import Mechanism, require_length_1
+from ves_gym.mechanics.arm import Mechanism
 from ves_gym.mechanics.carried import placed
 from ves_gym.mechanics.dynamics import composites, moments, packed_matvec
+from ves_gym.mechanics.link import require_length_1
 from ves_gym.mechanics.spatial import cross, matvec, rate_matrix, room, rotation
 
 EARTH = 3.986004418e14  # m^3/s^2, gravitational parameter (WGS 84)
@@ -46,8 +47,8 @@ class Orbit:
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
-        given = [k for k in (self.altitude, self.mean_motion) if k is not None]
-        if len(given) != 1 or not (math.isfinite(given[0]) and given[0] > 0):
+        stated = [k for k in (self.altitude, self.mean_motion) if k is not None]
+        if len(stated) != 1 or not (math.isfinite(stated[0]) and stated[0] > 0):
             raise ParameterError(
                 "Orbit takes altitude [m] or mean_motion [rad/s], > 0, got"
                 f" altitude={self.altitude}, mean_motion={self.mean_motion}"
@@ -120,11 +121,11 @@ def tidal_load(
         return force, cross(first, pull(origin)) + turn
 
     parts = composites(arm, z[..., 6:])
-    force, moment = load(*parts.whole)
+    force, moment = load(*parts.total)
     rows = []
     for i in range(parts.mass.shape[-1]):
-        own, about = load(parts.mass[..., i], parts.first[..., i, :], parts.second[..., i, :])
-        effort = parts.moving[..., i, :] * own + parts.turning[..., i, :] * about
+        tidal, about = load(parts.mass[..., i], parts.first[..., i, :], parts.second[..., i, :])
+        effort = parts.moving[..., i, :] * tidal + parts.turning[..., i, :] * about
         rows.append(effort.sum(axis=-1))
     joints = np.stack(rows, axis=-1)
     if arm.coupling is not None:
@@ -134,10 +135,10 @@ def tidal_load(
         if part.kind == "appendage":  # a wheel's mass is the satellite's own
             com, turned = placed(part, at[..., c])
             mass, axis = np.asanyarray(part.body.mass), np.array(part.axis)
-            own, about = load(mass, *moments(mass, com, turned))
-            force, moment = force + own, moment + about
-            hinge = about - cross(np.array(part.point), own)
-            efforts[..., c] = (axis * (hinge if part.joint == "hinge" else own)).sum(axis=-1)
+            tidal, about = load(mass, *moments(mass, com, turned))
+            force, moment = force + tidal, moment + about
+            hinge = about - cross(np.array(part.point), tidal)
+            efforts[..., c] = (axis * (hinge if part.joint == "hinge" else tidal)).sum(axis=-1)
     wrench = np.concatenate([force, moment], axis=-1)
     base = matvec(np.swapaxes(rate_matrix(y), -1, -2), wrench)
     return TidalLoad(base, joints, efforts)

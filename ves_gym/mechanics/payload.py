@@ -17,8 +17,9 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
-from ves_gym.mechanics.arm import Arm, Inertial, Mount, matrix
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import merged
+from ves_gym.mechanics.link import Inertial, Mount, matrix
 
 _ZERO = (0.0, 0.0, 0.0)
 _AT_ORIGIN = Mount()

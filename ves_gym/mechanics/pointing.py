@@ -30,8 +30,8 @@ from ves_gym._util.params import (
     unit,
 )
 from ves_gym.mechanics import attitude
-from ves_gym.mechanics.arm import require_length_1
 from ves_gym.mechanics.carried import ReactionWheel
+from ves_gym.mechanics.link import require_length_1
 from ves_gym.mechanics.spatial import matvec
 
 STANDARD_GRAVITY = 9.80665  # m/s^2: specific impulse in seconds is by definition times this

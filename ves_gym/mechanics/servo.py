@@ -10,9 +10,10 @@ from functools import lru_cache
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector, freeze_arrays, unit
-from ves_gym.mechanics.arm import BANDWIDTH, Arm
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import drawn_configurations, inertia, inverse_dynamics
 from ves_gym.mechanics.flexure import expand
+from ves_gym.mechanics.link import BANDWIDTH
 from ves_gym.mechanics.motion import Samples
 from ves_gym.mechanics.vehicle import Vehicle
 

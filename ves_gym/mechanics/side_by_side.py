@@ -14,8 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite
-from ves_gym.mechanics.arm import BANDWIDTH, Arm, Follower, Limb, Link, Mount
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.chain import Lump, angles_of
+from ves_gym.mechanics.link import BANDWIDTH, Follower, Limb, Link, Mount
 
 _SAME = 1e-6  # m between first joints, below which both belong to one link
 

@@ -28,7 +28,6 @@ from ves_gym._util.params import (
 )
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics import pointing
-from ves_gym.mechanics.arm import Inertial, diagonal, matrix
 from ves_gym.mechanics.base_model import BaseModel as BaseModel
 from ves_gym.mechanics.base_model import InternalModes as InternalModes
 from ves_gym.mechanics.base_model import Oscillator as Oscillator
@@ -41,6 +40,7 @@ from ves_gym.mechanics.finite_elements import Material as Material
 from ves_gym.mechanics.flexible_base import Beam as Beam
 from ves_gym.mechanics.flexible_base import FlexibleBase as FlexibleBase
 from ves_gym.mechanics.flexible_base import beam_line as beam_line
+from ves_gym.mechanics.link import Inertial, diagonal, matrix
 from ves_gym.mechanics.orbit import Orbit as Orbit
 from ves_gym.mechanics.pointing import AttitudeControl as AttitudeControl
 from ves_gym.mechanics.pointing import Jet as Jet

@@ -15,9 +15,10 @@ from functools import cached_property
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.arm import Arm, matrix
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.linear_motion import LinearMotion
+from ves_gym.mechanics.link import matrix
 from ves_gym.mechanics.motion import DEGREE, Motion, basis, graded, knots, leading_points
 from ves_gym.planners.momentum import (
     BaseMomentum,

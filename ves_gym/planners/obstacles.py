@@ -28,8 +28,9 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
-from ves_gym.mechanics.arm import Arm, Capsule
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import drawn_configurations
+from ves_gym.mechanics.link import Capsule
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import Beam, FlexibleBase
 from ves_gym.system.system import System

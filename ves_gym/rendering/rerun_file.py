@@ -19,9 +19,10 @@ import numpy as np
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError, write_bytes
-from ves_gym.mechanics.arm import Arm, Capsule, Inertial
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.attitude import IDENTITY, exp, from_angles, from_matrix, rotate
 from ves_gym.mechanics.flexure import expand, link_frames
+from ves_gym.mechanics.link import Capsule, Inertial
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import Appendage, Beam, FlexibleBase, beam_line
 from ves_gym.rendering.render import View, described
@@ -61,7 +62,7 @@ def write_rerun(
     require("a recording for rerun", "rerun")
     import rerun as rr
 
-    scenes = {name: Scene(log, magnify) for name, log in runs.items()}
+    scenes = {name: RecordingScene(log, magnify) for name, log in runs.items()}
     with tempfile.TemporaryDirectory(prefix="ves-rerun-") as folder:
         file = Path(folder) / "runs.rrd"
         recording = rr.RecordingStream("ves_gym")
@@ -74,7 +75,7 @@ def write_rerun(
         write_bytes(path, file.read_bytes())
 
 
-class Scene:
+class RecordingScene:
     """What of a run is seen: arrays (N, ...) on the log's clock.
 
     Args:
@@ -185,7 +186,7 @@ def capsules(arm: Arm) -> list[tuple[Capsule, ...]]:
 # ------------------------------------------------------------------------------ rerun
 
 
-def _write(recording: Any, name: str, scene: Scene, color: tuple[int, ...]) -> None:
+def _write(recording: Any, name: str, scene: RecordingScene, color: tuple[int, ...]) -> None:
     """Everything of one run under its name."""
     import rerun as rr
 
@@ -204,13 +205,13 @@ def _write(recording: Any, name: str, scene: Scene, color: tuple[int, ...]) -> N
         send(entity, rr.Transform3D.columns(translation=places, quaternion=turns))
 
     arm = scene.system.arm
-    whole = expand(arm).arm if arm.bends else arm
-    shapes = capsules(whole)
+    overview = expand(arm).arm if arm.bends else arm
+    shapes = capsules(overview)
     pose("base", *scene.base)
     stay("base", _plate(scene, shapes))
     if shapes[0]:
         stay("base/shape", _capsules(shapes[0], _PALE))
-    for i, (part, shape) in enumerate(zip(whole.ordered, shapes[1:], strict=True)):
+    for i, (part, shape) in enumerate(zip(overview.ordered, shapes[1:], strict=True)):
         pose(f"base/{part.body}", *(values[:, i] for values in scene.links))
         if shape:
             stay(f"base/{part.body}", _capsules(shape, color))
@@ -265,7 +266,7 @@ def _upright_to(way: Array) -> Array:
     return np.asarray(half / np.linalg.norm(half), np.float64)
 
 
-def _plate(scene: Scene, shapes: list[tuple[Capsule, ...]]) -> Any:
+def _plate(scene: RecordingScene, shapes: list[tuple[Capsule, ...]]) -> Any:
     """What the arm stands on: the body of a satellite, or a plate."""
     import rerun as rr
 
@@ -295,7 +296,7 @@ def _box(body: Inertial) -> Any:
     )
 
 
-def _blueprint(scenes: Mapping[str, Scene]) -> Any:
+def _blueprint(scenes: Mapping[str, RecordingScene]) -> Any:
     """The arms near and whole on the left, series on the right."""
     import rerun as rr
     import rerun.blueprint as rrb
@@ -308,14 +309,14 @@ def _blueprint(scenes: Mapping[str, Scene]) -> Any:
     ]
     arms = [scene.tool for scene in scenes.values()] + [np.zeros((1, 3))]
     around = [scene.surroundings for scene in scenes.values()]
-    near, whole = (
+    near, overview = (
         rrb.Spatial3DView(name=title, contents=contents, eye_controls=_eye(np.vstack(points)))
         for title, points in (
             ("arms", arms),
             ("whole", [*arms, *around]),
         )
     )
-    space = rrb.Vertical(near, whole, row_shares=[3, 2]) if any(map(len, around)) else near
+    space = rrb.Vertical(near, overview, row_shares=[3, 2]) if any(map(len, around)) else near
     layout = rrb.Horizontal(space, rrb.Vertical(*plots), column_shares=[3, 2])
     return rrb.Blueprint(layout, collapse_panels=True)
 

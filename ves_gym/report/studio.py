@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, to_plain, toml
-from ves_gym.mechanics.arm import Arm, Inertial
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.limits import limit_ratios
+from ves_gym.mechanics.link import Inertial
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import OWN_GAINS
 from ves_gym.mechanics.spatial import matvec

@@ -180,10 +180,10 @@ class FmuModel:
         arm = self.system.arm
         starts = [None] * arm.n if start is None else np.broadcast_to(start, arm.n).tolist()
         for i, value in enumerate(starts):
-            own = unit
+            axis_unit = unit
             if i in arm.sliding:
-                own = unit.replace("N.m", "N").replace("rad", "m")
-            yield Variable(f"{name}[{i + 1}]", causality, own, f"{about} {i + 1}", value)
+                axis_unit = unit.replace("N.m", "N").replace("rad", "m")
+            yield Variable(f"{name}[{i + 1}]", causality, axis_unit, f"{about} {i + 1}", value)
 
     def _per_axis(
         self, name: str, causality: str, units: tuple[str, str], about: str, start: Any = None
@@ -259,17 +259,17 @@ class FmuModel:
         command = g[:n] * u[:n] + g[n:] * u[n : 2 * n] + u[2 * n :] if motor else u
         engine, gains, p = x[:size], column(g), column(self._p(g))
 
-        def seen(acceleration: Array) -> list[Array]:
+        def observed(acceleration: Array) -> list[Array]:
             """z'', drive torque and, in the laboratory, the arm's wrench."""
-            given = column(engine), column(acceleration, command), p
-            out = ca.vertsplit(graph.observe(*given)[1])
+            inputs = column(engine), column(acceleration, command), p
+            out = ca.vertsplit(graph.observe(*inputs)[1])
             row = traced(out, (len(out),))
             return [row[: 6 + n], row[6 + n : 6 + 2 * n], row[6 + 2 * n :]]
 
         inputs = column(u) if loop is None else column(push, u)
         slope = graph.motion(column(engine), column(push, command), p)
         moved = np.zeros(6) if loop is None else x[-6:]
-        zdd, tau, _ = seen(moved)
+        zdd, tau, _ = observed(moved)
         out = self._observed(x, zdd, tau)
         graphs = [
             self._start(g),
@@ -278,9 +278,9 @@ class FmuModel:
         ]
         if loop is None:
             return graphs
-        felt = column(seen(push)[2])
+        wrench = column(observed(push)[2])
         arguments = [column(engine), inputs, gains]
-        graphs.append(ca.Function("felt", arguments, [ca.cse(felt)]))
+        graphs.append(ca.Function("felt", arguments, [ca.cse(wrench)]))
         return [*graphs, loop.before(g), loop.after(g)]
 
     def _p(self, g: Traced) -> Traced:

@@ -32,8 +32,9 @@ from ves_gym._util.params import (
     read_table,
     unit,
 )
-from ves_gym.mechanics.arm import Arm, matrix
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.gravity import GravityModel, MinimalModel, gravity_vector, minimal_model
+from ves_gym.mechanics.link import matrix
 from ves_gym.mechanics.spatial import skew
 
 AXES = ("force x", "force y", "force z", "moment x", "moment y", "moment z")

@@ -12,11 +12,11 @@ import scipy
 
 from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym._util.views import Viewable
-from ves_gym.mechanics.arm import Inertial, matrix
 from ves_gym.mechanics.attitude import conjugate, rotate, to_matrix
 from ves_gym.mechanics.dynamics import merged
 from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.kinematics import tool_frame, tool_twists
+from ves_gym.mechanics.link import Inertial, matrix
 from ves_gym.mechanics.orbit import Tide, tidal_load
 from ves_gym.mechanics.payload import numbers_of
 from ves_gym.mechanics.spatial import matvec, rotation, twist

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from ves_gym._util.params import ParameterError
 from ves_gym._util.suggest import did_you_mean
-from ves_gym.mechanics.arm import Inertial, diagonal
 from ves_gym.mechanics.arm_library import get_arm
+from ves_gym.mechanics.link import Inertial, diagonal
 from ves_gym.mechanics.vehicle import Satellite
 from ves_gym.system.system import System
 

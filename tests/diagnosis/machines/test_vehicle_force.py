@@ -32,7 +32,7 @@ from ves_gym.diagnosis.machines.vehicle_force import (
     vehicle_gap,
 )
 from ves_gym.effects import BaseExtraMode
-from ves_gym.mechanics.arm import Inertial, matrix
+from ves_gym.mechanics.link import Inertial, matrix
 from ves_gym.mechanics.spatial import rate_matrix
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,

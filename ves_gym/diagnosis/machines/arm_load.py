@@ -18,10 +18,11 @@ import numpy as np
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import Kinematics, forget
 from ves_gym.engine.kernel.maps import motion_loads
-from ves_gym.mechanics.arm import Arm, Inertial
+from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.body_numbers import numbers_of_body
 from ves_gym.mechanics.dynamics import newton_euler
 from ves_gym.mechanics.gravity import gravity_vector, mass_parameters, moment_regressor
+from ves_gym.mechanics.link import Inertial
 from ves_gym.mechanics.spatial import twist, twist_rate
 
 _MANY = 300  # instants from which compiled code is faster than NumPy

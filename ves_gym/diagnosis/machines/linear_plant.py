@@ -158,11 +158,11 @@ class StateSpace:
 def _sampled(z: complex, held: bool) -> tuple[complex, complex, complex]:
     """Return e^z and the weights of an input before and after a step, for x' = z x + u."""
     if abs(z) < 1e-4:  # series, where differences lose their digits
-        whole, late = 1 + z / 2 + z**2 / 6, 0.5 + z / 6 + z**2 / 24
+        total, late = 1 + z / 2 + z**2 / 6, 0.5 + z / 6 + z**2 / 24
     else:
-        whole = np.expm1(z) / z
-        late = (whole - 1) / z
-    return np.exp(z), whole if held else whole - late, 0.0 if held else late
+        total = np.expm1(z) / z
+        late = (total - 1) / z
+    return np.exp(z), total if held else total - late, 0.0 if held else late
 
 
 def structure(
@@ -349,7 +349,7 @@ class SystemMatrices:
 
 @register_machine("linear plant")
 @dataclass(frozen=True)
-class LinearPlant:
+class DescribedPlant:
     """A linear plant by one of two sets of matrices."""
 
     outputs: tuple[tuple[str, str], ...]  # name and unit of each

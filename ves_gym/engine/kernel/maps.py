@@ -23,7 +23,8 @@ from ves_gym.engine.kernel.compiled_function import (
 )
 from ves_gym.engine.kernel.numbers import geometry, parameters, structure, symbolic_model
 from ves_gym.engine.kernel.symbolic import column, symbols
-from ves_gym.mechanics.arm import Arm, Chain, LinkBodies
+from ves_gym.mechanics.arm import Arm
+from ves_gym.mechanics.arm_arrays import Chain, LinkBodies
 from ves_gym.mechanics.dynamics import newton_euler
 from ves_gym.mechanics.equations import base_energy
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench, minimal_model

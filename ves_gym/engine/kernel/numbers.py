@@ -18,7 +18,14 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.engine.kernel.symbolic import Traced, column, expressions, symbols, traced
-from ves_gym.mechanics.arm import STILL, Chain, Coupling, JointFrame, LinkBodies, Root
+from ves_gym.mechanics.arm_arrays import (
+    STILL,
+    Chain,
+    JointCoupling,
+    JointFrame,
+    LinkBodies,
+    Root,
+)
 from ves_gym.mechanics.carried import ReactionWheel
 from ves_gym.mechanics.contact import ContactModel, Law
 from ves_gym.mechanics.dynamics import merged
@@ -257,7 +264,7 @@ class _Joints:
     links: Sequence[Body]
     rotors: Sequence[Array]
     driven: list[int]  # places of the n joints, of followers too
-    coupling: Coupling | None = None
+    coupling: JointCoupling | None = None
 
     def chain(self) -> Chain:
         """They as they are."""

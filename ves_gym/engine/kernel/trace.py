@@ -14,7 +14,7 @@ import numpy as np
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.engine.kernel.numbers import symbolic_model
 from ves_gym.engine.kernel.symbolic import Traced, column, symbols, traced
-from ves_gym.mechanics.arm import Chain, LinkBodies
+from ves_gym.mechanics.arm_arrays import Chain, LinkBodies
 from ves_gym.mechanics.dynamics import inertia_parts, newton_euler
 from ves_gym.mechanics.equations import (
     Model,
@@ -129,7 +129,7 @@ class _Balance:
     missing: Any  # r
     energy: Any  # of the base [J]
     mass: Array
-    told: list[int]  # coordinates whose acceleration is prescribed
+    prescribed: list[int]  # coordinates whose acceleration is prescribed
     solution: Any  # the a of r = 0
 
     @property
@@ -144,7 +144,7 @@ class _Balance:
         value = -ca.substitute(change, self.a, self.solution)
         size = len(self.mass)
         loads = traced(ca.vertsplit(value[:size]), (size, 1))
-        return ca.vertcat(column(solve_partly(self.mass, loads, self.told)), value[size:])
+        return ca.vertcat(column(solve_partly(self.mass, loads, self.prescribed)), value[size:])
 
 
 def _balance(system: System) -> _Balance:
@@ -176,10 +176,10 @@ def _balance(system: System) -> _Balance:
     mass, loads = mass[order][:, order], loads[order]
     tried = along_the_chain(model, a[:size], model.parted(a[size:])[0])
     missing = residual(model, pose, moving, tried, u[:6] + push, tau)[order]
-    told = list(range(6, size)) if model.prescribed else []
-    if told:  # these rows say that the joints accelerate as commanded
-        loads[told], missing[told] = u[6:], a[told] - u[6:]
-    solution = solve_partly(mass, loads[:, None], told)[:, 0]
+    prescribed = list(range(6, size)) if model.prescribed else []
+    if prescribed:  # these rows say that the joints accelerate as commanded
+        loads[prescribed], missing[prescribed] = u[6:], a[prescribed] - u[6:]
+    solution = solve_partly(mass, loads[:, None], prescribed)[:, 0]
     return _Balance(
         names=names,
         x=column(x),
@@ -189,7 +189,7 @@ def _balance(system: System) -> _Balance:
         missing=column(missing, a[len(order) :] - sdd),
         energy=column(base_energy(model, z, zd, at[size:], rate[size:])[0]),
         mass=mass,
-        told=told,
+        prescribed=prescribed,
         solution=column(solution, sdd),
     )
 
