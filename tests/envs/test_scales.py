@@ -28,7 +28,7 @@ def straight(**settings):
     for _ in range(batch.task.steps):
         reward, *_, info = batch.step(np.zeros((N, 3)))
         total += reward
-    expected, least = batch.scene.goal[:, 3], batch.task._least_energy
+    expected, least = batch.scene.goal[:, 3], batch.task.least_energy
     ratio = info["energy/E_mean"] / expected
     return ratio, cost_of(total, info["success"]) * np.maximum(expected, least) / expected
 

@@ -140,7 +140,7 @@ def test_tail_of_an_episode_is_part_of_its_mean(vehicle):
     tail, _ = decay(batch)(s.q, state(batch, away), s.kp, s.kd)
     mean = (during + tail) / (batch.task.duration + TAIL)
     np.testing.assert_allclose(info["energy/E_mean"], mean, rtol=1e-12)
-    scale = np.maximum(s.goal[:, 3], batch.task._least_energy) * (batch.task.duration + TAIL)
+    scale = np.maximum(s.goal[:, 3], batch.task.least_energy) * (batch.task.duration + TAIL)
     paid = info["reward/tail"] / (left * (1 + batch.episodes.total))
     np.testing.assert_allclose(paid, -tail / scale, rtol=1e-9)
 

@@ -7,7 +7,7 @@ from rerun.chunk import RrdReader
 import ves_gym as vg
 from ves_gym.mechanics.attitude import to_matrix
 from ves_gym.mechanics.kinematics import joint_positions, tool_frame
-from ves_gym.rendering.rerun_file import TIMELINE, Scene
+from ves_gym.rendering.rerun_file import TIMELINE, RecordingScene
 from ves_gym.system.energy import log_base_energy
 
 
@@ -72,7 +72,7 @@ def test_the_tool_is_where_the_base_carries_it(runs):
     place, _ = tool_frame(vg.PUMA_560, log.q)
     turn = vg.mechanics.spatial.rotation(log.y)
     expected = log.y[:, :3] + np.einsum("nij,nj->ni", turn, place)
-    np.testing.assert_allclose(Scene(log).tool, expected, atol=1e-12)
+    np.testing.assert_allclose(RecordingScene(log).tool, expected, atol=1e-12)
 
 
 def test_a_base_that_is_magnified_leaves_the_columns(runs, tmp_path):
@@ -105,7 +105,7 @@ def test_links_that_bend_are_entities():
     system = vg.System.from_dict({"arm": "canadarm2", "vehicle": "decoupled"})
     log = vg.simulate(vg.Motion.straight(system.arm.home, system.arm.home + 0.02, 0.2), system,
                       settle=0.0)  # fmt: skip
-    places, turns = Scene(log).links
+    places, turns = RecordingScene(log).links
     assert places.shape[1] == turns.shape[1] == system.arm.n + system.arm.bends
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from ves_gym._util.params import Array, Index
 from ves_gym._util.threads import on_one_thread
 from ves_gym.baselines.controllers import require_fit
-from ves_gym.baselines.mppi import AT_REST, nominal_model, residual_motion_cost
+from ves_gym.baselines.mppi import AT_REST, episode_costs, nominal_model, residual_motion_cost
 from ves_gym.engine.kernel.sensitivity import rollout_gradients
 from ves_gym.envs.control import Guided
 from ves_gym.envs.rest_to_rest import RestToRest
@@ -158,15 +158,15 @@ def play(
     Returns:
         Costs (lanes,), states (periods + 1, lanes, size) and actions (periods, lanes, width).
     """
-    cost, states, actions = np.zeros(len(_STEPS)), [state_of(model, measured=False)], []
+    before, states, actions = episode_costs(model), [state_of(model, measured=False)], []
     for k in range(len(motion.u)):
         away = states[-1] - motion.x[k] if push.any() else np.zeros_like(states[-1])
         u = motion.u[k] + _STEPS[:, None] * push[k] + away @ motion.gain[k].T
         u = np.clip(u, -1.0, 1.0)
-        cost = cost - model.batch.step(u)[0]
+        model.batch.step(u)
         states.append(state_of(model, measured=False))
         actions.append(u)
-    cost = cost + residual_motion_cost(model)
+    cost = episode_costs(model) - before + residual_motion_cost(model)
     return np.nan_to_num(cost, nan=np.inf), np.stack(states), np.stack(actions)
 
 
@@ -292,9 +292,11 @@ def costs(model: VesVectorEnv, motion: ControlledMotion) -> tuple[Array, Array]:
         motion: its states.
     """
     task, n = model.task, model.task.system.arm.n
+    assert isinstance(task, RestToRest)
     linear = LinearBase(task.system, task.control.servo)
     b, size = linear.b, motion.x.shape[1]
-    scale = float(model.batch.goals[0, n]) * (task.duration + task.tail)
+    yardstick = max(float(model.batch.goals[0, n]), task.least_energy)
+    scale = yardstick * (task.duration + task.tail)
     # (base, joint error) of the linear base from (Y, q, modes) and the reference
     order = np.r_[np.arange(6), np.arange(6 + n, b + n), np.arange(6, 6 + n)]
     half = b + n

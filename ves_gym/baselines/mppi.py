@@ -88,12 +88,13 @@ class Mppi:
             e = scale * self._rng[i].standard_normal(shape)
             e[0] = 0.0  # the present sequence itself
             model.fan_out(env, i)
-            cost = -returns(model, np.clip(planned + splines @ e, -1.0, 1.0))
-            cost += residual_motion_cost(model)
-            spread = float(cost.std())
+            play(model, np.clip(planned + splines @ e, -1.0, 1.0))
+            cost = episode_costs(model) + residual_motion_cost(model)
+            finite = cost[np.isfinite(cost)]  # the others have failed
+            spread = float(finite.std()) if len(finite) else 0.0
             if not spread > _LEAST:
                 break
-            weights = np.exp(-(cost - cost.min()) / (_TEMPERATURE * spread))
+            weights = np.exp(-(cost - finite.min()) / (_TEMPERATURE * spread))
             weights /= weights.sum()
             planned += splines @ np.einsum("k,kmj->mj", weights, e)
             scale *= _FADES
@@ -112,21 +113,27 @@ def nominal_model(env: VesVectorEnv, lanes: int) -> VesVectorEnv:
     return model
 
 
-def returns(model: VesVectorEnv, actions: Array) -> Array:
-    """Return what every environment of a model earns to the end of its episode (lanes,).
+def play(model: VesVectorEnv, actions: Array) -> None:
+    """Play actions on every lane, each until its episode ends.
 
     Args:
-        model: where the episodes are; it is played on.
+        model: where the motion begins.
         actions: (lanes, periods, width) to the end.
     """
-    total, running = np.zeros(model.num_envs), np.ones(model.num_envs, bool)
+    running = np.ones(model.num_envs, bool)
     for k in range(actions.shape[1]):
-        reward, last, truncated, _ = model.batch.step(actions[:, k], ~running)
-        total += np.where(running, reward, 0.0)
+        _, last, truncated, _ = model.batch.step(actions[:, k], ~running)
         running &= ~(last | truncated)
         if not running.any():
             break
-    return total
+
+
+def episode_costs(model: VesVectorEnv) -> Array:
+    """Return the costs J (lanes,) of episodes so far, from their returns (`episode.judge`)."""
+    total = model.batch.episodes.total
+    with np.errstate(divide="ignore", invalid="ignore"):
+        out: Array = 1 / np.where(total > 0, total, 1 + total) - 1
+    return np.where(np.isfinite(total) & (out >= 0), out, np.inf)
 
 
 def residual_motion_cost(model: VesVectorEnv) -> Array:

@@ -110,12 +110,13 @@ class ArmTask(Task):
         return sum(self.straight(a, b) for a, b in pairwise(ends))  # type: ignore[return-value]
 
     @cached_property
-    def _least_energy(self) -> float:
+    def least_energy(self) -> float:
+        """Least energy that counts as one: a quarter of straight motions' median [J]."""
         return least_scale(lambda u: self.expected(*self.places(u)), self.draws)
 
     def scale_of(self, *ends: Array) -> Array:
         """(k,) energy that counts as one: as expected, at least a quarter of the median [J]."""
-        return np.maximum(self.expected(*ends), self._least_energy)
+        return np.maximum(self.expected(*ends), self.least_energy)
 
     def energy_costs(self, s: Scene, dt: float, energy: Array) -> dict[str, Array]:
         """`thrift` times E_mean in an energy (n,)."""

@@ -68,7 +68,7 @@ class RestToRest(Task):
         return Start(q, np.column_stack([goal, self._straight(q, goal)]))
 
     @cached_property
-    def _least_energy(self) -> float:
+    def least_energy(self) -> float:
         return least_scale(lambda u: self._straight(*self._ends(u)), self.draws)
 
     def _ends(self, u: Array) -> tuple[Array, Array]:
@@ -121,7 +121,7 @@ class RestToRest(Task):
 
     def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         n, length = self.system.arm.n, self.duration + self.tail
-        scale = np.maximum(self._scale(s), self._least_energy * length)
+        scale = np.maximum(self._scale(s), self.least_energy * length)
         distance = np.abs(s.goal[:, :n] - s.q).sum(axis=1)
         return {
             "energy": s.energy * dt / scale,
