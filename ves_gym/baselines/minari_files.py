@@ -158,8 +158,10 @@ def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], list[Episode]]:
             parts[int(number)][part] = values
     episodes = []
     for k, arrays in zip(about["episodes"], parts, strict=True):
-        seen = {name[13:]: v for name, v in arrays.items() if name.startswith("observations:")}
-        observations = seen.get("", seen)  # goals have names
+        fields = {
+            name[13:]: v for name, v in arrays.items() if name.startswith("observations:")
+        }
+        observations = fields.get("", fields)  # goals have names
         columns = {name: arrays[name] for name in _COLUMNS}
         episodes.append(Episode(observations=observations, **columns, **k))
     return about["env"], episodes
@@ -188,9 +190,9 @@ def arrays_of(file: Path) -> dict[str, Any]:
                 "success": bool(about.get("success", False)),
             }
         )
-        seen = episode.observations
-        seen = seen if isinstance(seen, dict) else {"": seen}
-        out |= {f"{number}:observations:{name}": values for name, values in seen.items()}
+        fields = episode.observations
+        fields = fields if isinstance(fields, dict) else {"": fields}
+        out |= {f"{number}:observations:{name}": values for name, values in fields.items()}
         out |= {f"{number}:{name}": getattr(episode, name) for name in _COLUMNS}
     about = json.dumps({"env": spec, "episodes": episodes})
     return {"about": np.array(about), **{k: np.asarray(v) for k, v in out.items()}}

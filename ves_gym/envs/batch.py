@@ -284,13 +284,13 @@ class Batch:
             sim.payload.change(ids, **task.payload(rows["goal"]))
         self._update_scene(ids)
         self._grasp(np.isin(np.arange(self.n), ids))
-        some = s.rows(ids)
-        s.tau[ids] = some.tau = self._command(some)
-        e.peaks[ids] = some.energies
+        chosen = s.rows(ids)
+        s.tau[ids] = chosen.tau = self._command(chosen)
+        e.peaks[ids] = chosen.energies
         if self._compiled is not None:
-            self._compiled.load(ids, some, e.rows(ids))
+            self._compiled.load(ids, chosen, e.rows(ids))
         if self._observation is not None:
-            self._observation[ids] = scaled_observation(task, some, self.scale)
+            self._observation[ids] = scaled_observation(task, chosen, self.scale)
 
     def _grasp(self, among: Mask) -> None:
         """Close latches of some simulations (n,), where the task has it."""
@@ -326,13 +326,13 @@ class Batch:
         spare, code = self._rehearsal
         states, uniform, out = self._first_states(begin, ids), self._beginnings.uniform[ids], []
         for first in range(0, len(ids), spare.n):
-            some = slice(first, first + spare.n)
-            those = np.arange(len(ids[some]))
-            for k, i in zip(those.tolist(), ids[some].tolist(), strict=True):
+            part = slice(first, first + spare.n)
+            those = np.arange(len(ids[part]))
+            for k, i in zip(those.tolist(), ids[part].tolist(), strict=True):
                 spare.sim.generators[k] = self._beginnings.generators[i]
-            mine = {name: values[some] for name, values in states.items()}
+            mine = {name: values[part] for name, values in states.items()}
             spare._scene.goal[those] = mine["goal"]
-            spare._begin(those, mine, uniform[some])
+            spare._begin(those, mine, uniform[part])
             if _code_of(spare.sim) is not code:
                 raise _Rewired
             drawn = {f"drawn.{label}": values[those] for label, values in spare.drawn.items()}

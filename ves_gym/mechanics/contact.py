@@ -147,13 +147,13 @@ def touches(contact: Contact, place: Array, turn: Array) -> Iterator[Touch]:
         place: (..., 3) of the tool in the target's axes [m].
         turn: (..., 3, 3) from the tool's axes to the target's.
     """
-    origin, own = np.zeros(3), np.eye(3)
+    origin, identity = np.zeros(3), np.eye(3)
     for a in contact.tool:
         for b in contact.target:
             if a.form == "sphere":
-                yield from _of_sphere(a, (place, turn), b, (origin, own), 1.0)
+                yield from _of_sphere(a, (place, turn), b, (origin, identity), 1.0)
             elif b.form == "sphere":
-                yield from _of_sphere(b, (origin, own), a, (place, turn), -1.0)
+                yield from _of_sphere(b, (origin, identity), a, (place, turn), -1.0)
             else:
                 yield _of_capsules(a, (place, turn), b)
 
@@ -332,7 +332,7 @@ def contact_load(
     motion = (zd[..., 6:, None] * along).sum(axis=-2)
     if model.contact.on == "base":
         wrench, energy = contact_wrench(model.contact, model.law, *tool, motion)
-        own, floating = wrench, b
+        load, floating = wrench, b
     else:
         base = matvec(T, zd[..., :6])
         motion = motion + base
@@ -342,12 +342,12 @@ def contact_load(
         seen = _seen(target, z[..., :3], R, tool, motion)
         wrench, energy = contact_wrench(model.contact, model.law, *seen)
         wrench, energy = model.touching * wrench, model.touching * energy
-        own = _turned(np.swapaxes(to_target, -1, -2), wrench)
+        load = _turned(np.swapaxes(to_target, -1, -2), wrench)
         floating = b if model.body is None else _floating(model, b, bd, seen[0], wrench)
-    moment = own[..., 3:] + cross(tool[0], own[..., :3])
-    at_base = np.concatenate([own[..., :3], moment], axis=-1)
+    moment = load[..., 3:] + cross(tool[0], load[..., :3])
+    at_base = np.concatenate([load[..., :3], moment], axis=-1)
     push = matvec(np.swapaxes(T, -1, -2), at_base)
-    return ContactLoad(push, matvec(along, own), floating, _turned(R, own), energy)
+    return ContactLoad(push, matvec(along, load), floating, _turned(R, load), energy)
 
 
 def _turned(turn: Array, vectors: Array) -> Array:

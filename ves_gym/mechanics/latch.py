@@ -44,7 +44,7 @@ def inelastic(
     twist: Array,
     X: Array,
     closed: npt.ArrayLike | None = None,
-    held: Sequence[int] = (),
+    prescribed: Sequence[int] = (),
 ) -> Impulse:
     """Close a latch.
 
@@ -59,12 +59,12 @@ def inelastic(
         twist: (..., 6) of that point before [m/s, rad/s].
         X: (..., 6, 6) from it to the twist at the fixture.
         closed: (6, k) or (..., 6, k) directions S, None for all six.
-        held: coordinates whose motion is prescribed: no impulse changes their rates.
+        prescribed: coordinates whose rates no impulse changes.
     """
     S = np.eye(6) if closed is None else np.asarray(closed, float)
     relative = matvec(J, rates) - matvec(X, twist)
     Jt, Xt, St = (np.swapaxes(part, -1, -2) for part in (J, X, S))
-    arm = response(mass, Jt, held)
+    arm = response(mass, Jt, prescribed)
     body: Array = np.asarray(np.linalg.solve(body_mass, Xt), np.float64)
     compliance = St @ (J @ arm + X @ body) @ S
     gap = matvec(np.broadcast_to(St, (*relative.shape[:-1], *St.shape[-2:])), relative)
@@ -79,15 +79,15 @@ def inelastic(
     )
 
 
-def response(mass: Array, impulse: Array, held: Sequence[int] = ()) -> Array:
+def response(mass: Array, impulse: Array, prescribed: Sequence[int] = ()) -> Array:
     """Return the change of the rates (..., N, k) by impulses (..., N, k).
 
     Args:
         mass: (..., N, N).
         impulse: on each coordinate.
-        held: coordinates whose rates stay.
+        prescribed: coordinates whose rates stay.
     """
-    free = np.setdiff1d(np.arange(mass.shape[-1]), held)
+    free = np.setdiff1d(np.arange(mass.shape[-1]), prescribed)
     out = np.zeros(impulse.shape)
     out[..., free, :] = np.linalg.solve(mass[..., free[:, None], free], impulse[..., free, :])
     return out
@@ -213,14 +213,14 @@ def target(tool: ToolState, axes: Array, body: Mapping[str, Array]) -> LatchTarg
             in the last link's frame where it is carried; com and grip in its own axes.
     """
     turned, grip = (body[k].reshape(len(tool.place), 3, 3) for k in ("turn", "grip_axes"))
-    held, link = body["carried"] > 0, tool.turn @ axes.T
-    turn = np.where(held[..., None], link @ turned, to_matrix(body["attitude"]))
-    origin = np.where(held, tool.place + matvec(link, body["place"]), body["position"])
+    carried, link = body["carried"] > 0, tool.turn @ axes.T
+    turn = np.where(carried[..., None], link @ turned, to_matrix(body["attitude"]))
+    origin = np.where(carried, tool.place + matvec(link, body["place"]), body["position"])
     centre = origin + matvec(turn, body["com"])
     linear, angular = tool.twist[:, :3], tool.twist[:, 3:]
     with_tool = linear + cross(angular, centre - tool.place)
-    velocity = np.where(held, with_tool, body["velocity"])
-    spin = np.where(held, angular, matvec(turn, body["spin"]))
+    velocity = np.where(carried, with_tool, body["velocity"])
+    spin = np.where(carried, angular, matvec(turn, body["spin"]))
     fixture = origin + matvec(turn, body["grip"])
     distance = np.linalg.norm(fixture - tool.place, axis=1)
     away = log(from_matrix(np.swapaxes(turn @ grip, -1, -2) @ tool.turn))
@@ -293,19 +293,24 @@ def tool_motion(arm: Arm, base: BaseModel, y: Array, q: Array, hidden: Array) ->
 
 
 def base_jump(
-    arm: Arm, base: BaseModel, y: Array, q: Array, impulse: Array, held: Sequence[int] = ()
+    arm: Arm,
+    base: BaseModel,
+    y: Array,
+    q: Array,
+    impulse: Array,
+    prescribed: Sequence[int] = (),
 ) -> Array:
     """Return the twist that an impulse at the tool leaves in the base, its axes.
 
     Args:
         arm, base, y, q: see `tool_motion`; gears relaxed.
         impulse: (..., 6) on what the tool holds, inertial axes [N s, N m s].
-        held: see `inelastic`.
+        prescribed: see `inelastic`.
     """
     hidden = np.zeros((*q.shape[:-1], len(arm.geared) + len(base.carried)))
     at = tool_motion(arm, base, y, q, hidden)
     push = -np.einsum("...ij,...i->...j", at.J, impulse)
-    return response(at.mass, push[..., None], held)[..., :6, 0]
+    return response(at.mass, push[..., None], prescribed)[..., :6, 0]
 
 
 def free_mass(mass: Array, inertia: Array, turn: Array) -> Array:

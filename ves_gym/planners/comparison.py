@@ -156,21 +156,21 @@ def compare_planners(query: Query, planners: Sequence[Planner], *, seed: int = 0
     rows: list[ComparisonRow] = []
     played = itertools.count()
     for plan in plans:
-        found: dict[str, Any] = {"failure": plan.failure}
+        values: dict[str, Any] = {"failure": plan.failure}
         if plan.motion is not None and plan.predicted and plan.reference:
             i = next(played)  # its run
-            found["predicted"] = plan.predicted.to_dict()
-            found["failure"] = plan.failure or executed_violation(plan.query, run, i)
-            found["reference_breaks"] = plan.reference.reasons
-            found["arm_breaks"] = run.limit_check(i, v_max=query.v_max).reasons
+            values["predicted"] = plan.predicted.to_dict()
+            values["failure"] = plan.failure or executed_violation(plan.query, run, i)
+            values["reference_breaks"] = plan.reference.reasons
+            values["arm_breaks"] = run.limit_check(i, v_max=query.v_max).reasons
             if (simulated := energies[i]) is not None:
-                found["simulated"] = simulated
+                values["simulated"] = simulated
                 if straight is not None and straight.E_mean > 0:
-                    found["ratio"] = simulated.E_mean / straight.E_mean
+                    values["ratio"] = simulated.E_mean / straight.E_mean
                 motion = run.q[i], run.y[i], run.yd[i], run.internal(i)
-                found["energy"] = base_energy(query.system, *motion).total
-                found["disturbance"] = run.disturbance(i, weight=query.weight)
-        rows.append(ComparisonRow(plan.planner, plan.seconds, **found))
+                values["energy"] = base_energy(query.system, *motion).total
+                values["disturbance"] = run.disturbance(i, weight=query.weight)
+        rows.append(ComparisonRow(plan.planner, plan.seconds, **values))
     name = query.name or query.ends_in_words
     return Comparison(name, query.duration, run.t, tuple(rows), straight, tuple(plans))
 
@@ -192,8 +192,8 @@ def measured(run: Recording) -> list[Energies | None]:
     """Energies of each run; None for one that a safety stop ended."""
     stopped = {event.simulation for event in run.events}
     complete = [i for i in range(len(run.q)) if i not in stopped]
-    found = run.energies(complete, as_it_is=True) if complete else []
-    energies = dict(zip(complete, found, strict=True))
+    measured = run.energies(complete, as_it_is=True) if complete else []
+    energies = dict(zip(complete, measured, strict=True))
     return [energies.get(i) for i in range(len(run.q))]
 
 

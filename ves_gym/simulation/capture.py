@@ -238,12 +238,12 @@ class PayloadHandler(NotingPart):
         """Place and motion of the payloads, free or carried."""
         position, attitude = self.position.copy(), self.attitude.copy()
         velocity, spin = self.velocity.copy(), self.spin.copy()
-        held = np.flatnonzero(self.carried)
-        if len(held):
-            t = self.target(held)
-            position[held] = t.centre - matvec(t.turn, self.com[held])
-            attitude[held], velocity[held] = from_matrix(t.turn), t.velocity
-            spin[held] = matvec(np.swapaxes(t.turn, -1, -2), t.spin)
+        rows = np.flatnonzero(self.carried)
+        if len(rows):
+            t = self.target(rows)
+            position[rows] = t.centre - matvec(t.turn, self.com[rows])
+            attitude[rows], velocity[rows] = from_matrix(t.turn), t.velocity
+            spin[rows] = matvec(np.swapaxes(t.turn, -1, -2), t.spin)
         return PayloadState(position, attitude, velocity, spin)
 
     def target(self, ids: Index) -> LatchTarget:
@@ -369,8 +369,8 @@ class PayloadHandler(NotingPart):
             )
         M, twist, com = self._bodies(index)
         X = to_point(com, motion.place)
-        held = machines.system.held
-        out = inelastic(motion.mass, rates, motion.J, M, twist, X, closed, held)
+        prescribed = machines.system.prescribed_coordinates
+        out = inelastic(motion.mass, rates, motion.J, M, twist, X, closed, prescribed)
         state = machines.state
         kind = "grasp" if closed is None else "touch"
         time, v, yd = state.time[index], state.v[index], state.yd[index]
@@ -539,11 +539,16 @@ class PayloadHandler(NotingPart):
         for system, rows in self.machines.alike(ids):
             numbers = numbers_of(system.arm.links[-1].inertial)
             mass[rows], com[rows], inertia[rows] = numbers
-        held = self.carried[ids]
-        which = ids[held]
+        carries = self.carried[ids]
+        which = ids[carries]
         body = self.mass[which], self.com[which], self.inertia[which]
-        mass[held], com[held], inertia[held] = with_body(
-            mass[held], com[held], inertia[held], *body, self.place[which], self.turn[which]
+        mass[carries], com[carries], inertia[carries] = with_body(
+            mass[carries],
+            com[carries],
+            inertia[carries],
+            *body,
+            self.place[which],
+            self.turn[which],
         )
         self.machines.backend.set_last_link(ids, mass, com, inertia)
 

@@ -94,7 +94,12 @@ class RunSummary:
         k = int(np.searchsorted(self.log.t, grasp["time"] - 1e-9))
         at = self.log.y[k], self.log.q[k], np.array(grasp["impulse"])
         own, more = (
-            1e3 * float(np.linalg.norm(base_jump(system.arm, base, *at, system.held)[:3]))
+            1e3
+            * float(
+                np.linalg.norm(
+                    base_jump(system.arm, base, *at, system.prescribed_coordinates)[:3]
+                )
+            )
             for base in (system.base, as_an_impulse_finds(vehicle).base_model())
         )
         if abs(own - more) <= _APART * more:

@@ -93,7 +93,9 @@ def _contact_rate(system: System) -> tuple[float, float]:
     q = drawn_configurations(arm)
     hidden = np.zeros((len(q), len(arm.geared) + len(base.carried)))
     tool = tool_motion(arm, base, np.zeros((len(q), 6)), q, hidden)
-    inverse = tool.J @ response(tool.mass, np.swapaxes(tool.J, -1, -2), system.held)
+    inverse = tool.J @ response(
+        tool.mass, np.swapaxes(tool.J, -1, -2), system.prescribed_coordinates
+    )
     linear, angular = (
         np.linalg.eigvalsh(inverse[:, k : k + 3, k : k + 3])[:, -1] for k in (0, 3)
     )

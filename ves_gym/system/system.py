@@ -215,7 +215,7 @@ class System:
         return nominal.edited(self.effects)
 
     @property
-    def held(self) -> tuple[int, ...]:
+    def prescribed_coordinates(self) -> tuple[int, ...]:
         """Coordinates of (Y, q) whose motion no force changes: platform, prescribed joints."""
         first = 0 if self.mode == "emulated" else 6
         return tuple(range(first, 6 + self.arm.n * (self.drive == "prescribed")))
