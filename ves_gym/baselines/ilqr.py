@@ -159,14 +159,21 @@ def play(
         Costs (lanes,), states (periods + 1, lanes, size) and actions (periods, lanes, width).
     """
     before, states, actions = episode_costs(model), [state_of(model, measured=False)], []
+    running = np.ones(len(_STEPS), bool)  # a lane that fails begins no new episode
     for k in range(len(motion.u)):
         away = states[-1] - motion.x[k] if push.any() else np.zeros_like(states[-1])
         u = motion.u[k] + _STEPS[:, None] * push[k] + away @ motion.gain[k].T
         u = np.clip(u, -1.0, 1.0)
-        model.batch.step(u)
+        _, ended, truncated, _ = model.batch.step(u, ~running)
+        running &= ~(ended | truncated)
         states.append(state_of(model, measured=False))
         actions.append(u)
-    cost = episode_costs(model) - before + residual_motion_cost(model)
+    task = model.task
+    assert isinstance(task, RestToRest)
+    straight = model.batch.goals[:, task.system.arm.n]
+    # the task counts small energies by a floor; here the straight line's counts as one
+    cost = (episode_costs(model) - before) * np.maximum(task.least_energy / straight, 1.0)
+    cost = cost + residual_motion_cost(model)
     return np.nan_to_num(cost, nan=np.inf), np.stack(states), np.stack(actions)
 
 
@@ -292,11 +299,9 @@ def costs(model: VesVectorEnv, motion: ControlledMotion) -> tuple[Array, Array]:
         motion: its states.
     """
     task, n = model.task, model.task.system.arm.n
-    assert isinstance(task, RestToRest)
     linear = LinearBase(task.system, task.control.servo)
     b, size = linear.b, motion.x.shape[1]
-    yardstick = max(float(model.batch.goals[0, n]), task.least_energy)
-    scale = yardstick * (task.duration + task.tail)
+    scale = float(model.batch.goals[0, n]) * (task.duration + task.tail)
     # (base, joint error) of the linear base from (Y, q, modes) and the reference
     order = np.r_[np.arange(6), np.arange(6 + n, b + n), np.arange(6, 6 + n)]
     half = b + n
