@@ -25,7 +25,8 @@ def notes(query: Query, motion: Motion | None) -> tuple[str, ...]:
     out = [*_of_the_arm(system), *_of_the_base(system)]
     if system.drive == "motor" and not query.servo.feedforward:
         out.append("a servo without feed-forward: planned as if it had one")
-    if motion is not None and system.drive == "motor":
+    gives_way = system.drive == "motor" and not query.servo.holds(system.arm)
+    if motion is not None and gives_way:
         out += _of_the_servo(query, motion)
     if system.effects:
         kinds = ", ".join(effect.kind for effect in system.effects)
