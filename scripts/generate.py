@@ -1,6 +1,6 @@
 """Write docs/environments from the code: `python scripts/generate.py`.
 
-Of README.md only the table of ids. tests/envs/test_pages.py compares: no page goes stale.
+Of README.md only the tables of ids and of `info`. tests/envs/test_pages.py compares.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from ves_gym.envs.build import build_task
 from ves_gym.envs.control import CONTROLS, Control
 from ves_gym.envs.env import VesEnv
 from ves_gym.envs.registration import IDS
-from ves_gym.envs.signals import WEIGHTS
 from ves_gym.envs.task import Task
 from ves_gym.mechanics.vehicle import VEHICLES
 
@@ -31,15 +30,22 @@ PLACE = DOCS / "environments"
 
 _JETS = 6  # numbers of an action that are the jets' wrench
 
-INFO = {
+SHARED_INFO = {
     "randomized/...": "also of reset: parameters drawn for this episode, by effect and name",
-    "reward/...": "the terms below; they sum to the reward exactly, in their order",
+    "reward/...": "terms of the reward; they sum to it exactly, in their order",
     "success": "whether the episode would count as solved if it ended here",
     "success_once": "whether it would have at any time",
     "clipped": "actions of this episode that were out of [-1, 1]",
     "diverged": "whether the numbers ran away: the episode has failed",
     "stopped": "laboratory: whether a safety stop froze the platform: the episode has failed",
     "dump": "with the argument `dump`: run log of an episode that diverged",
+    "energy/E_mean": "at the end: mean energy E of the base over the episode and its tail [J]",
+    "energy/E_res": "at the end: E at the end [J]",
+    "energy/E_peak": "at the end: largest E during the episode [J]",
+    "energy/E_strain_peak": "at the end: largest strain energy of the base [J]",
+    "energy/E_int": "at the end: time integral of the strain energy, tail included [J s]",
+}
+OWN_INFO = {
     "base/propellant": "satellites with jets or wheels: what jets have used so far [kg]",
     "base/wheel_momentum": "momentum that each reaction wheel stores [N m s]",
     "base/range": "a base on springs that has left the range in which it is linear: how far"
@@ -49,20 +55,12 @@ INFO = {
     "capture/momentum": "at the end: linear and angular momentum (6) of arm, base and target,"
     " about the inertial origin [kg m/s, kg m^2/s]",
     "capture/energy": "at the end: their kinetic energy, that of the wheels included [J]",
-    "energy/...": "at the end: the energies below",
 }
 COMMON = {
     "base_control": "`{}`, or a table of its settings: actions command wheels and jets too",
     "context": "appends to the observation what was drawn for the episode",
     "duration": "of an episode",
     "tail": "after it, the joints held: counts into E_mean and E_int",
-}
-ENERGY = {
-    "E_mean": "mean of the base's energy E over the episode and its tail [J]",
-    "E_res": "E at the end [J]",
-    "E_peak": "largest E during the episode [J]",
-    "E_strain_peak": "largest strain energy of the base [J]",
-    "E_int": "time integral of the strain energy, tail included [J s]",
 }
 
 
@@ -192,64 +190,32 @@ def _settings(task: Task) -> str:
 
 
 def _info(env: VesEnv) -> str:
-    """What `reset` and the steps of one episode tell."""
+    """Return the terms of the reward, and what `info` has beside what every task's has."""
     _, begin = env.reset(seed=0)
     while True:
-        *_, terminated, truncated, told = env.step(np.zeros(env.action_space.shape))
+        *_, terminated, truncated, end = env.step(np.zeros(env.action_space.shape))
         if terminated or truncated:
             break
-    names = [k.removeprefix("energy/") for k in told if k.startswith("energy/")]
-    assert names == list(ENERGY)
-    keys = [re.sub("^(randomized|reward|energy)/.*", r"\1/...", key) for key in (*begin, *told)]
-    unknown = set(keys) - set(INFO)
-    assert not unknown, f"say in INFO what these are: {unknown}"
-    known = [k for k in INFO if k in keys or k == "dump"]
-    names = [k.removeprefix("reward/") for k in told if k.startswith("reward/")]
+    keys = {re.sub("^(randomized|reward)/.*", r"\1/...", key) for key in (*begin, *end)}
+    unknown = keys - set(SHARED_INFO) - set(OWN_INFO)
+    assert not unknown, f"say in OWN_INFO what these are: {unknown}"
+    own = [(f"`{k}`", v) for k, v in OWN_INFO.items() if k in keys]
+    names = [k.removeprefix("reward/") for k in end if k.startswith("reward/")]
     terms = ", ".join(f"`reward/{k}`" for k in names)
+    table = "\n\n" + _table(("info", "what"), own) if own else ""
     return (
-        f"Terms of the reward: {terms}. They are what [costs, success and failure](README.md#"
-        "what-an-episode-returns) come to."
-        "\n\n"
-        + _table(("info", "what"), [(f"`{k}`", INFO[k]) for k in known])
-        + "\n\n"
-        + _table(("energy", "what"), [(f"`energy/{k}`", v) for k, v in ENERGY.items()])
-        + _objectives(env, tuple(names))
+        f"Terms of [the reward](README.md#what-an-episode-returns): {terms}."
+        f"{_objectives(env, tuple(names))} `info` has [what it has for every task]"
+        f"(README.md#info){' and:' if own else '.'}{table}"
     )
-
-
-def _described(task: Task, terms: tuple[str, ...]) -> dict[str, str]:
-    """Return what each objective of a task is made of, for its page.
-
-    Args:
-        task: whose.
-        terms: names of its reward's terms.
-    """
-    parts = {
-        "energy": [k for k in terms if k in task.energetic],
-        "error": [k for k in terms if k not in task.energetic],
-    }
-    sums = {k: " + ".join(f"`reward/{name}`" for name in v) or "0" for k, v in parts.items()}
-    time = "minus the share of the episode in which it was not solved; a failure takes the rest"
-    return {"energy": sums["energy"], "time": time, "error": sums["error"]}
 
 
 def _objectives(env: VesEnv, terms: tuple[str, ...]) -> str:
-    """What `reward="vector"` and `cost=True` add; a goal variant has no vector."""
-    text = (
-        "\n\nWith `cost=True` the info has `cost` and `cost_limits`, `cost_displacement`,"
-        " `cost_acceleration`, 1 in periods beyond a bound"
-        " ([objectives and costs](README.md#objectives-and-costs))."
-    )
+    """Return which terms make an objective of `reward="vector"`; goal variants have none."""
     if env.goal:
-        return text
-    rows = [
-        (f"`{name}`", f"{weight:g}", what)
-        for (name, what), weight in zip(
-            _described(env.task, terms).items(), WEIGHTS, strict=True
-        )
-    ]
-    head = '\n\nWith `reward="vector"` the reward is an array:\n\n'
-    return head + _table(("objective", "weight in the scalar reward", "what"), rows) + text
+        return ""
+    energetic = [f"`reward/{k}`" for k in terms if k in env.task.energetic]
+    return f" Objective `energy` is {' + '.join(energetic) or '0'}, `error` the others."
 
 
 def _system(task: Task) -> str:
@@ -414,8 +380,12 @@ def _index() -> str:
         )
     table = _table(("id", "task", "observation", "action", "s"), rows)
     text = (PLACE / "README.md").read_text("utf-8")
-    head, tail = text.split("<!-- ids -->")[0], text.split("<!-- end -->")[1]
-    return f"{head}<!-- ids -->\n{table}\n<!-- end -->{tail}"
+    info = _table(("info", "what"), [(f"`{k}`", v) for k, v in SHARED_INFO.items()])
+    for mark, block in (("ids", table), ("info", info)):
+        head, _, old = text.partition(f"<!-- {mark} -->\n")
+        after = old.partition("<!-- end -->")[2]
+        text = f"{head}<!-- {mark} -->\n{block}\n<!-- end -->{after}"
+    return text
 
 
 def main() -> None:
