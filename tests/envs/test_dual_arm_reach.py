@@ -2,9 +2,7 @@
 
 import gymnasium as gym
 import numpy as np
-import pytest
 
-from ves_gym._util.params import ParameterError
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.registry import get_controller
 from ves_gym.mechanics.kinematics import joint_positions
@@ -25,11 +23,6 @@ def test_either_arm_turns_the_base_and_the_last_one_has_the_tool():
         tool = joint_positions(arm, s.q)[0, -1]
         assert np.linalg.norm(s.tool[0] - tool) < 0.1  # of the last arm, base hardly moved
     assert observation.shape == (52,)
-
-
-def test_a_laboratory_has_one_arm():
-    with pytest.raises(ParameterError, match="mode emulated takes one arm"):
-        gym.make("ves/DualArmReach-v0", mode="emulated")
 
 
 def test_the_reference_solves_and_doing_nothing_does_not():

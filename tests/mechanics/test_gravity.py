@@ -22,6 +22,7 @@ from ves_gym.mechanics.gravity import (
     moment_regressor,
 )
 from ves_gym.mechanics.link import Inertial, Link, diagonal
+from ves_gym.mechanics.side_by_side import side_by_side
 from ves_gym.mechanics.vehicle import VEHICLES
 from ves_gym.system.system import System
 
@@ -57,6 +58,7 @@ ARMS = {
     "puma": PUMA_560,
     "planar": planar_arm(),
     "wrist": six_joint_arm(),
+    "two arms": side_by_side([random_arm(7).at((0.3, 0.2, 0.1), (0.3, 0.0, 0.5)), PUMA_560]),
     **{f"random-{seed}": random_arm(seed) for seed in range(6)},
 }
 each_arm = pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS.keys())

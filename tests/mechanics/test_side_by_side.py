@@ -13,6 +13,7 @@ from ves_gym.engine.mjcf import TO_Y
 from ves_gym.mechanics.arm_files import pinocchio_model
 from ves_gym.mechanics.arm_library import PUMA_560, get_arm
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
+from ves_gym.mechanics.gravity import GRAVITY
 from ves_gym.mechanics.kinematics import joint_positions, tool_frame, tool_twists
 from ves_gym.mechanics.link import Gear, Limb
 from ves_gym.mechanics.motion import Motion
@@ -108,6 +109,18 @@ def test_a_run_is_the_same_on_both_engines_and_its_ledger_closes(vehicle, geared
         assert EnergyBalance.of(log).relative <= 1e-5
 
 
+def test_in_the_laboratory_both_engines_agree_and_the_weight_of_both_arms_is_taken_off():
+    start = np.random.default_rng(3).uniform(-1, 1, 12)
+    motion = Motion.straight(start, start + 0.2, 0.5)
+    system = System(arms=[LEFT, RIGHT], vehicle=BENT, mode="emulated")
+    log, space = require_alike(system, motion), require_alike(system.ideal(), motion)
+    assert np.abs(log.w[:, :3]).max() > 0.99 * TWO.mass * GRAVITY  # the sensor feels it
+    in_space = space.y[:: round(system.control_dt / system.physics_dt)]
+    off, swing = np.abs(log.y - in_space).max(), np.abs(in_space).max()
+    print(f"{off / swing:.3f} of a swing of {swing:.2e}")
+    assert off <= 0.15 * swing
+
+
 def test_a_system_of_two_arms_is_written_and_read(tmp_path):
     system = System(arms=[LEFT, RIGHT])
     system.save(tmp_path / "two.toml")
@@ -136,7 +149,6 @@ def test_two_arms_that_share_a_link_and_other_refusals(tmp_path):
         ("must be of Arm, got 'ur5e'", lambda: System(arms=["ur5e"])),
         ("arm or arms, got both", lambda: System(arm=UR5E, arms=[LEFT, RIGHT])),
         ("each of several arms takes one arm", lambda: System(arms=[two, UR5E])),
-        ("mode emulated takes one arm", lambda: System(arms=[LEFT, RIGHT], mode="emulated")),
         ("URDF takes one arm", lambda: two.to_urdf(tmp_path / "two.urdf")),
         ("Arm.to_mjcf takes one arm", lambda: two.to_mjcf(tmp_path / "two.xml")),
         ("Arm.at takes one arm", lambda: two.at((0.0, 0.0, 0.0))),

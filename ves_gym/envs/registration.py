@@ -50,7 +50,7 @@ IDS: dict[str, Registered] = {
     "PayloadTransfer": Registered(  # m/s: there the payload's weight is taken for a force
         "payload_transfer", 800, emulated={"rest": 0.08}
     ),
-    "DualArmReach": Registered("dual_arm_reach", 400, emulated=None),  # a platform has one arm
+    "DualArmReach": Registered("dual_arm_reach", 400, emulated={"rest": math.radians(10.0)}),
     # its platform emulates a satellite's body, neither wheels nor jets, and a stand holds what
     # is grasped until then, so that nothing tumbles
     "ServicerCapture": Registered("servicer_capture", 600, emulated=None),

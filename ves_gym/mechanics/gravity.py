@@ -132,14 +132,13 @@ class MinimalModel:
 
 @lru_cache(maxsize=64)
 def minimal_model(arm: Arm) -> MinimalModel:
-    """The minimal moment parameters of a serial arm, from base to tip in closed form.
+    """The minimal moment parameters of an arm, or of several, from base to tips in closed form.
 
     Joint i's axis z' (z of body i - 1) is a sum of body i's x, y and z, without x where
     there is no beta. One of the three is expressed by the other two and z': the one that z'
     determines best. Link i's far end moves everything beyond it by d z' + a x', x' being
     body i's x before beta turns it.
     """
-    arm.require_alone("the model of a weight's moment")
     arm.require_uncoupled("the model of a weight's moment")
     width = 3 * (arm.n + 1) + arm.n
     chosen = [(0, 0), (0, 1), (0, 2)]
@@ -153,21 +152,24 @@ def minimal_model(arm: Arm) -> MinimalModel:
             terms[j].append(_term(part, text))
 
     def extend(where: dict[int, float], length: float, first: int, name: str) -> None:
-        """Let every body from `first` on lie further away, by `length` along `where`."""
-        beyond = [f"m{j}" for j in range(first, arm.n + 1)]
+        """Let a limb's bodies from `first` on lie further away, by `length` along `where`."""
+        last = arm.span_of(first - 1).stop
+        beyond = [f"m{j}" for j in range(first, last + 1)]
         weight = f"({' + '.join(beyond)})" if len(beyond) > 1 else beyond[0]
         for j, part in where.items():
-            rows[j][3 * (arm.n + 1) + first - 1 :] += length * part
+            rows[j][3 * arm.n + 2 + first : 3 * (arm.n + 1) + last] += length * part
             terms[j].append(_term(part, f"{weight} {name}"))
 
     for k in range(3):
         lump({k: 1.0}, k, 1.0, f"m0 r0{'xyz'[k]}")
-    _, turn, place, _ = arm.feet[0]
-    z = {k: part for k, part in enumerate(turn[:, 2].tolist()) if part}  # by kept directions
-    for k, length in enumerate(place.tolist()):
-        if length:
-            extend({k: 1.0}, length, 1, f"{'xyz'[k]}0")
+    feet = {foot.first: foot for foot in arm.feet}
     for i, link in enumerate(arm.links, start=1):
+        if i - 1 in feet:
+            foot = feet[i - 1]
+            z = {k: part for k, part in enumerate(foot.rotation[:, 2].tolist()) if part}
+            for k, length in enumerate(foot.position.tolist()):
+                if length:
+                    extend({k: 1.0}, length, i, f"{'xyz'[k]}{i - 1}")
         far = link.far_end[0]
         axis = far[2].tolist()  # z' in body i
         lost = max((2, 1, 0), key=lambda k: abs(axis[k]))

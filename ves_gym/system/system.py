@@ -120,7 +120,6 @@ class System:
             )
         if self.mode == "emulated":
             self.arm.require_turning("mode emulated")
-            self.arm.require_alone("mode emulated")
             self.arm.require_uncoupled("mode emulated")
         if self.mode == "emulated" and isinstance(self.vehicle, Satellite):
             self._require_a_body_alone(self.vehicle)
