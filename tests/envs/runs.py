@@ -29,7 +29,7 @@ class Blind(Resolved):
 
 
 def controlled(controller, n, task, seed=0, **settings):
-    """n whole episodes: environment, returns, what they cost by name, the last info."""
+    """n whole episodes: environment, returns, J by name, the last info."""
     if hasattr(controller, "settings"):
         spec = SimpleNamespace(kwargs={"task": task, **settings})
         settings = {**controller.settings(spec), **settings}
@@ -38,16 +38,21 @@ def controlled(controller, n, task, seed=0, **settings):
     controller.reset(env, np.arange(n))
     total, costs = np.zeros(n), {}
     for _ in range(env.task.steps):
+        before = env.batch.episodes.cost.copy()
         action = controller.act(env, observation)
         observation, reward, terminated, truncated, info = env.step(action)
         terms = part(info, "reward")
-        assert not terms.pop("failure").any() and (terms.pop("success") >= 0).all()
-        left = 1 + total
-        after = left + sum(terms.values())
+        del terms["success"]
+        assert not terms.pop("failure").any()
+        way = terms.pop("missing", None)
+        after, missing = env.batch.episodes.cost, env.batch.episodes.missing[:, 1]
         for name, term in terms.items():  # the inverse of `episode.judge`
-            costs[name] = costs.get(name, 0.0) - term / (left * after)
+            cost = -term * (1 + before + missing) * (1 + after + missing)
+            costs[name] = costs.get(name, 0.0) + cost
         total += reward
     assert terminated.all() and not truncated.any()
+    if way is not None:
+        costs["missing"] = missing
     np.testing.assert_allclose(sum(costs.values()), cost_of(total, info["success"]), rtol=1e-9)
     return env, total, costs, info
 

@@ -87,13 +87,12 @@ def test_options_choose_start_and_pose():
     np.testing.assert_allclose(marked[2] - marked[0], 0.15 * turn[:, 2], atol=1e-6)
 
 
-def test_costs_are_distance_turn_and_energy():
+def test_what_is_missing_is_of_distance_and_turn():
     env, _, costs, info = controlled(get_controller("zero"), 8, "pose_reach", duration=0.5)
     s, task = env.batch.scene, env.task
-    late = 3 * np.mean((np.arange(1, task.steps + 1) / task.steps) ** 2)
-    distance, turn = gap(s.memory[:, 0], task.far), gap(s.memory[:, 1], 1.0)
-    np.testing.assert_allclose(costs["distance"], late * distance, rtol=1e-6)
-    np.testing.assert_allclose(costs["turn"], late * turn, rtol=1e-6)
+    distance = gap(s.memory[:, 0], task.tolerance, task.far)
+    turn = gap(s.memory[:, 1], np.sin(task.turned / 2), 1.0)
+    np.testing.assert_allclose(costs["missing"], (distance + turn) / 2, rtol=1e-6)
     assert not info["success_once"].any()
 
 

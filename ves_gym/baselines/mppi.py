@@ -129,11 +129,9 @@ def play(model: VesVectorEnv, actions: Array) -> None:
 
 
 def episode_costs(model: VesVectorEnv) -> Array:
-    """Return the costs J (lanes,) of episodes so far, from their returns (`episode.judge`)."""
-    total = model.batch.episodes.total
-    with np.errstate(divide="ignore", invalid="ignore"):
-        out: Array = 1 / np.where(total > 0, total, 1 + total) - 1
-    return np.where(np.isfinite(total) & (out >= 0), out, np.inf)
+    """Return J (lanes,) of episodes so far (`episode.judge`); infinite where they failed."""
+    e = model.batch.episodes
+    return np.where(e.total > -1 + _LEAST, e.cost + e.missing[:, 1], np.inf)
 
 
 def residual_motion_cost(model: VesVectorEnv) -> Array:

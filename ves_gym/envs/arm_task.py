@@ -124,14 +124,6 @@ class ArmTask(Task):
         scale = energy * (self.duration + self.tail) / thrift
         return {"energy": s.energy * dt / scale, "tail": s.tail / scale}
 
-    def late(self, s: Scene, dt: float) -> Array:
-        """(n,) share of a period, by the square of the time: being there late is what counts.
-
-        Were every period worth the same, the shortest way would pay, which shakes the base.
-        """
-        out: Array = 3 * (s.time / self.duration) ** 2 * (dt / self.duration)
-        return out
-
     # ------------------------------------------------------------------ observation
 
     def sensed(
@@ -183,12 +175,12 @@ class ArmTask(Task):
             )
 
 
-def gap(distance: Array, far: float) -> Array:
-    """Return what is missing to a place: the root of a distance (...,) in `far`.
+def gap(distance: Array, near: float, far: float) -> Array:
+    """Return what is missing to a place: a logarithm of a distance (...,), one at `far`.
 
-    A root tells apart at every scale: the last centimetre of a metre is worth a tenth of it.
+    Halving a distance is worth the same from `far` down to `near`, what the task tells apart.
     """
-    out: Array = np.sqrt(distance / far)
+    out: Array = np.log(1.0 + distance / near) / float(np.log(1.0 + far / near))
     return out
 
 

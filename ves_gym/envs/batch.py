@@ -183,7 +183,7 @@ class Batch:
         episodes = Episodes(
             np.zeros(n, np.uint64), np.arange(n), np.full(n, -1),
             np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, bool),
-            np.zeros(n), np.zeros((n, 2)), np.zeros((n, 2)),
+            np.zeros(n), np.zeros(n), *(np.zeros((n, 2)) for _ in range(3)),
         )  # fmt: skip
         return scene, episodes
 
@@ -277,7 +277,7 @@ class Batch:
         s.ref[ids] = np.stack([rows["q"], rows["v"], np.zeros_like(rows["q"])], axis=1)
         s.memory[ids], s.tail[ids] = 0.0, 0.0
         s.kp[ids], s.kd[ids] = self._hold
-        for k in (e.steps, e.clipped, e.once, e.total, e.sums):
+        for k in (e.steps, e.clipped, e.once, e.total, e.cost, e.missing, e.sums):
             k[ids] = 0
         if task.interacts:
             assert sim.payload is not None

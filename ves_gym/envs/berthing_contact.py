@@ -70,7 +70,7 @@ class BerthingContact(ArmTask):
     logarithmic scale, which is not observed; and up to `blur` along each axis of space, by
     which the funnel is seen beside where it is: the funnel guides what is as near as that.
 
-    Cost: the mean of what is missing, between 1 and a half until the latch has closed
+    Cost: what is missing at the end, between 1 and a half until the latch has closed
     (`arm_task.gap` of the distance from the ball to the funnel's end), then down to nothing as
     the client comes to `rest`; `gentle` times the mean of the contact's force; and `energy`
     times the mean of the base's energy E.
@@ -241,15 +241,21 @@ class BerthingContact(ArmTask):
     # -------------------------------------------------------------------- reward
 
     def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        t, share = LatchTarget.of(s.payload), dt / self.duration
-        approach = gap(np.linalg.norm(t.fixture - s.tool, axis=1), self.far)
-        unrest = gap(np.linalg.norm(t.fixture_velocity, axis=1), _FAST * self.rest)
-        force = np.linalg.norm(s.contact[:, :3], axis=1)
+        share, force = dt / self.duration, np.linalg.norm(s.contact[:, :3], axis=1)
         return {
-            "approach": share * np.where(t.carried > 0, unrest, 1.0 + approach) / 2,
             "force": share * self.gentle * force,
             "energy": share * self.energy * s.energy,
         }
+
+    def missing(self, s: Scene) -> Array | None:
+        t, payload = LatchTarget.of(s.payload), self.system.payload
+        assert payload is not None
+        way, rate = (
+            np.linalg.norm(k, axis=1) for k in (t.fixture - s.tool, t.fixture_velocity)
+        )
+        approach = gap(way, payload.latch_distance, self.far)
+        unrest = gap(rate, self.rest, _FAST * self.rest)
+        return np.where(t.carried > 0, unrest, 1.0 + approach) / 2
 
     def marker(self, s: Scene) -> Array:
         """The funnel's end."""

@@ -94,7 +94,7 @@ class Shape:
         return layout(
             ("ref", 3 * n), ("kp", n), ("kd", n), ("clipped", 1), ("tau", n),
             ("memory", self.task.memory), ("energies", 2), ("sums", 2), ("peaks", 2),
-            ("total", 1), ("once", 1), ("steps", 1),
+            ("total", 1), ("cost", 1), ("missing", 2), ("once", 1), ("steps", 1),
         )  # fmt: skip
 
     @cached_property
@@ -270,7 +270,7 @@ def _episodes(shape: Shape, carried: Traced) -> Episodes:
     return Episodes(
         root=none, index=none, number=none, steps=k["steps"][:, 0],
         clipped=k["clipped"][:, 0], once=k["once"][:, 0], total=k["total"][:, 0],
-        sums=k["sums"], peaks=k["peaks"],
+        cost=k["cost"][:, 0], missing=k["missing"], sums=k["sums"], peaks=k["peaks"],
     )  # fmt: skip
 
 
@@ -365,7 +365,7 @@ def _close(shape: Shape) -> casadi.Function:
         flags = (last, failed, verdict.solved, e.once, ~sane, event, *latches)
         carry = (
             s.ref.reshape(len(z), -1), s.kp, s.kd, e.clipped, s.tau, s.memory, s.energies,
-            e.sums, e.peaks, e.total, e.once, e.steps,
+            e.sums, e.peaks, e.total, e.cost, e.missing, e.once, e.steps,
         )  # fmt: skip
         return (scaled_observation(task, s, scale), *terms, verdict.reward, *flags, *carry)
 

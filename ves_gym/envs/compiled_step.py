@@ -245,7 +245,7 @@ class CompiledStep:
             task.remember(s, dt)
             last, none = np.array([False, True]), np.zeros(2, bool)
             counters = {f.name: np.full(2, 0.5) for f in dataclasses.fields(Episodes)}
-            e: Any = Episodes(**counters | {"once": none})
+            e: Any = Episodes(**counters | {"once": none, "missing": np.full((2, 2), 0.5)})
             parts: list[npt.NDArray[Any]] = [*task.observe(s), s.memory, *task.joint_range]
             for failed in (none, last):
                 terms = judge(task, s, e, dt, last, failed, none, none).terms
@@ -302,6 +302,7 @@ class CompiledStep:
         s.ref, s.kp, s.kd, s.tau = k["ref"].reshape(self.n, 3, -1), k["kp"], k["kd"], k["tau"]
         s.memory = k["memory"]
         e.sums, e.peaks, e.total = k["sums"], k["peaks"], k["total"][:, 0]
+        e.cost, e.missing = k["cost"][:, 0], k["missing"]
         e.once = k["once"][:, 0] != 0
         e.clipped, e.steps = (k[name][:, 0].astype(np.int64) for name in ("clipped", "steps"))
         if self.task.control.level == "gains":
@@ -462,7 +463,7 @@ class CompiledStep:
             flags = rows[self._flags] != 0
         first, last = shape.carry["energies"].start, shape.carry["steps"].stop
         rest = numbers(self._next[:, first:last], self.n)
-        E, _, total, strained, peak, strain_peak, _, _, steps = rest
+        E, _, total, strained, peak, strain_peak, *_, steps = rest
         mean = (total + tail) / (steps * self.system.control_dt + task.tail)
         return rows, flags, ended_energies(mean, E, peak, strain_peak, strained + strain, ended)
 

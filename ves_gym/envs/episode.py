@@ -13,7 +13,7 @@ from ves_gym._util.params import Array, Index, Mask, ParameterError
 from ves_gym.envs.task import Scene, Start, Task
 
 AT_ONCE = 64  # beginnings: a call costs as much as ten of them
-_LEAST = 1e-9  # share of the return that is always left, so that a failure always shows
+_LEAST = 1e-9  # of a goal's reward, that a failure always shows
 
 
 @dataclass
@@ -27,6 +27,8 @@ class Episodes:
     clipped: npt.NDArray[np.int64]  # actions that were out of bounds
     once: Mask  # success at any time
     total: Array  # return so far
+    cost: Array  # of the periods so far
+    missing: Array  # (n, 2) `Task.missing` after the first period, and now
     sums: Array  # (n, 2) integrals of E and of the strain energy [J s]
     peaks: Array  # (n, 2) their peaks [J]
 
@@ -148,14 +150,17 @@ def judge(
 ) -> Verdict:
     """Reward and success of a period.
 
-    An episode that has cost J (`Task.costs`) has been paid 1 / (1 + J) - 1; one that is solved
-    at its deadline is paid 1 more, and a failure takes what is left. So returns are
+    J is what an episode has cost (`Task.costs`) and what is missing now (`Task.missing`).
+    Where it ends it has been paid
 
         solved 1 / (1 + J), unsolved -J / (1 + J), failed -1:
 
     less cost is more return, any solved episode returns more than any that is not, and no end
-    before the deadline is worth more than going on. Of goal variants, whose reward is that of
-    their goals, a period costs what `costs` says, and a failure as much as reaching nothing.
+    before the deadline is worth more than going on. Before, it has been paid what it would be
+    if it ended now, but that what was missing at first is taken off evenly over the episode: a
+    potential, which tells a learner at once what a step is worth and leaves what is best as it
+    was (Ng, Harada & Russell 1999). Of goal variants, whose reward is that of their goals, a
+    period costs what `costs` says, and a failure as much as reaching nothing.
 
     Args:
         task, s, e, dt: as in `count`.
@@ -165,14 +170,12 @@ def judge(
     solved = task.success(s) & ~failed & ~over
     costs = task.costs(s, dt, last & ~failed)
     for name, cost in costs.items():
-        meaningless = diverged & ~(np.abs(cost) < np.inf)  # a NaN is not
-        costs[name] = np.where(over | meaningless, 0.0, cost)
+        costs[name] = np.where(over | _meaningless(cost, diverged), 0.0, cost)
     if task.goal_fields is None:
-        left = np.maximum(1.0 + e.total, _LEAST)  # 1 / (1 + J) before the period
-        after = left / (1.0 + left * sum(costs.values()))
-        terms = {name: -cost * (left * after) for name, cost in costs.items()}
-        terms["success"] = np.where(last & solved, 1.0, 0.0)
-        terms["failure"] = np.where(failed, -after, 0.0)
+        terms = _payments(task, s, e, costs, solved, diverged)
+        terms = {name: np.where(over, 0.0, paid) for name, paid in terms.items()}
+        paid = e.total + sum(terms.values())
+        terms["failure"] = np.where(failed, -1.0 - paid, 0.0)
     else:
         terms = {name: -cost for name, cost in costs.items()}
         lost = task.steps + _LEAST + e.total - sum(costs.values())
@@ -182,6 +185,45 @@ def judge(
     e.once |= solved
     e.total += reward
     return Verdict(terms, reward, solved)
+
+
+def _payments(
+    task: Task, s: Scene, e: Episodes, costs: dict[str, Array], solved: Mask, diverged: Mask
+) -> dict[str, Array]:
+    """Terms (n,) of the reward but for failure; brings cost and missing up to date.
+
+    Args:
+        costs: (n,) of the period, by name.
+        task, s, e, solved, diverged: as in `judge`.
+    """
+    missing, before = task.missing(s), _paid(task, e, e.steps - 1)
+    if missing is not None:
+        missing = np.where(_meaningless(missing, diverged), e.missing[:, 1], missing)
+        first = np.where(e.steps == 1, missing, e.missing[:, 0])
+        e.missing = np.stack([first, missing], axis=1)
+    approached, spent = _paid(task, e, e.steps), sum(costs.values())
+    J = e.cost + e.missing[:, 1]
+    share = 1.0 / ((1.0 + J) * (1.0 + J + spent))
+    terms = {name: -cost * share for name, cost in costs.items()}
+    if missing is not None:
+        terms["missing"] = approached - before
+    was = np.where(e.total - before > 0.5, 1.0, 0.0)  # solved in the period before
+    terms["success"] = np.where(solved, 1.0, 0.0) - was
+    e.cost = e.cost + spent
+    return terms
+
+
+def _paid(task: Task, e: Episodes, steps: Index) -> Array:
+    """(n,) what episodes have been paid after a number (n,) of periods, success apart."""
+    first, now = e.missing[:, 0], e.missing[:, 1]
+    going = 1.0 - steps / task.steps
+    out: Array = 1.0 / (1.0 + e.cost + now) - 1.0 + going * first / (1.0 + first)
+    return out
+
+
+def _meaningless(value: Array, diverged: Mask) -> Mask:
+    out: Mask = diverged & ~(np.abs(value) < np.inf)  # a NaN is not
+    return out
 
 
 def ended_energies(

@@ -50,8 +50,8 @@ class PayloadTransfer(ArmTask):
     drawn as those of task reach, both legs straight quintics of a third of the episode within
     the speed limits and at least `away` long.
 
-    Cost: the mean of what is missing, between 1 and a half until the payload is carried, then
-    down to nothing until it is berthed (`arm_task.gap`, in `far`; a speed counts as
+    Cost: what is missing at the end, between 1 and a half until the payload is carried, then
+    down to nothing until it is berthed (`arm_task.gap`, up to `far`; a speed counts as
     the way that it makes in `brake`); and `thrift` times E_mean in that expected of the two
     straight legs, at least a quarter of what it is in the median.
 
@@ -206,14 +206,13 @@ class PayloadTransfer(ArmTask):
     # -------------------------------------------------------------------- reward
 
     def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
+        return self.energy_costs(s, dt, s.goal[:, 10])
+
+    def missing(self, s: Scene) -> Array | None:
         way, closing = self._next(s)
-        missing = gap(braked(way, closing, self.brake), self.far)
-        phase = np.where(LatchTarget.of(s.payload).carried > 0, missing, 1.0 + missing) / 2
-        phase = np.where(s.memory[:, _BERTHED] > 0, 0.0, phase)
-        return {
-            "distance": phase * (dt / self.duration),
-            **self.energy_costs(s, dt, s.goal[:, 10]),
-        }
+        left = gap(braked(way, closing, self.brake), self.tolerance, self.far)
+        phase = np.where(LatchTarget.of(s.payload).carried > 0, left, 1.0 + left) / 2
+        return np.where(s.memory[:, _BERTHED] > 0, 0.0, phase)
 
     def marker(self, s: Scene) -> Array:
         """The fixture, then the berth."""

@@ -38,10 +38,10 @@ class PoseReach(ArmTask):
     seconds the tool has been within `tolerance` of the place and within `turned` of the
     orientation, and slower than `rest` and `turning`.
 
-    Cost: the means of what is missing to the place and, `attitude` times, to the orientation
-    (`arm_task.gap`, of a distance and of the sine of half an angle), the later the more
-    (`ArmTask.late`), and `thrift` times E_mean in that expected of the straight motion in half
-    the time (`scales.straight_energy`), at least a quarter of what it is in the median.
+    Cost: what is missing at the end to the place and, with the weight `attitude`, to the
+    orientation (`arm_task.gap`, of a distance and of the sine of half an angle), and `thrift`
+    times E_mean in that expected of the straight motion in half the time
+    (`scales.straight_energy`), at least a quarter of what it is in the median.
 
     An episode is terminated at the deadline (the horizon is part of the task, and the time
     left is observed) or beyond a joint limit.
@@ -171,12 +171,12 @@ class PoseReach(ArmTask):
     # -------------------------------------------------------------------- reward
 
     def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        share, distance, half = self.late(s, dt), s.memory[:, 0], s.memory[:, 1]
-        return {
-            "distance": share * gap(distance, self.far),
-            "turn": share * self.attitude * gap(half, 1.0),
-            **self.energy_costs(s, dt, s.goal[:, _ENERGY]),
-        }
+        return self.energy_costs(s, dt, s.goal[:, _ENERGY])
+
+    def missing(self, s: Scene) -> Array | None:
+        distance = gap(s.memory[:, 0], self.tolerance, self.far)
+        turn = gap(s.memory[:, 1], np.sin(self.turned / 2), 1.0)
+        return (distance + self.attitude * turn) / (1.0 + self.attitude)
 
     def marker(self, s: Scene) -> Array:
         """The place, then a line from it along the axis that the tool is to point along."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class Privileged:
     """What decides an episode and no sensor tells, for every simulation of a batch.
 
-    The return that is left and the time, the true motion of the base with its internal modes,
+    The return so far and the time left, the true motion of the base with its internal modes,
     the mass and centre of mass of a payload, and what was drawn of the machine. No policy sees
     it: `info["privileged"]` of environments made with `privileged=True` has it, and PPO's
     critic with `critic = "privileged"`.
@@ -38,7 +38,7 @@ class Privileged:
         soft = np.sqrt(2 / np.where(K > 0, K, 2.0))  # a joule each
         one, (sway, swaying) = np.ones(1), task.sway
         parts = [
-            Field("left", "1", one, "share of the return that is left, 1 / (1 + cost so far)"),
+            Field("paid", "1", one, "return so far, and 1"),
             Field("time_left", "s", np.array([task.duration]), "until the deadline"),
             Field("true_pose", "m, rad", sway, "pose of the base"),
             Field("true_rate", "m/s, rad/s", swaying, "rate of the base"),

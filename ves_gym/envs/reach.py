@@ -69,10 +69,9 @@ class Reach(ArmTask):
     stays within reach while the base sways. Solved: the tool has been within `tolerance` of
     the target for the last `hold` seconds.
 
-    Cost: the mean of what is missing to the target (`arm_task.gap`, in `far`), the later the
-    more (`ArmTask.late`), and `thrift` times E_mean in that expected of a straight motion to
-    the target in half the time (`scales.straight_energy`), at least a quarter of what it is in
-    the median.
+    Cost: what is missing to the target at the end (`arm_task.gap`, from `tolerance` to `far`),
+    and `thrift` times E_mean in that expected of a straight motion to the target in half the
+    time (`scales.straight_energy`), at least a quarter of what it is in the median.
 
     An episode is terminated at the deadline (the horizon is part of the task, and the time
     left is observed) or beyond a joint limit.
@@ -155,11 +154,10 @@ class Reach(ArmTask):
     # -------------------------------------------------------------------- reward
 
     def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        missing = gap(s.memory[:, 0], self.far)
-        return {
-            "distance": missing * self.late(s, dt),
-            **self.energy_costs(s, dt, s.goal[:, 3]),
-        }
+        return self.energy_costs(s, dt, s.goal[:, 3])
+
+    def missing(self, s: Scene) -> Array | None:
+        return gap(s.memory[:, 0], self.tolerance, self.far)
 
     def marker(self, s: Scene) -> Array:
         """The target."""
@@ -198,6 +196,9 @@ class ReachGoal(Reach):
 
     def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
         return {"reached": -self._reached_now(s)}
+
+    def missing(self, s: Scene) -> Array | None:
+        return None
 
     def remember(self, s: Scene, dt: float) -> None:
         s.memory[:, 0] = np.sqrt(((s.goal[:, :3] - s.tool) ** 2).sum(axis=1))

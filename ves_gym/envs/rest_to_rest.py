@@ -137,11 +137,12 @@ class RestToRest(Task):
     def success(self, s: Scene) -> Mask:
         """At the goal, at rest there, and with as little energy as `saving` asks."""
         n = self.system.arm.n
+        over: Mask = s.time > self.duration - self.system.control_dt / 2
         near: Mask = np.all(np.abs(s.goal[:, :n] - s.q) <= self.tolerance, axis=1)
         calm: Mask = np.all(np.abs(s.v) <= self.rest, axis=1)
         if self.saving is None:
-            return near & calm
-        return near & calm & (s.memory[:, 0] + s.tail <= self.saving * self._scale(s))
+            return over & near & calm
+        return over & near & calm & (s.memory[:, 0] + s.tail <= self.saving * self._scale(s))
 
     def _scale(self, s: Scene) -> Array:
         """(n,) integral of E that counts as one [J s]."""

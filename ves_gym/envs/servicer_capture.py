@@ -80,7 +80,7 @@ class ServicerCapture(ArmTask):
     scale, is not observed, nor is the inertia, that of the described target per mass; servo,
     feed-forward and energies E know the arm alone.
 
-    Cost: the mean of what is missing, between 1 and a half until the target is carried
+    Cost: what is missing at the end, between 1 and a half until the target is carried
     (`arm_task.gap` of distance and turn), then down to nothing as target, base and joints come
     to rest; `turn` times the mean angle of the base, `energy` times the mean of its energy E,
     and `fuel` times the propellant.
@@ -356,21 +356,26 @@ class ServicerCapture(ArmTask):
     # -------------------------------------------------------------------- reward
 
     def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        t, share = LatchTarget.of(s.payload), dt / self.duration
-        distance = gap(np.linalg.norm(t.fixture - s.tool, axis=1), self.far)
-        turn = gap(np.linalg.norm(self._missing(t), axis=1), np.pi)
-        speeds = (
-            gap(np.linalg.norm(t.spin, axis=1), self.spin[1]),
-            gap(np.linalg.norm(twist(s.y, s.yd)[:, 3:], axis=1), self.spin[1]),
-            gap(np.linalg.norm(s.v, axis=1), 1.0),
-        )
-        missing = np.where(t.carried > 0, sum(speeds) / 3, 1.0 + (distance + turn) / 2) / 2
+        share = dt / self.duration
         return {
-            "approach": share * missing,
             "turn": share * self.turn * _angle(s),
             "energy": share * self.energy * s.energy,
             "fuel": np.where(last, self.fuel * s.propellant, 0.0),
         }
+
+    def missing(self, s: Scene) -> Array | None:
+        t, payload = LatchTarget.of(s.payload), self.system.payload
+        assert payload is not None
+        assert payload.latch_angle is not None
+        way, turned = np.linalg.norm(t.fixture - s.tool, axis=1), self._missing(t)
+        distance = gap(way, payload.latch_distance, self.far)
+        turn = gap(np.linalg.norm(turned, axis=1), payload.latch_angle, np.pi)
+        speeds = (
+            gap(np.linalg.norm(t.spin, axis=1), self.rest, self.spin[1]),
+            gap(np.linalg.norm(twist(s.y, s.yd)[:, 3:], axis=1), self.rest, self.spin[1]),
+            gap(np.linalg.norm(s.v, axis=1), self.settled, 1.0),
+        )
+        return np.where(t.carried > 0, sum(speeds) / 3, 1.0 + (distance + turn) / 2) / 2
 
     def marker(self, s: Scene) -> Array:
         """The fixture."""

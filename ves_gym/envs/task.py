@@ -300,6 +300,13 @@ class Task(ABC):
         one; what an episode returns is a function of J, success and failure (`episode.judge`).
         """
 
+    def missing(self, s: Scene) -> Array | None:
+        """(n,) >= 0 missing to the goal now; what it is at the deadline is part of J.
+
+        None: of tasks that are no way to a goal.
+        """
+        return None
+
     @abstractmethod
     def success(self, s: Scene) -> Mask:
         """(n,) whether the episode would count as solved if it ended here."""

@@ -191,7 +191,7 @@ class Track(ArmTask):
     # -------------------------------------------------------------------- reward
 
     def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:
-        missing = gap(np.sqrt(s.memory[:, 0]), self.far)
+        missing = gap(np.sqrt(s.memory[:, 0]), self.tolerance, self.far)
         return {
             "error": missing * (dt / self.duration),
             **self.energy_costs(s, dt, s.table_values[:, 0]),
