@@ -131,7 +131,7 @@ def play(model: VesVectorEnv, actions: Array) -> None:
 def episode_costs(model: VesVectorEnv) -> Array:
     """Return J (lanes,) of episodes so far (`episode.judge`); infinite where they failed."""
     e = model.batch.episodes
-    return np.where(e.total > -1 + _LEAST, e.cost + e.missing[:, 1], np.inf)
+    return np.where(e.total > -1 + 1e-9, e.cost + e.missing[:, 1], np.inf)
 
 
 def residual_motion_cost(model: VesVectorEnv) -> Array:
