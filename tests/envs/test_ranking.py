@@ -7,6 +7,7 @@ from tests.envs.walks import IDS
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.policy import load_policy, released
 from ves_gym.baselines.registry import REFERENCES, get_controller
+from ves_gym.envs.arm_task import gap
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.build import build_task
 from ves_gym.envs.registration import IDS as NAMES
@@ -81,3 +82,22 @@ def test_a_failure_costs_at_least_what_remains(name):
     assert terminated.tolist() == [True, False] and not info["success"].any()
     np.testing.assert_allclose((before + reward)[0], least, rtol=1e-6)
     assert (before + reward)[1] > least
+
+
+def test_ways_and_success_are_paid_as_they_are_made():
+    """What the episode would return if it ended now, but for what was missing at first."""
+    task = build_task("reach", duration=0.1)
+    batch = Batch(task, 2, compiled=False)
+    everyone = np.arange(2)
+    batch.seed(everyone, 0, everyone)
+    batch.reset(everyone)
+    first = 0.0
+    for k, now in enumerate([False, True] * 4, start=1):
+        object.__setattr__(task, "success", lambda s, now=now: np.array([now, False]))
+        *_, info = batch.step(np.full((2, batch.width), 0.5))
+        missing = gap(batch.scene.memory[:, 0], task.tolerance, task.far)
+        first = missing if k == 1 else first
+        J = batch.episodes.cost + missing
+        due = -J / (1 + J) + (1 - k / task.steps) * first / (1 + first) + [float(now), 0.0]
+        np.testing.assert_allclose(batch.episodes.total, due, rtol=1e-9)
+        assert info["reward/success"].tolist() == [float(now) - (k in (3, 5, 7)), 0.0]
