@@ -41,7 +41,7 @@ from ves_gym.experiments.spec import read_spec
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.matrix_files import read_matrices
-from ves_gym.mechanics.meshes import mesh_points
+from ves_gym.mechanics.meshes import read_mesh
 from ves_gym.planners.case import Case, load_case
 from ves_gym.planners.obstacles import read_surroundings
 from ves_gym.system.runlog import RunLog, RunLogError
@@ -165,16 +165,16 @@ def kinds(root: Path) -> dict[str, Kind]:
     scipy.io.hb_write(root / "K.hb", scipy.sparse.csc_matrix(eye))
     out["hb"] = [root / "K.hb"], read_matrices
     stl = b"solid\n" + b"vertex 0 0 1\nvertex 1 0 0\nvertex 0 1 0\n" * 3
-    out["stl"] = [file("m.stl", stl)], mesh_points
+    out["stl"] = [file("m.stl", stl)], read_mesh
     binary = (
         bytes(80) + (2).to_bytes(4, "little") + np.arange(24, dtype="<f4").tobytes() + bytes(4)
     )
-    out["stl-binary"] = [file("b.stl", binary)], mesh_points
-    out["obj"] = [file("m.obj", "v 0 0 1\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")], mesh_points
+    out["stl-binary"] = [file("b.stl", binary)], read_mesh
+    out["obj"] = [file("m.obj", "v 0 0 1\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")], read_mesh
     head = b"ply\nformat binary_little_endian 1.0\nelement vertex 3\n"
     head += b"".join(b"property float %c\n" % k for k in b"xyz") + b"end_header\n"
-    out["ply"] = [file("m.ply", head + np.arange(9, dtype="<f4").tobytes())], mesh_points
-    out["dae"] = [file("m.dae", _DAE)], mesh_points
+    out["ply"] = [file("m.ply", head + np.arange(9, dtype="<f4").tobytes())], read_mesh
+    out["dae"] = [file("m.dae", _DAE)], read_mesh
     plan = vg.plan([0, 0, 0], [0.2, 0.1, -0.1], duration=1.0, planner="straight")
     Case(query=plan.query, motion=plan.motion).save(root / "case.toml")
     out["case"] = [root / "case.toml"], load_case

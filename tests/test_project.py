@@ -28,7 +28,8 @@ LEVEL = {room: level for level, room in enumerate(ROOMS)}
 HEAVY = {
     "casadi", "glfw", "h5py", "imageio", "llvmlite", "matplotlib", "minari", "mujoco", "OpenGL",
     "ompl", "onnx", "onnxruntime", "optuna", "pandas", "PIL", "pinocchio", "pyarrow", "pyyeti",
-    "robot_descriptions", "rosbags", "stable_baselines3", "tensorboard", "torch", "warp",
+    "robot_descriptions", "rosbags", "stable_baselines3", "tensorboard", "torch",
+    "trimesh", "warp",
 }  # fmt: skip
 
 

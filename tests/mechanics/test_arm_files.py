@@ -3,8 +3,6 @@
 import contextlib
 import dataclasses
 import math
-import re
-import sys
 from xml.etree import ElementTree
 
 import mujoco
@@ -293,7 +291,8 @@ def mesh_file(kind, corners):
         rows["p"] = corners.reshape(3, 3, 3)
         return b"\0" * 80 + (3).to_bytes(4, "little") + rows.tobytes()
     if kind == "ascii.stl":
-        return ("solid\n" + "".join(f"vertex {vector(p)}\n" for p in corners)).encode()
+        rows = "".join(f"vertex {vector(p)}\n" for p in corners)
+        return f"solid a\n{rows}endsolid a\n".encode()
     if kind.endswith("ply"):
         order = {"ascii.ply": "ascii", "big.ply": "binary_big_endian"}
         kinds = "property float x\nproperty double y\nproperty uchar red\nproperty float z\n"
@@ -307,19 +306,27 @@ def mesh_file(kind, corners):
         rows = np.zeros(len(corners), dtype=list(types))
         rows["x"], rows["y"], rows["z"] = corners.T
         text = "".join(f"{float(x)!r} {float(y)!r} 7 {float(z)!r}\n" for x, y, z in corners)
-        body = (
-            text.encode() + b"3 0 1 2\n" if kind == "ascii.ply" else rows.tobytes() + bytes(13)
-        )
-        return head.encode() + body
+        if kind == "ascii.ply":
+            return f"{head}{text}3 0 1 2\n".encode()
+        face = b"\3" + np.arange(3, dtype=f"{sign}i4").tobytes()
+        return head.encode() + rows.tobytes() + face
     if kind == "obj":
-        return "".join(f"v {vector(p)}\n" for p in corners).encode()
+        return (
+            "".join(f"v {vector(p)}\n" for p in corners) + "f 1 2 3\nf 4 5 6 7 8 9\n"
+        ).encode()
     return (
-        '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema"><asset><unit'
-        ' meter="0.01"/></asset><library_geometries><geometry id="g"><mesh><source id="s">'
-        f"<float_array>{' '.join(map(vector, 100 * corners - (0, 0, 7)))}</float_array>"
-        '</source><vertices><input semantic="POSITION" source="#s"/></vertices></mesh>'
-        "</geometry></library_geometries><visual_scene><node><translate>0 0 7</translate>"
-        '<instance_geometry url="#g"/></node></visual_scene></COLLADA>'
+        '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>'
+        '<unit meter="0.01"/></asset><library_geometries><geometry id="g"><mesh><source id="s">'
+        f'<float_array id="a" count="{corners.size}">'
+        f"{' '.join(map(vector, 100 * corners - (0, 0, 7)))}</float_array><technique_common>"
+        f'<accessor source="#a" count="{len(corners)}" stride="3"><param name="X"'
+        ' type="float"/><param name="Y" type="float"/><param name="Z" type="float"/></accessor>'
+        '</technique_common></source><vertices id="v"><input semantic="POSITION" source="#s"/>'
+        '</vertices><triangles count="3"><input semantic="VERTEX" source="#v" offset="0"/>'
+        "<p>0 1 2 3 4 5 6 7 8</p></triangles></mesh></geometry></library_geometries>"
+        '<library_visual_scenes><visual_scene id="w"><node id="n"><translate>0 0 7</translate>'
+        '<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes><scene>'
+        '<instance_visual_scene url="#w"/></scene></COLLADA>'
     ).encode()
 
 
@@ -680,72 +687,3 @@ def test_an_obstacle_meets_the_shape_that_the_file_gives():
     assert collisions(System(vehicle=BENT_THESIS, arm=arm), around).is_clear(
         q
     )  # thin capsules along the links
-
-
-# ------------------------------------------------------------- names of robot_descriptions
-
-DESCRIPTIONS = """
-class Known:
-    def __init__(self, robot, has_mjcf):
-        self.robot, self.has_mjcf = robot, has_mjcf
-
-DESCRIPTIONS = {
-    "good_description": Known("Good", False),
-    "good_mj_description": Known("Good", True),
-    "macro_description": Known("Good", False),
-    "far_description": Known("Far", False),
-}
-"""
-
-
-@pytest.fixture
-def descriptions(tmp_path, monkeypatch):
-    """A package like robot_descriptions, whose robots lie here."""
-    folder = tmp_path / "robot_descriptions"
-    folder.mkdir()
-    get_arm("ur5e").to_urdf(tmp_path / "good.urdf")
-    get_arm("ur5e").to_mjcf(tmp_path / "good.xml")
-    for name, text in {
-        "__init__": DESCRIPTIONS,
-        "good_description": f"print('Cloning')\nURDF_PATH = {str(tmp_path / 'good.urdf')!r}",
-        "good_mj_description": f"MJCF_PATH = {str(tmp_path / 'good.xml')!r}",
-        "macro_description": "XACRO_PATH = 'good.xacro'",
-        "far_description": "raise OSError('could not resolve host')",
-    }.items():
-        (folder / f"{name}.py").write_text(text)
-    monkeypatch.syspath_prepend(tmp_path)
-    for name in [k for k in sys.modules if k.startswith("robot_descriptions")]:
-        monkeypatch.delitem(sys.modules, name)
-    yield
-    for name in [k for k in sys.modules if k.startswith("robot_descriptions")]:
-        del sys.modules[name]
-
-
-@pytest.mark.parametrize("name", ["good_description", "good_mj_description"])
-def test_a_name_of_robot_descriptions_is_an_arm(descriptions, name, capsys):
-    """Stands beside what the package itself has; what it prints is no answer."""
-    file = {"good_description": "good.urdf", "good_mj_description": "good.xml"}[name]
-    arm = get_arm(name)
-    assert arm.n == 6 and get_arm(f"{name}#tool") == arm
-    assert arm.source.startswith(f"read from {file}")
-    assert capsys.readouterr().out == ""
-    assert System(arm=name).arm == arm
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("god_description", 'did you mean "good_description"?: `python -m robot_desc'),
-        ("macro_description", "is a xacro, no URDF: take good_mj_description, or make a URDF"),
-        ("far_description", "robot_descriptions cannot fetch it: could not resolve host"),
-    ],
-)
-def test_a_description_that_cannot_be_had_is_a_sentence(descriptions, name, said):
-    with pytest.raises(ParameterError, match=re.escape(said)):
-        get_arm(name)
-
-
-def test_a_description_without_the_package_says_what_to_install(monkeypatch):
-    monkeypatch.setattr("ves_gym._util.optional.installed", lambda module: False)
-    with pytest.raises(ParameterError, match=r"pip install 'ves-gym\[robots\]'"):
-        get_arm("panda_description")

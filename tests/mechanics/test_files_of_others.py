@@ -1,5 +1,7 @@
 """Arms from files as others write them: couplings, gaps and habits, judged by other readers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -131,7 +133,7 @@ def test_a_shape_without_mass_weighs_nothing_where_that_is_said(urdf):
         '<link name="tool"><visual><geometry><sphere radius="0.1"/></geometry></visual></link>'
     )
     path = urdf(CHAIN, '<link name="tool"/>', shape)
-    with pytest.raises(ParameterError, match=r"its mass is unknown \(--massless tool"):
+    with pytest.raises(ParameterError, match=r"mass is unknown \(--massless tool"):
         Arm.from_file(path)
     arm = Arm.from_file(path, massless=["tool"])
     assert arm.links == Arm.from_file(urdf(CHAIN)).links
@@ -140,10 +142,53 @@ def test_a_shape_without_mass_weighs_nothing_where_that_is_said(urdf):
         Arm.from_file(path, massless=["hand"])
 
 
+def test_links_without_mass_are_named_at_once(urdf):
+    shape = '<visual><geometry><sphere radius="0.1"/></geometry></visual>'
+    path = urdf(
+        [
+            *CHAIN,
+            f'<link name="eye">{shape}</link>',
+            joint("k", "l3", "eye", kind="fixed"),
+            f'<link name="ear">{shape}</link>',
+            joint("h", "l3", "ear", kind="fixed"),
+        ]
+    )
+    with pytest.raises(
+        ParameterError, match=r"'eye', 'ear' have .*--massless eye --massless ear"
+    ):
+        Arm.from_file(path, tip="tool")
+    arm = Arm.from_file(path, tip="tool", massless=["eye", "ear"])
+    assert arm == replace(Arm.from_file(urdf(CHAIN)), source=arm.source)
+
+
+def test_an_inertia_is_judged_with_what_moves_along(urdf):
+    """A camera of no rigid body's inertia on a link: together as Pinocchio has them."""
+    pin = pytest.importorskip("pinocchio")
+    eye = link("eye", 0.05, moments=(1e-5, 1e-5, 1e-4)), joint("k", "l3", "eye", kind="fixed")
+    path = urdf([*CHAIN, *eye])
+    arm = Arm.from_file(path, tip="tool")
+    assert "inertia of eye, which no rigid body has, taken as it is" in arm.source
+    model = pin.buildModelFromUrdf(str(path))
+    theirs = pin.crba(model, model.createData(), np.zeros(3))
+    np.testing.assert_allclose(
+        inertia(arm, np.zeros(3))[6:, 6:], theirs, rtol=1e-12, atol=1e-15
+    )
+
+
+def test_a_shape_in_millimetres_is_asked_about(urdf, tmp_path):
+    box = '<collision><geometry><box size="300 200 200"/></geometry></collision>'
+    path = urdf(CHAIN, CHAIN[2], link("l2", 1.5, shape=box))
+    with pytest.raises(
+        ParameterError, match=r"'l2' has a shape of .* like mm .*--no-collision"
+    ):
+        Arm.from_file(path)
+    assert Arm.from_file(path, collision=False).n == 3
+
+
 REPAIRED = {  # what the source says of it
     "principal moments of l2 0.01, 0.02, 0.05 taken as 0.02, 0.03, 0.05": (
         CHAIN[2], link("l2", 1.5, moments=(0.01, 0.02, 0.05))),
-    "inertia without mass left out: base": (
+    "principal moments of base 0.1, 0.1, 0.1 taken as 0, 0, 0": (
         CHAIN[0], link("base", 0.0, moments=(0.1, 0.1, 0.1))),
     "range of j1 0 to 0 taken as 2 pi either way": (
         LIMIT, '<limit lower="0" upper="0" effort="50" velocity="2"/>'),

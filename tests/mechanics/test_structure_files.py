@@ -416,6 +416,15 @@ def test_mass_and_stiffness_exchanged_are_asked_about(units, tmp_path):
         read_structure(tmp_path / "both.npz", interface=TIP, held=CLAMP, units=units)
 
 
+def test_a_mass_that_no_size_has_is_asked_about(tmp_path):
+    """In metres and kilograms, said to be in millimetres and tonnes: 1000 times denser."""
+    np.savez(tmp_path / "both.npz", mass=MASS.toarray(), stiffness=STIFF.toarray())
+    with pytest.raises(
+        ParameterError, match=r"e\+0\d kg measures some 0\.0.* m: are its units"
+    ):
+        read_structure(tmp_path / "both.npz", interface=TIP, held=CLAMP, units="mm-t-s")
+
+
 @pytest.mark.parametrize("rigid", [0, 6])
 @pytest.mark.parametrize("units", UNITS)
 def test_a_length_in_another_unit_is_asked_about(units, rigid, tmp_path):

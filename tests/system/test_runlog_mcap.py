@@ -45,6 +45,7 @@ def test_every_number_survives(log, tmp_path):
     topics = read(vg.export(log, tmp_path / "run.mcap"))
     joints = topics["/joint_states"]
     assert joints[0][1].name == ["q_1", "q_2", "q_3"]
+    assert topics["/joint_commands"][0][1].name[0] == "q_1_command"
     states = np.stack([[m.position, m.velocity, m.effort] for _, m in joints], axis=1)
     np.testing.assert_array_equal(states, [log.q, log.v, log.tau])
     told = np.stack([[m.position, m.velocity] for _, m in topics["/joint_commands"]], axis=1)

@@ -209,24 +209,27 @@ def symmetric(value: object, name: str, size: int = 6) -> Array:
 # ------------------------------------------------------------------ plain data and back
 
 
-def to_plain(value: Any) -> Any:
-    """Parameter set -> dicts, lists, strings and numbers (what TOML and JSON hold)."""
+def to_plain(value: Any, compared: bool = False) -> Any:
+    """Parameter set -> dicts, lists, strings and numbers (what TOML and JSON hold).
+
+    `compared`: only fields in which two that are equal must agree.
+    """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         plain = {}
         if "kind" in type(value).__dict__:
             plain["kind"] = type(value).__dict__["kind"]
         for field in dataclasses.fields(value):
             item = getattr(value, field.name)
-            if item is None:
+            if item is None or (compared and not field.compare):
                 continue
             # 12, 12.0 and NumPy's 12 are one value, and so are 0.0 and -0.0: one text, one hash
             real = "unit" in field.metadata
             plain[field.name] = (
-                (np.asarray(item, float) + 0.0).tolist() if real else to_plain(item)
+                (np.asarray(item, float) + 0.0).tolist() if real else to_plain(item, compared)
             )
         return plain
     if isinstance(value, (tuple, list)):
-        return [to_plain(item) for item in value]
+        return [to_plain(item, compared) for item in value]
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, np.generic):
@@ -348,7 +351,8 @@ def canonical_json(value: Any) -> str:
 
 def content_hash(value: Any) -> str:
     """SHA-256 of the canonical JSON, 64 hexadecimal digits."""
-    return hashlib.sha256(canonical_json(value).encode()).hexdigest()
+    plain = canonical_json(to_plain(value, compared=True))
+    return hashlib.sha256(plain.encode()).hexdigest()
 
 
 def read_table(path: str | os.PathLike[str]) -> dict[str, Any]:

@@ -30,7 +30,7 @@ from ves_gym._util.params import ParameterError
 MOST = 1 << 28  # bytes of a file that is read whole, 256 MiB
 DEEPEST = 200  # levels of an XML file
 MEMORY = 1 << 30  # bytes that reading a file may take beside what the file has, 1 GiB
-SECONDS, RATE = 8.0, 5e5  # s that it may take, and bytes a second beyond: DMIG in Python
+SECONDS, RATE = 60.0, 5e5  # s on a busy machine, and bytes a second beyond: DMIG in Python
 _OF_FILE = 20  # times the file that its numbers may take: DMIG as tuples
 
 

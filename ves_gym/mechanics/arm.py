@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -44,6 +44,7 @@ from ves_gym.mechanics.link import (
     Inertial,
     Limb,
     Link,
+    MeshFile,
     Mount,
     turn_by,
     turned_about,
@@ -78,6 +79,7 @@ class Arm:
     name: str
     base: Inertial  # base link, in the platform-top frame
     base_shape: tuple[Capsule, ...] | None = None  # of the base link, in the same frame
+    base_meshes: tuple[MeshFile, ...] | None = field(default=None, compare=False)
     base_flexures: tuple[Flexure, ...] | None = None  # where the base link bends
     mount: Mount | None = None  # of the first joint; None: at the platform-top frame
     beside: tuple[Limb, ...] | None = None  # the arms before the last one, in order of links
@@ -393,6 +395,7 @@ class Arm:
                 name=limb.name,
                 base=self.base if span.stop == self.n else WEIGHTLESS,
                 base_shape=self.base_shape if span.stop == self.n else None,
+                base_meshes=self.base_meshes if span.stop == self.n else None,
                 mount=limb.mount,
                 beside=None,
                 links=self.links[span],

@@ -1,4 +1,4 @@
-"""Arms by name, of `robot_descriptions` too, and from files: TOML and JSON, URDF, MJCF."""
+"""Arms by name, those of two packages of robots too, and from files: TOML, JSON, URDF, MJCF."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import importlib
 import os
 import sys
 from functools import lru_cache
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +40,10 @@ def get_arm(name: str | os.PathLike[str], **choice: Any) -> Arm:
     """Return an arm by name or from a file.
 
     Args:
-        name: of an arm that comes with the package, or of one in `robot_descriptions`, like
-            panda_description; or a file: .toml or .json that mirrors `Arm`, .urdf, .mjcf or
-            .xml; FILE#LINK names the link (or site) that is the tool.
+        name: of an arm that comes with the package; of one in `robot_descriptions`, like
+            panda_description, or `example-robot-data`, like ur5_robot; or a file: .toml or
+            .json that mirrors `Arm`, .urdf, .mjcf or .xml; FILE#LINK names the link (or site)
+            that is the tool.
         choice: how a URDF or MJCF file is read: `tip`, `root`, `locked`, `massless`, `repair`
             and others of `Arm.from_file`.
 
@@ -53,6 +55,8 @@ def get_arm(name: str | os.PathLike[str], **choice: Any) -> Arm:
     file, _, tip = text.partition("#")
     if file.endswith(_OTHERS):
         file = _file_of_description(file)
+    elif file not in arm_names():
+        file = _file_of_example(file) or file
     suffix = Path(file).suffix.lower()
     if choice and suffix in ("", ".toml", ".json"):
         raise ParameterError(f"{', '.join(choice)} goes with a URDF or MJCF file, got {text!r}")
@@ -72,6 +76,18 @@ def get_arm(name: str | os.PathLike[str], **choice: Any) -> Arm:
     if tip and choice.get("tip"):
         raise ParameterError(f"{text} and tip={choice['tip']!r} both name the tool: leave one")
     return Arm.from_file(file, **{"tip": tip or None, **choice})
+
+
+def _file_of_example(name: str) -> str | None:
+    """The URDF of a name in `example-robot-data`, which has no code; None without one."""
+    try:
+        files = metadata.files("example-robot-data") or ()
+    except metadata.PackageNotFoundError:
+        return None
+    found = [os.path.normpath(k.locate()) for k in files if k.name == f"{name}.urdf"]
+    if len(found) > 1:
+        raise ParameterError(f"{name} is several files: take one of {', '.join(found)}")
+    return found[0] if found else None
 
 
 def _file_of_description(name: str) -> str:

@@ -17,8 +17,16 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.chain import ENDLESS, Joint, LinkMass, Lump, Segment, arm_of
-from ves_gym.mechanics.link import BANDWIDTH, Inertial, matrix, rigid_moments
+from ves_gym.mechanics.chain import (
+    ENDLESS,
+    Joint,
+    LinkMass,
+    Lump,
+    PlacedMesh,
+    Segment,
+    arm_of,
+)
+from ves_gym.mechanics.link import BANDWIDTH, Inertial, rigid_moments
 from ves_gym.mechanics.side_by_side import side_by_side
 
 # Numbers beyond these look like mm, g and kg mm^2 (this project).
@@ -27,6 +35,7 @@ _DENSITY = 1e4  # kg/m^3: moving mass over the cube of the reach; a PUMA has 60
 _ROUND = 1e-12  # determinant of followers that follow each other, below which they are a ring
 _NOTHING = Inertial(mass=0.0, com=(0.0,) * 3, inertia=((0.0,) * 3,) * 3)
 _GYRATION = 10.0  # radius of gyration over the reach
+_SHAPE = 30.0  # of the arm's size; a gripper on its base link has less
 
 
 class ChainChoice(NamedTuple):
@@ -97,6 +106,7 @@ class Tree(ABC):
     bandwidth: float = BANDWIDTH
     repair: bool = False
     repairs: list[str]  # what was mended, for the arm's source
+    unweighed: list[str]  # bodies with a shape and without a mass
 
     def require(self, body: str, what: str) -> str:
         """Return a body's name, refused where there is none."""
@@ -109,6 +119,8 @@ class Tree(ABC):
         """Return the body that stands on the platform: the one named, or the only one."""
         if root is not None:
             return self.require(root, "root")
+        if not self.bodies:
+            raise ParameterError(f"has no {self.noun}: is it what a xacro is made from?")
         tops = [name for name in self.bodies if name not in self.parents]
         if len(tops) != 1:
             names = ", ".join(tops) or "none"
@@ -193,6 +205,10 @@ class Tree(ABC):
     def capsules(self, body: str) -> list[Segment]:
         """Return a body's shapes as capsules that hold them."""
 
+    @abstractmethod
+    def meshes(self, body: str) -> list[PlacedMesh]:
+        """Return the meshes that a body is drawn with."""
+
     def notes(self, moving: list[str]) -> list[str]:
         """Return what the arm's source is to say of what is left out."""
         return []
@@ -260,24 +276,37 @@ def _arm_of_chain(
     movers = {body: mover for body, mover in movers.items() if mover not in others}
     for body in choice.massless:
         tree.require(body, "massless")
+    tree.unweighed = []
     masses = {
-        body: None if body in choice.massless else tree.mass(body, mover is not None)
+        body: tree.mass(body, mover is not None)
         for body, mover in movers.items()
+        if body not in choice.massless
     }
+    if tree.unweighed:
+        _refuse_unweighed(tree.unweighed)
+    pieces: dict[str | None, list[LinkMass]] = {name: [] for name in (None, *joints)}
+    for body, mass in masses.items():
+        if mass is not None:
+            pieces[movers[body]].append(mass)
     tool = tree.tool(end, tip)
     if choice.check:
-        moving = [k for body, k in masses.items() if k is not None and movers[body] is not None]
         along = [joint for joint in joints.values() if not joint.beside]
-        _require_plausible(along, tool[1], moving)
+        moved = [piece for name in joints for piece in pieces[name]]
+        size = _require_plausible(along, tool[1], moved)
     lumps: dict[str | None, Lump] = {None: Lump()}
     lumps |= {name: joint.body for name, joint in joints.items()}
     still = []
+    for mover, of in pieces.items():
+        for piece in of:
+            lumps[mover].add(piece)
+    _require_bodies(tree, lumps, pieces)
     for body, mover in movers.items():
-        mass = masses[body]
-        if mass is not None:
-            lumps[mover].add(mass)
         if choice.collision:
-            lumps[mover].capsules += tree.capsules(body)
+            capsules = tree.capsules(body)
+            if choice.check:
+                _require_shapes(body, capsules, size)
+            lumps[mover].capsules += capsules
+        lumps[mover].meshes += tree.meshes(body)
         for joint in tree.joints[body] if body != root else ():
             if not joint.fixed and joint.name not in joints:
                 still.append(f"{joint.name} at {coupled.at[joint.name]:g}")
@@ -298,6 +327,17 @@ def _arm_of_chain(
         source="; ".join([*notes, *tree.notes(list(joints)), *rotors]),
         collision=choice.collision,
         bandwidth=tree.bandwidth,
+    )
+
+
+def _refuse_unweighed(names: Sequence[str]) -> None:
+    """Refuse links of which nothing says what they weigh, all at once."""
+    some = ", ".join(map(repr, names))
+    what = f"link {some} has" if len(names) == 1 else f"links {some} have"
+    flags = " ".join(f"--massless {name}" for name in names)
+    raise ParameterError(
+        f"{what} a shape, but no <inertial>: mass is unknown ({flags}, in Python"
+        f" massless={list(names)}, takes it to be nothing)"
     )
 
 
@@ -475,48 +515,71 @@ def _with_rotors(joints: Mapping[str, Joint], rotors: Mapping[str, float]) -> li
     return [f"rotor inertia given beside the file: {', '.join(values)}"]
 
 
-def body_mass(
-    tree: Tree, name: str, mass: float, com: Array, R: Array, moments: Array
-) -> LinkMass:
-    """Return a body's mass properties in the root's axes; refuse those that no body has, or
-    take the nearest where the tree is to be repaired.
+def _require_bodies(
+    tree: Tree, lumps: Mapping[str | None, Lump], pieces: Mapping[str | None, list[LinkMass]]
+) -> None:
+    """Refuse links that move as one and are no rigid body together; or take the nearest one,
+    where the tree is to be repaired.
 
-    Args:
-        tree: that has the body.
-        name: of the body.
-        mass: [kg].
-        com: (3,) centre of mass in the root's frame [m].
-        R: (3, 3) from the axes of the moments to the root's.
-        moments: (3, 3) about the centre of mass [kg m^2].
+    Links that are none by themselves are noted: only together do they act.
     """
     remedy = "--repair, in Python repair=True"
-    if mass == 0 and moments.any():
-        if not tree.repair:
-            raise ParameterError(
-                f"link {name!r} has an inertia, but no mass: {remedy} leaves the inertia out"
-            )
-        tree.repairs.append(f"inertia without mass left out: {name}")
-        moments = np.zeros((3, 3))
-    try:
-        Inertial(mass=mass, com=(0.0, 0.0, 0.0), inertia=matrix(moments))
-    except ParameterError as error:
-        if not tree.repair:
-            raise ParameterError(
-                f"link {name!r}: {error}: {remedy} takes the nearest that a body has"
-            ) from None
-        before = np.linalg.eigvalsh(moments)
-        moments = rigid_moments(moments)
+    alone: list[str] = []
+    for mover, lump in lumps.items():
+        faulty = [k.link for k in pieces[mover] if _is_no_body(k.moments)]
+        names = ", ".join(map(repr, [k.link for k in pieces[mover]]))
+        about = lump.second - lump.mass_at_centre
+        try:
+            lump.inertial(np.eye(3), np.zeros(3))
+        except ParameterError as error:
+            if not tree.repair:
+                raise ParameterError(
+                    f"{tree.noun} {names}: {error}: {remedy} takes the nearest that a body has"
+                ) from None
+            nearest = rigid_moments(about)
+        else:
+            if lump.mass or not lump.second.any():
+                alone += faulty
+                continue
+            if not tree.repair:
+                raise ParameterError(
+                    f"{tree.noun} {names} has an inertia, but no mass: {remedy} leaves the"
+                    " inertia out"
+                )
+            nearest = np.zeros((3, 3))
         was, now = (
-            ", ".join(f"{k:.4g}" for k in values)
-            for values in (before, np.linalg.eigvalsh(moments))
+            ", ".join(f"{k:.4g}" for k in np.linalg.eigvalsh(x)) for x in (about, nearest)
         )
-        tree.repairs.append(f"principal moments of {name} {was} taken as {now} kg m^2")
-    turned = R @ moments @ R.T
-    return LinkMass(name, mass, com, (turned + turned.T) / 2)
+        names = ", ".join(k.link for k in pieces[mover])
+        tree.repairs.append(f"principal moments of {names} {was} taken as {now} kg m^2")
+        lump.second = lump.mass_at_centre + nearest
+    if alone:
+        tree.repairs.append(
+            f"inertia of {', '.join(alone)}, which no rigid body has, taken as it is: with what"
+            " moves along it is one"
+        )
 
 
-def _require_plausible(joints: list[Joint], tool: Array, pieces: list[LinkMass]) -> None:
-    """Refuse lengths, masses and inertias that look like mm, g and kg mm^2."""
+def _is_no_body(moments: Array) -> bool:
+    gap = np.abs(rigid_moments(moments) - moments).max()
+    return bool(gap > _ROUND * np.abs(moments).max())
+
+
+def _require_shapes(body: str, capsules: list[Segment], size: float) -> None:
+    """Refuse shapes far larger than the arm, which look like mm."""
+    largest = max((r + float(np.linalg.norm(b - a)) for a, b, r in capsules), default=0.0)
+    if largest > _SHAPE * size:
+        raise ParameterError(
+            f"link {body!r} has a shape of {largest:.4g} m on an arm of {size:.3g} m: shapes"
+            ' must be in m, this one looks like mm (give the mesh scale="0.001 0.001 0.001",'
+            " --no-collision, in Python collision=False, leaves shapes out, --no-check takes"
+            " them)"
+        )
+
+
+def _require_plausible(joints: list[Joint], tool: Array, pieces: list[LinkMass]) -> float:
+    """Return the arm's size [m]; refuse lengths, masses and inertias that look like mm, g and
+    kg mm^2."""
     points = np.array([*(joint.origin for joint in joints), tool])
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     reach = float(steps.sum())
@@ -531,7 +594,7 @@ def _require_plausible(joints: list[Joint], tool: Array, pieces: list[LinkMass])
     size = max([reach, 1e-3, *(2 * float(k) for k in distances)])
     for piece in pieces:
         largest = float(np.abs(piece.moments).max())
-        if largest > piece.mass * (_GYRATION * size) ** 2:
+        if piece.mass and largest > piece.mass * (_GYRATION * size) ** 2:
             raise ParameterError(
                 f"link {piece.link!r} of {piece.mass:.4g} kg has an inertia of {largest:.4g}"
                 f" kg m^2, a radius of gyration of {math.sqrt(largest / piece.mass):.3g} m on"
@@ -546,3 +609,4 @@ def _require_plausible(joints: list[Joint], tool: Array, pieces: list[LinkMass])
             f" kg on {size:.3g} m: masses must be in kg, these look like g (--no-check,"
             " in Python check=False, takes them)"
         )
+    return size

@@ -24,6 +24,7 @@ from ves_gym.mechanics.link import (
     Follower,
     Inertial,
     Link,
+    MeshFile,
     Mount,
     matrix,
     rigid_moments,
@@ -45,6 +46,15 @@ _UPRIGHT, _ORIGIN = np.eye(3), np.zeros(3)
 Segment = tuple[Array, Array, float]  # both ends of a capsule (3,) and its radius [m]
 
 
+class PlacedMesh(NamedTuple):
+    """A mesh of a file as it is drawn."""
+
+    file: str
+    R: Array  # (3, 3) of the file's axes in the root's
+    p: Array  # (3,) of its origin [m]
+    scale: Array  # (3,)
+
+
 @dataclass
 class Lump:
     """Bodies that move as one, in the root's axes."""
@@ -53,6 +63,7 @@ class Lump:
     moment: Array = field(default_factory=lambda: np.zeros(3))  # m c [kg m]
     second: Array = field(default_factory=lambda: np.zeros((3, 3)))  # about the root's origin
     capsules: list[Segment] = field(default_factory=list)  # ends, radius
+    meshes: list[PlacedMesh] = field(default_factory=list)
 
     def add(self, piece: LinkMass) -> None:
         """Add a link."""
@@ -90,12 +101,20 @@ class Lump:
         out.capsules = [(p + R @ (a - p), p + R @ (b - p), r) for a, b, r in self.capsules]
         return out
 
+    @property
+    def mass_at_centre(self) -> Array:
+        """(3, 3) moments about the root's origin, were all mass at its centre [kg m^2]."""
+        if self.mass == 0:
+            return np.zeros((3, 3))
+        out: Array = self.moment @ self.moment * np.eye(3) - np.outer(self.moment, self.moment)
+        return out / self.mass
+
     def inertial(self, R: Array, p: Array) -> Inertial:
         """Return the mass properties in a frame of rotation (3, 3) and position (3,)."""
         if self.mass == 0:
             return WEIGHTLESS
         c = self.moment / self.mass
-        square = self.mass * (c @ c * np.eye(3) - np.outer(c, c))
+        square = self.mass_at_centre
         about = self.second - square
         if np.abs(about).max() <= _NOTHING * np.abs(square).max(initial=0.0):
             about = np.zeros((3, 3))  # of a point mass, what rounding leaves is no inertia
@@ -120,6 +139,18 @@ class Lump:
             )
             for a, b, radius in self.capsules
         )
+
+    def drawn(self, R: Array, p: Array) -> tuple[MeshFile, ...] | None:
+        """Return the meshes in a frame of rotation (3, 3) and position (3,)."""
+        return tuple(
+            MeshFile(
+                file=k.file,
+                position=tuple((R.T @ (k.p - p)).tolist()),
+                angles=angles_of(R.T @ k.R),
+                scale=tuple(k.scale.tolist()),
+            )
+            for k in self.meshes
+        ) or None  # fmt: skip
 
 
 class LinkMass(NamedTuple):
@@ -196,7 +227,8 @@ def arm_of(
         except ParameterError as error:
             raise ParameterError(f"what joint {joint.name!r} moves: {error}") from None
         capsules = joint.body.shape(R, p) if collision else None
-        links[joint.name] = replace(link, inertial=inertial, shape=capsules)
+        drawn = joint.body.drawn(R, p)
+        links[joint.name] = replace(link, inertial=inertial, shape=capsules, meshes=drawn)
         frames[joint.name] = R, p
 
     for i, joint in enumerate(along):
@@ -212,6 +244,7 @@ def arm_of(
         name=name,
         base=root.inertial(_UPRIGHT, _ORIGIN),
         base_shape=root.shape(_UPRIGHT, _ORIGIN) if collision else None,
+        base_meshes=root.drawn(_UPRIGHT, _ORIGIN),
         mount=_mount(mount, along[0].origin),
         links=tuple(links[joint.name] for joint in driven),
         followers=_followers(joints, links, frames) or None,

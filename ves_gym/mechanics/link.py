@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -174,6 +174,29 @@ class Capsule:
 
 
 @dataclass(frozen=True, kw_only=True)
+class MeshFile:
+    """A mesh that a body is drawn with, in the body's own frame: for views alone.
+
+    Arms that differ in these are equal, and so are their systems' hashes.
+    """
+
+    file: str
+    position: Vector = unit("m", default=(0.0, 0.0, 0.0))
+    angles: Vector = unit("rad", default=(0.0, 0.0, 0.0))  # about its x, then y, then z
+    scale: Vector = unit("1", default=(1.0, 1.0, 1.0))
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        for name in ("position", "angles", "scale"):
+            finite(getattr(self, name), (3,), f"MeshFile.{name}")
+
+    def placed(self, points: Array) -> Array:
+        """Return points (k, 3) of the file in the body's frame [m]."""
+        at = Mount(position=self.position, angles=self.angles)
+        return np.asarray(points * self.scale @ at.rotation.T + at.position, float)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Mount:
     """Place of an arm's first joint: its frame before it turns, z along the axis."""
 
@@ -233,6 +256,7 @@ class Link:
     damping: float | None = unit("N m s/rad", default=None)  # viscous friction of the joint
     friction: float | None = unit("N m", default=None)  # Coulomb friction of the joint
     shape: tuple[Capsule, ...] | None = None  # None: capsules along d and a
+    meshes: tuple[MeshFile, ...] | None = field(default=None, compare=False)
     flexures: tuple[Flexure, ...] | None = None  # where it bends, joint to far end
     name: str | None = None  # of the joint, where it has another than its number
     # True: the joint slides along its axis, by d + q; its numbers are then in m, m/s, m/s^2, N,

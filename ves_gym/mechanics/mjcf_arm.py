@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.arm_reader import Tie, Tree, TreeJoint, body_mass, held
-from ves_gym.mechanics.chain import ENDLESS, Joint, LinkMass, Lump, Segment
+from ves_gym.mechanics.arm_reader import Tie, Tree, TreeJoint, held
+from ves_gym.mechanics.attitude import to_matrix
+from ves_gym.mechanics.chain import ENDLESS, Joint, LinkMass, Lump, PlacedMesh, Segment
 from ves_gym.mechanics.meshes import box_corners, capsule_around
 
 _TOOL = "tool"  # site that is the tool where none is named
@@ -302,7 +303,7 @@ class MjcfTree(Tree):
         m, d, (R, p), k = self.model, self.data, self.frame, self.bodies.index(body)
         axes, moments = R.T @ d.ximat[k].reshape(3, 3), np.diag(m.body_inertia[k])
         mass, com = float(m.body_mass[k]), R.T @ (d.xipos[k] - p)
-        return body_mass(self, body, mass, com, axes, moments)
+        return LinkMass(body, mass, com, axes @ moments @ axes.T)
 
     def capsules(self, body: str) -> list[Segment]:
         """Return a body's shapes that meet others."""
@@ -335,6 +336,23 @@ class MjcfTree(Tree):
             points = m.mesh_vert[first : first + int(m.mesh_vertnum[mesh])]
             return capsule_around(np.unique(np.array(points, float), axis=0))
         return None
+
+    def meshes(self, body: str) -> list[PlacedMesh]:
+        """Return the meshes of a body that meet nothing, all where none are for drawing."""
+        m, d, (R, p), k = self.model, self.data, self.frame, self.bodies.index(body)
+        first = m.body_geomadr[k]
+        geoms = np.arange(first, first + m.body_geomnum[k])
+        geoms = geoms[m.geom_type[geoms] == int(self.mj.mjtGeom.mjGEOM_MESH)]
+        drawn = geoms[(m.geom_contype[geoms] == 0) & (m.geom_conaffinity[geoms] == 0)]
+        out = []
+        for g in (drawn if len(drawn) else geoms).tolist():
+            mesh = int(m.geom_dataid[g])
+            file = bytes(m.paths)[m.mesh_pathadr[mesh] :].split(b"\0", 1)[0].decode()
+            turn = R.T @ d.geom_xmat[g].reshape(3, 3) @ to_matrix(m.mesh_quat[mesh]).T
+            at = R.T @ (d.geom_xpos[g] - p) - turn @ m.mesh_pos[mesh]  # of the file's origin
+            if m.mesh_pathadr[mesh] >= 0 and Path(file).is_file():
+                out.append(PlacedMesh(file, turn, at, m.mesh_scale[mesh].copy()))
+        return out
 
     def notes(self, moving: list[str]) -> list[str]:
         """Return which springs, and which tendons that act by themselves, are left out."""

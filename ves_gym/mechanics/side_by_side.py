@@ -15,7 +15,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.chain import Lump, angles_of
+from ves_gym.mechanics.chain import Lump, PlacedMesh, angles_of
 from ves_gym.mechanics.link import BANDWIDTH, Follower, Limb, Link, Mount
 
 _SAME = 1e-6  # m between first joints, below which both belong to one link
@@ -42,12 +42,18 @@ def placed(arm: Arm, position: Vector, angles: Vector = (0.0, 0.0, 0.0)) -> Arm:
         (p + R @ np.array(k.start), p + R @ np.array(k.end), k.radius)
         for k in arm.base_shape or ()
     ]
+    root.meshes = [
+        PlacedMesh(k.file, R @ at.rotation, p + R @ np.array(k.position), np.array(k.scale))
+        for k in arm.base_meshes or ()
+        for at in (Mount(angles=k.angles),)
+    ]
     _, turn, place, _ = arm.feet[0]
     still = np.eye(3), np.zeros(3)
     return replace(
         arm,
         base=root.inertial(*still),
         base_shape=None if arm.base_shape is None else root.shape(*still),
+        base_meshes=root.drawn(*still),
         mount=Mount(position=_plain(p + R @ place), angles=angles_of(R @ turn)),
         followers=tuple(_follower_at(k, R, p) for k in arm.followers or ()) or None,
     )
@@ -100,6 +106,7 @@ def side_by_side(arms: Sequence[Arm]) -> Arm:
         name=" + ".join(arm.name for arm in arms),
         base=root.inertial(np.eye(3), np.zeros(3)),
         base_shape=tuple(itertools.chain(*shapes)) if shapes else None,
+        base_meshes=tuple(k for arm in arms for k in arm.base_meshes or ()) or None,
         beside=tuple(limbs[:-1]),
         links=_links(arms, names),
         bandwidth=slowest if len(bandwidths) > 1 else arms[-1].bandwidth,

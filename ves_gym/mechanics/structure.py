@@ -48,6 +48,7 @@ _RIGID = 1e-4  # omega^2 of a rigid motion over that of the first mode, interfac
 _ELASTIC = 1e-8  # the least that counts as strain
 _SLOWEST = 1.0  # rad/s: the fastest freedom of any structure, all others held, is faster
 _SIZES = (1e-3, 1e3)  # m
+_DENSITIES = (1e-8, 1e8)  # kg/m^3: mass over the cube of the size; beams have 1e-5 and more
 _DENSE = 1500
 
 
@@ -304,7 +305,7 @@ def _require_fast_enough(mass: Any, stiffness: Any, units: str) -> None:
 
 
 def _require_size(reduction: Reduction, structure: Structure) -> None:
-    """Refuse what is of another size than anything an arm stands on: another unit of length."""
+    """Refuse what is of another size or mass than anything an arm stands on: other units."""
     if structure.rigid_modes not in (0, 6):
         return
     clamped = structure.rigid_modes == 0
@@ -312,10 +313,12 @@ def _require_size(reduction: Reduction, structure: Structure) -> None:
     moved, turned = (np.linalg.eigvalsh(matrix[k : k + 3, k : k + 3])[-1] for k in (0, 3))
     # of a cantilever compliances give L/sqrt(3), of a rod about its end inertias the same
     size = float(np.sqrt(moved / turned if clamped else turned / moved))
-    if not _SIZES[0] <= size <= _SIZES[1]:
+    mass = float(np.trace(reduction.M[:3, :3])) / 3
+    least, most = (k * size**3 for k in _DENSITIES)
+    if not (_SIZES[0] <= size <= _SIZES[1] and least <= mass <= most):
         raise ParameterError(
-            f"by its {'stiffness' if clamped else 'mass'} this structure measures some"
-            f" {size:.2g} m: are its units other than {structure.units}?"
+            f"by its {'stiffness' if clamped else 'mass'} this structure of {mass:.4g} kg"
+            f" measures some {size:.2g} m: are its units other than {structure.units}?"
         )
 
 

@@ -15,12 +15,13 @@ from scipy.spatial.transform import Rotation
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import read_xml
-from ves_gym.mechanics.arm_reader import Tie, Tree, TreeJoint, body_mass, held
-from ves_gym.mechanics.chain import ENDLESS, Joint, LinkMass, Lump, Segment
-from ves_gym.mechanics.meshes import box_corners, capsule_around, mesh_points
+from ves_gym.mechanics.arm_reader import Tie, Tree, TreeJoint, held
+from ves_gym.mechanics.chain import ENDLESS, Joint, LinkMass, Lump, PlacedMesh, Segment
+from ves_gym.mechanics.meshes import box_corners, capsule_around, read_mesh
 
 _DRIVEN = ("revolute", "continuous", "prismatic")
 _KINDS = ("fixed", *_DRIVEN, "floating", "planar")
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _NONE = Element("none")
 _NO_SHAPES = "--no-collision, in Python collision=False, leaves shapes out"
 
@@ -176,8 +177,8 @@ class UrdfTree(Tree):
         if turns and low == high == 0:
             if not self.repair:
                 raise ParameterError(
-                    f"{where} has a range of 0 to 0: hold it ({remedy}), or --repair, in Python"
-                    " repair=True, takes 2 pi either way"
+                    f"{where} has a range of 0 to 0: --repair, in Python repair=True, takes"
+                    f" 2 pi either way, or hold it ({remedy})"
                 )
             name = element.get("name")
             self.repairs.append(f"range of {name} 0 to 0 taken as 2 pi either way")
@@ -194,20 +195,24 @@ class UrdfTree(Tree):
         inertial = link.find("inertial")
         if inertial is None:
             if moves and any(link.find(k) is not None for k in ("collision", "visual")):
-                raise ParameterError(
-                    f"{where} has a shape, but no <inertial>: its mass is unknown (--massless"
-                    f" {body}, in Python massless=[{body!r}], takes it to weigh nothing)"
-                )
+                self.unweighed.append(body)
             return None
         moments = inertial.find("inertia")
+        if moments is None and self.repair:
+            self.repairs.append(f"no <inertia> of {body}: all of its mass is at its centre")
+            moments = Element("inertia", dict.fromkeys(_MOMENTS, "0"))
+        if moments is None:
+            raise ParameterError(
+                f"{where} has a mass, but no <inertia>: --repair, in Python repair=True, takes"
+                " all of it at its centre"
+            )
         ixx, ixy, ixz, iyy, iyz, izz = (
-            number(moments, key, f"{where}: its inertia")
-            for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+            number(moments, key, f"{where}: its inertia") for key in _MOMENTS
         )
         matrix = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
         at = self.poses[body] @ _origin(inertial, where)
         mass = number(inertial.find("mass"), "value", f"{where}: its mass", least=0.0)
-        return body_mass(self, body, mass, at.p, at.R, matrix)
+        return LinkMass(body, mass, at.p, at.R @ matrix @ at.R.T)
 
     def capsules(self, body: str) -> list[Segment]:
         """Return the shapes of a link, but not the ends of a capsule written as three."""
@@ -219,6 +224,24 @@ class UrdfTree(Tree):
             if stem == name or stem not in names:
                 a, b, radius = _capsule(self.path, shape, f"link {body!r}", self.outside)
                 out.append((pose.R @ a + pose.p, pose.R @ b + pose.p, radius))
+        return out
+
+    def meshes(self, body: str) -> list[PlacedMesh]:
+        """Return the meshes that a link is drawn with, but not those that are not there."""
+        out = []
+        for shape in self.links[body].findall("visual"):
+            where, mesh = f"link {body!r}", _child(shape, "geometry").find("mesh")
+            if mesh is None:
+                continue
+            scale = vector(mesh, "scale", f"{where}: a mesh", (1.0, 1.0, 1.0))
+            try:
+                name = mesh.get("filename") or ""
+                file = _mesh_file(self.path, name, where, self.outside)
+            except ParameterError:
+                self.repairs.append(f"drawn without its mesh, which is not there: {body}")
+                continue
+            at = self.poses[body] @ _origin(shape, where)
+            out.append(PlacedMesh(str(file), at.R, at.p, scale))
         return out
 
 
@@ -239,7 +262,7 @@ def _capsule(path: Path, shape: Element, where: str, outside: bool) -> Segment:
     elif tag == "mesh":
         file = _mesh_file(path, kind.get("filename") or "", where, outside)
         try:
-            points = mesh_points(file)
+            points = np.unique(read_mesh(file).points, axis=0)
         except ParameterError as error:
             raise ParameterError(f"{where}: {error} ({_NO_SHAPES})") from None
         points = points * vector(kind, "scale", f"{where}: a mesh", (1.0, 1.0, 1.0))

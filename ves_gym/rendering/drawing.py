@@ -18,8 +18,10 @@ from ves_gym._util.params import Array
 from ves_gym.engine.mjcf import LEAST, TO_Y, add_carried, build_spec, places
 from ves_gym.mechanics.attitude import to_matrix
 from ves_gym.mechanics.flexure import expand
+from ves_gym.mechanics.link import MeshFile
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import Appendage, Beam, FlexibleBase, beam_line
+from ves_gym.rendering.link_meshes import meshes_of
 from ves_gym.rendering.surfaces import add_surface, solids
 from ves_gym.system.system import System
 
@@ -38,6 +40,7 @@ TARGET = (0.98, 0.86, 0.30, 1.0)
 _PAYLOAD = (0.36, 0.66, 0.62, 1.0)
 _PANEL = (0.20, 0.30, 0.62, 1.0)
 _SURFACE = (0.98, 0.86, 0.30, 0.45)
+_UPRIGHT, _ORIGIN = np.eye(3), np.zeros(3)
 _CORNERS = np.array(list(itertools.product([-1, 1], repeat=3)))  # of a box
 
 
@@ -130,7 +133,12 @@ class Drawing:
 
     def _add_arm(self, spec: Any) -> None:
         chain = expand(self.system.arm)
+        _add_meshes(spec, spec.body("platform"), self.system.arm.base_meshes)
         for place, link in enumerate(chain.arm.links):
+            if place in chain.driven:
+                body = spec.body(f"link_{chain.driven.index(place) + 1}")
+                if _add_meshes(spec, body, link.meshes, *link.far_end):
+                    continue
             end, knee = np.array([link.a, 0.0, link.d]), np.array([0.0, 0.0, link.d])
             if place in chain.passive:
                 body, r = spec.body(f"part_{chain.passive.index(place) + 1}"), self._boom_radius
@@ -158,6 +166,8 @@ class Drawing:
         for part in self.system.arm.ordered:
             if part.ratios is not None:
                 body, link = spec.body(part.body), part.link
+                if _add_meshes(spec, body, link.meshes, *link.far_end):
+                    continue
                 R, p = link.far_end
                 end = p if p.any() else R @ np.array(link.inertial.com)
                 _rod(body, "CYLINDER", (0, 0, -1.15 * r), (0, 0, 1.15 * r), 1.2 * r, _JOINT)
@@ -425,8 +435,30 @@ class Drawing:
 def _add(body: Any, kind: str, rgba: Any, **options: Any) -> None:
     """A shape that is only seen: no mass, no contact."""
     shape = getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")
-    options = {k: np.asarray(v, float).tolist() for k, v in options.items()}
+    options = {k: v if isinstance(v, str) else np.asarray(v, float).tolist()
+               for k, v in options.items()}  # fmt: skip
     body.add_geom(type=shape, rgba=rgba, contype=0, conaffinity=0, mass=0, **options)
+
+
+def _add_meshes(
+    spec: Any,
+    body: Any,
+    files: tuple[MeshFile, ...] | None,
+    R: Array = _UPRIGHT,
+    p: Array = _ORIGIN,
+) -> bool:
+    """Add the meshes of a frame at R (3, 3), p (3,) in a body's; False where there are none."""
+    meshes = meshes_of(files)
+    for points, faces in meshes:
+        name = f"mesh_{len(spec.meshes)}"
+        spec.add_mesh(
+            name=name,
+            uservert=(points @ R.T + p).ravel().tolist(),
+            userface=faces.ravel().tolist(),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+        _add(body, "MESH", _PALE, meshname=name)
+    return bool(meshes)
 
 
 def _rod(body: Any, kind: str, a: Any, b: Any, radius: float, rgba: Any) -> None:

@@ -23,8 +23,10 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.attitude import IDENTITY, exp, from_angles, from_matrix, rotate
 from ves_gym.mechanics.flexure import expand, link_frames
 from ves_gym.mechanics.link import Capsule, Inertial
+from ves_gym.mechanics.meshes import Mesh
 from ves_gym.mechanics.spatial import rotation
 from ves_gym.mechanics.vehicle import Appendage, Beam, FlexibleBase, beam_line
+from ves_gym.rendering.link_meshes import meshes_of
 from ves_gym.rendering.render import View, described
 from ves_gym.system.energy import log_base_energy
 from ves_gym.system.runlog import RunLog
@@ -209,11 +211,15 @@ def _write(recording: Any, name: str, scene: RecordingScene, color: tuple[int, .
     shapes = capsules(overview)
     pose("base", *scene.base)
     stay("base", _plate(scene, shapes))
-    if shapes[0]:
+    if meshes := meshes_of(arm.base_meshes):
+        stay("base/shape", _mesh(meshes, _PALE))
+    elif shapes[0]:
         stay("base/shape", _capsules(shapes[0], _PALE))
     for i, (part, shape) in enumerate(zip(overview.ordered, shapes[1:], strict=True)):
         pose(f"base/{part.body}", *(values[:, i] for values in scene.links))
-        if shape:
+        if meshes := meshes_of(part.link.meshes):
+            stay(f"base/{part.body}", _mesh(meshes, color))
+        elif shape:
             stay(f"base/{part.body}", _capsules(shape, color))
     for k, (body, *moving) in enumerate(scene.appendages(), 1):
         pose(f"base/appendage_{k}", *moving)
@@ -253,6 +259,19 @@ def _capsules(shape: tuple[Capsule, ...], color: tuple[int, ...]) -> Any:
         quaternions=[np.roll(_upright_to(b - a), -1) for a, b in ends],
         colors=color,
         fill_mode="solid",
+    )
+
+
+def _mesh(meshes: list[Mesh], color: tuple[int, ...]) -> Any:
+    """Meshes of one body as one."""
+    import rerun as rr
+
+    firsts = np.cumsum([0, *(len(mesh.points) for mesh in meshes)])
+    faces = [mesh.faces + k for mesh, k in zip(meshes, firsts, strict=False)]
+    return rr.Mesh3D(
+        vertex_positions=np.concatenate([mesh.points for mesh in meshes]),
+        triangle_indices=np.concatenate(faces),
+        albedo_factor=color,
     )
 
 

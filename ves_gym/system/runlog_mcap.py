@@ -30,6 +30,7 @@ class Topic(NamedTuple):
     name: str
     kind: str  # of its messages, like sensor_msgs/msg/JointState
     frame: str  # of the numbers
+    names: list[str]  # of joints
     rows: tuple[Array | None, ...]  # (N, ...) each, in the order that `_CONTENT` takes them
 
 
@@ -37,7 +38,8 @@ def write_mcap(path: str | os.PathLike[str], log: RunLog) -> None:
     """Write a run as ROS 2 messages, completely or not at all; every float64 survives.
 
     Topics: `/joint_states` (position, velocity, effort) and `/joint_commands` (position,
-    velocity) of JointState; `/base_pose`, `/tool_pose` and `/base_pose_command` of PoseStamped
+    velocity; joints as `NAME_command`: one name is one number in a file) of JointState;
+    `/base_pose`, `/tool_pose` and `/base_pose_command` of PoseStamped
     in the inertial frame; `/wrench`, `/wrench_compensated` of WrenchStamped in platform axes;
     `/base_energy/total`, `strain` and `kinetic` of Float64 [J]. Stamps count from the log's
     first sample. What follows from the system, tool and energies, is left out of a log that
@@ -66,7 +68,7 @@ def write_mcap(path: str | os.PathLike[str], log: RunLog) -> None:
             writer.set_custom_data(META_KEY, canonical_json(log.meta))
             for topic in topics_of(log):
                 connection = writer.add_connection(topic.name, topic.kind, typestore=store)
-                messages = _messages(store.types, topic, _names(log), stamps)
+                messages = _messages(store.types, topic, stamps)
                 for stamp, message in zip(stamps, messages, strict=True):
                     data = store.serialize_cdr(message, topic.kind)
                     writer.write(connection, stamp, data)
@@ -77,23 +79,25 @@ def topics_of(log: RunLog) -> list[Topic]:
     """Return everything of a log that a message has words for."""
     joints, pose = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
     wrench = "geometry_msgs/msg/WrenchStamped"
+    names = _names(log)
+    told = [f"{name}_command" for name in names]
     out = [
-        Topic("/joint_states", joints, "", (log.q, log.v, log.tau)),
-        Topic("/joint_commands", joints, "", (log.q_cmd, log.v_cmd, log.tau_ff)),
+        Topic("/joint_states", joints, "", names, (log.q, log.v, log.tau)),
+        Topic("/joint_commands", joints, "", told, (log.q_cmd, log.v_cmd, log.tau_ff)),
     ]
     for name, y in (("/base_pose", log.y), ("/base_pose_command", log.y_cmd)):
         if y is not None:
-            out.append(Topic(name, pose, SPACE, (y[:, :3], from_angles(y[:, 3:]))))
+            out.append(Topic(name, pose, SPACE, [], (y[:, :3], from_angles(y[:, 3:]))))
     for name, w in (("/wrench", log.w), ("/wrench_compensated", log.wg)):
         if w is not None:
-            out.append(Topic(name, wrench, PLATFORM, (w[:, :3], w[:, 3:])))
+            out.append(Topic(name, wrench, PLATFORM, [], (w[:, :3], w[:, 3:])))
     if "system" in log.meta:
         system = system_of(log)
-        out.append(Topic("/tool_pose", pose, SPACE, tool_pose(log, system)))
+        out.append(Topic("/tool_pose", pose, SPACE, [], tool_pose(log, system)))
         energy = log_base_energy(log, system)
         for part in ("total", "strain", "kinetic"):
             values = getattr(energy, part)
-            out.append(Topic(f"/base_energy/{part}", "std_msgs/msg/Float64", "", (values,)))
+            out.append(Topic(f"/base_energy/{part}", "std_msgs/msg/Float64", "", [], (values,)))
     return out
 
 
@@ -110,7 +114,7 @@ def _names(log: RunLog) -> list[str]:
     return [getattr(k, "name", None) or f"q_{i}" for i, k in enumerate(links, start=1)]
 
 
-def _messages(types: Any, topic: Topic, names: list[str], stamps: list[int]) -> Iterator[Any]:
+def _messages(types: Any, topic: Topic, stamps: list[int]) -> Iterator[Any]:
     """Yield one message per sample."""
     content = _CONTENT[topic.kind.rpartition("/")[2]]
     header, time = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
@@ -118,7 +122,7 @@ def _messages(types: Any, topic: Topic, names: list[str], stamps: list[int]) -> 
     for k, stamp in enumerate(stamps):
         head = header(time(stamp // _NS, stamp % _NS), topic.frame)
         rows = [nothing if row is None else row[k] for row in topic.rows]
-        yield types[topic.kind](*content(types, head, names, *rows))
+        yield types[topic.kind](*content(types, head, topic.names, *rows))
 
 
 def _joints(types: Any, head: Any, names: list[str], *rows: Array) -> tuple[Any, ...]:

@@ -226,7 +226,8 @@ def test_joints_are_the_models_by_name_or_by_a_place_that_is_told(tmp_path, caps
     t, q = motion(3)
     for names, order, said in (
         (("elbow", "waist", "shoulder"), ("waist", "shoulder", "elbow"), ""),
-        (("a", "b", "c"), ("a", "b", "c"), "a = waist, b = shoulder, c = elbow"),
+        (("a", "b", "c"), ("a", "b", "c"), "order does: a = waist, b = shoulder, c = elbow"),
+        (("3", "1", "2"), ("1", "2", "3"), "numbers do: 1 = waist, 2 = shoulder, 3 = elbow"),
     ):
         (tmp_path / "out" / "mapping.toml").unlink(missing_ok=True)
         columns = {"t": t} | {f"{k}_joint_position": x for k, x in zip(names, q.T, strict=True)}
@@ -236,6 +237,14 @@ def test_joints_are_the_models_by_name_or_by_a_place_that_is_told(tmp_path, caps
         assert got == [f"{k}_joint_position" for k in order]
         out = capsys.readouterr().out
         assert said in out and ("names do not tell which joint is which" in out) == bool(said)
+
+
+def test_of_two_clocks_one_is_taken_and_the_other_is_told(tmp_path):
+    t, q = motion()
+    columns = {"t_host": 1.02 * t, "t_robot": t, "q_1": q[:, 0], "q_2": q[:, 1]}
+    table, text = described(tmp_path, columns)
+    assert table["time"]["column"] == "t_host"
+    assert "#   * t_host is the clock; t_robot is one, too, 0.98039 times as fast" in text
 
 
 def test_a_mapping_without_rates_and_torques_has_nothing_to_compare(tmp_path, capsys):

@@ -107,6 +107,7 @@ def describe(
     complete, told = _complete(recording)
     names = _called(recording, complete, called, source)
     clock = _clock(complete, names)
+    told += _other_clocks(complete, names, clock)
     joints = _joints({k: names[k] for k in complete if k != clock})
     if not joints:
         raise ParameterError(
@@ -242,6 +243,20 @@ def _clock(columns: Mapping[str, Array], names: Mapping[str, _Name]) -> str | No
     return best if best is not None and rising[best] >= _FORWARD else None
 
 
+def _other_clocks(
+    columns: Mapping[str, Array], names: Mapping[str, _Name], clock: str | None
+) -> list[str]:
+    """Say which clock is taken of several that run forward, and how fast the others are."""
+    out = []
+    for name, x in columns.items() if clock else ():
+        forward = np.mean(np.diff(x) > 0) >= _FORWARD
+        if name != clock and forward and set(names[name].words) & set(_WORDS["clock"]):
+            t = columns[str(clock)]
+            rate = float((x[-1] - x[0]) / (t[-1] - t[0]))
+            out.append(f"{clock} is the clock; {name} is one, too, {rate:.5g} times as fast")
+    return out
+
+
 def _time(
     columns: Mapping[str, Array],
     clock: str | None,
@@ -345,8 +360,11 @@ def _names(
     if None not in alike and len({*alike}) == len(keys):
         by_joint = dict(zip(alike, keys, strict=True))
         return [(by_joint[joint], *joint) for joint in inside]
+    numbered = all(key.isdigit() for key in keys)
+    keys = sorted(keys, key=int) if numbered else keys
     pairs = ", ".join(f"{key} = {name}" for key, (name, _) in zip(keys, inside, strict=True))
-    told.append(f"names do not tell which joint is which, their order does: {pairs}")
+    which = "numbers do" if numbered else "order does"
+    told.append(f"names do not tell which joint is which, their {which}: {pairs}")
     return [(key, *joint) for key, joint in zip(keys, inside, strict=True)]
 
 
