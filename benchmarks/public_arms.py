@@ -6,31 +6,33 @@
     python -m benchmarks.public_arms read FOLDER...
     python -m benchmarks.public_arms play [--vehicles bent,...] FOLDER...
 
-Of every file below the folders the chain with the most joints, three to eight, is an arm; files
-that describe the same arm count once. `read` prints the largest relative difference of mass
-matrix, bias and tool Jacobian, over twenty configurations and rates, of the arm as read and of
-what comes back after writing it, against Pinocchio and MuJoCo on the same file. `play` plays a
-gentle motion on every beam, with the arm's own gains at the physics step that is chosen for it,
-and at a quarter of that: how far the energy account is open, and how much E_mean changes.
+Of every robot below the folders the chain with the most joints is an arm; files of the same
+text count once. `read` reads each as it is, and where it is refused does what the sentence
+says, in the words of the command line, until it is read. It prints the largest relative
+difference of mass matrix, bias and tool Jacobian, over twenty configurations and rates, from
+Pinocchio (coupled joints are its mimic joints) and MuJoCo on the same file, where nothing had
+to be repaired. `play` plays a gentle motion of chains of three to eight joints on every beam,
+with the arm's own gains at the physics step that is chosen for it, and at a quarter of that:
+how far the energy account is open, and how much E_mean changes.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 import sys
-import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.arm_library import get_arm
-from ves_gym.mechanics.arm_reader import ChainChoice, Tree, arm_of_tree
+from ves_gym.mechanics.arm_reader import arm_of_tree
+from ves_gym.mechanics.arm_tree import ChainChoice, Tree
 from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.kinematics import tool_twists
 from ves_gym.mechanics.limits import check_reference, limits_of
@@ -48,6 +50,8 @@ GRAVITY = (1.0, -2.0, -9.81)
 JOINTS = range(3, 9)  # of what counts as an arm
 BEAMS = ",".join(name for name in VEHICLES if name.startswith(("bent", "straight")))
 DURATION, SETTLE = 0.5, 0.5  # s
+CLOSE = 1e-10  # of every number, to those of others
+TINY = 1e-12  # of a bias that vanishes: a wheel about its own axis
 OPEN, CHANGED = 1e-3, 1e-2  # that is asked of the account, and of E_mean at a quarter step
 Reading = tuple[Array, Array, Array]
 
@@ -56,29 +60,30 @@ Reading = tuple[Array, Array, Array]
 
 
 class Found(NamedTuple):
-    """An arm, and the file and the body or site in it that it is read from."""
+    """A robot, the body that has its longest chain, and what became of reading it."""
 
     path: Path
     tip: str
-    arm: Arm
+    arm: Arm | None
+    at: dict[str, float]  # where every joint stands while those that move are at zero
+    flags: tuple[str, ...]  # that its sentences asked for
+    said: str  # the last sentence
 
 
 def find_arms(folders: Sequence[str]) -> Iterator[Found]:
-    """Yield the arms of all files below some folders, each arm once."""
-    seen: list[Arm] = []
+    """Yield the robots of all files below some folders, each text once."""
+    seen: set[bytes] = set()
     for folder in folders:
         for path in sorted(k for k in Path(folder).rglob("*") if k.suffix in (".urdf", ".xml")):
-            found = _arm_in(path)
-            if found is None:
-                continue
-            bare = replace(found.arm, name="", source="")
-            if bare not in seen:
-                seen.append(bare)
-                yield found
+            text = path.read_bytes()
+            if text not in seen and (b"<robot" in text or b"<mujoco" in text):
+                seen.add(text)
+                if (found := _robot_in(path)) is not None:
+                    yield found
 
 
-def _arm_in(path: Path) -> Found | None:
-    """Return the longest chain of a file that is an arm; None without one."""
+def _robot_in(path: Path) -> Found | None:
+    """Read a file; None where no joint moves, or another file includes it."""
     try:
         tree: Tree = MjcfTree(path) if path.suffix == ".xml" else UrdfTree(path)
         root = tree.root(None)
@@ -86,18 +91,60 @@ def _arm_in(path: Path) -> Found | None:
             tip: sum(not j.fixed for body in tree.chain(root, tip) for j in tree.joints[body])
             for tip in set(tree.bodies) - set(tree.parents.values())
         }
-    except ParameterError:  # no robot
-        return None
-    for tip in sorted(moving, key=lambda k: (-moving[k], k)):
-        if moving[tip] < JOINTS.start:
-            break
+    except ParameterError as error:
+        left_out = path.suffix == ".xml" or "no link" in str(error)  # parts of a model
+        return None if left_out else Found(path, "", None, {}, (), str(error))
+    tip = min(moving, key=lambda k: (-moving[k], k), default="")
+    return _as_asked(tree, tip) if moving.get(tip) else None
+
+
+def _as_asked(tree: Tree, tip: str) -> Found:
+    """Do what each sentence asks for until the file is read, or nothing new is asked for."""
+    flags: list[str] = []
+    while True:
+        choice = ChainChoice(tip, None, {}, True, True, {})._replace(**_choice(flags))
+        tree.outside = choice.allow_outside  # type: ignore[attr-defined]
         try:
-            arm = arm_of_tree(tree, ChainChoice(tip, None, {}, False, True, {}))
-        except ParameterError:  # told by the reader; the next chain
-            continue
-        if arm.n in JOINTS:
-            return Found(path, tip, arm)
-    return None
+            arm = arm_of_tree(tree, choice)
+            return Found(tree.path, tip, arm, tree.coupled.at, tuple(flags), "")
+        except ParameterError as error:
+            said = str(error)
+        remedies = [k for k in _REMEDY.findall(said) if k not in flags]
+        if not remedies:
+            return Found(tree.path, tip, None, {}, tuple(flags), said)
+        first = remedies[0].split()[0]
+        many = first in ("--lock", "--massless")  # asked for together
+        flags += [k for k in remedies if k.split()[0] == first] if many else remedies[:1]
+
+
+_REMEDY = re.compile(
+    r"--(?:lock|massless|rotor|root) [^\s,);:]+"
+    r"|--(?:repair|no-collision|no-check|allow-outside)"
+)
+_PLAIN = {
+    "--repair": {"repair": True},
+    "--no-collision": {"collision": False},
+    "--no-check": {"check": False},
+    "--allow-outside": {"allow_outside": True},
+}
+
+
+def _choice(flags: Sequence[str]) -> dict[str, Any]:
+    """Words of the command line as those of Python."""
+    out: dict[str, Any] = {}
+    for flag in flags:
+        word, _, value = flag.partition(" ")
+        name, _, number = value.rpartition("=")
+        if word == "--massless":
+            out.setdefault("massless", []).append(value)
+        elif word == "--root":
+            out["root"] = value
+        elif word in ("--lock", "--rotor"):
+            key = {"--lock": "locked", "--rotor": "rotors"}[word]
+            out.setdefault(key, {})[name] = float(number)
+        else:
+            out |= _PLAIN[word]
+    return out
 
 
 # ------------------------------------------------------------- read as others read them
@@ -105,22 +152,31 @@ def _arm_in(path: Path) -> Found | None:
 
 def of_arm(arm: Arm, q: Array, v: Array) -> Reading:
     """Mass matrix without rotors, bias and tool Jacobian (6, n) of an arm."""
-    H = inertia(arm, q)[6:, 6:] - np.diag(arm.column("rotor_inertia"))
-    return H, inverse_dynamics(arm, q, v, 0 * q, GRAVITY)[0], tool_twists(arm, q)
+    bare = replace(
+        arm,
+        links=tuple(replace(k, rotor_inertia=0.0) for k in arm.links),
+        followers=tuple(
+            replace(k, link=replace(k.link, rotor_inertia=0.0)) for k in arm.followers or ()
+        )
+        or None,
+    )
+    H = inertia(bare, q)[6:, 6:]
+    return H, inverse_dynamics(bare, q, v, 0 * q, GRAVITY)[0], tool_twists(arm, q)
 
 
 class ByPinocchio:
     """The same of a URDF, by Pinocchio; joints off the chain stand at zero."""
 
-    def __init__(self, path: Path, tool: str, names: list[str]) -> None:
+    def __init__(self, path: Path, found: Found) -> None:
         import pinocchio as pin
 
-        self.pin, whole = pin, pin.buildModelFromUrdf(str(path))
-        still = [j for j in range(1, whole.njoints) if whole.names[j] not in names]
-        self.model = pin.buildReducedModel(whole, still, pin.neutral(whole))
-        self.model.gravity.linear[:] = GRAVITY
-        self.data, self.tool = self.model.createData(), self.model.getFrameId(tool)
-        self.joints = [self.model.joints[self.model.getJointId(k)] for k in names]
+        arm, tool = found.arm, found.tip
+        assert arm is not None
+        self.pin = pin
+        self.model = model = pin.buildModelFromUrdf(str(path), mimic=True)
+        model.gravity.linear[:] = GRAVITY
+        self.data, self.tool = model.createData(), model.getFrameId(tool)
+        self.joints = [model.joints[model.getJointId(str(k.name))] for k in arm.links]
         self.order = [j.idx_v for j in self.joints]
 
     def __call__(self, q: Array, v: Array) -> Reading:
@@ -136,36 +192,47 @@ class ByPinocchio:
         bias = pin.nonLinearEffects(model, data, place, rate)
         pin.computeJointJacobians(model, data, place)
         pin.updateFramePlacements(model, data)
-        J = pin.getFrameJacobian(model, data, self.tool, pin.LOCAL_WORLD_ALIGNED)
+        J = pin.getFrameJacobian(model, data, self.tool, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1)
         k = self.order
         return M[np.ix_(k, k)], bias[k], J[:, k]
 
 
 class ByMujoco:
-    """The same of an MJCF, by MuJoCo; joints off the chain stand at zero."""
+    """The same of an MJCF, by MuJoCo; followers by their ratios, others stand still."""
 
-    def __init__(self, path: Path, tool: str, names: list[str]) -> None:
+    def __init__(self, path: Path, found: Found) -> None:
         import mujoco
 
+        arm, tool = found.arm, found.tip
+        assert arm is not None
         self.mj, self.model = mujoco, mujoco.MjModel.from_xml_path(str(path))
         self.model.opt.gravity[:] = GRAVITY
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self.data, self.tool = mujoco.MjData(self.model), self.model.body(tool).id
-        joints = [self.model.joint(name) for name in names]
+        self.still = self.model.qpos0.copy()
+        for name, value in found.at.items():
+            if self.model.joint(name).qposadr.size == 1:
+                self.still[self.model.joint(name).qposadr[0]] = value
+        joints = [self.model.joint(str(part.link.name)) for part in arm.parts]
         self.place = [int(j.qposadr[0]) for j in joints]
         self.order = [int(j.dofadr[0]) for j in joints]
+        own = iter(np.eye(arm.n))
+        self.gear = np.array([k.ratios or next(own) for k in arm.parts])  # (parts, n)
+        names = [str(part.link.name) for part in arm.parts]
+        follows = np.array([part.ratios is not None for part in arm.parts])
+        self.start = follows * [found.at[name] for name in names]
 
     def __call__(self, q: Array, v: Array) -> Reading:
         """Mass matrix without armature, bias, tool Jacobian."""
-        model, data, k = self.model, self.data, self.order
-        data.qpos[:], data.qvel[:] = model.qpos0, 0.0
-        data.qpos[self.place], data.qvel[k] = q, v
+        model, data, k, G = self.model, self.data, self.order, self.gear
+        data.qpos[:], data.qvel[:] = self.still, 0.0
+        data.qpos[self.place], data.qvel[k] = G @ q + self.start, G @ v
         self.mj.mj_forward(model, data)
         M, J = np.zeros((model.nv, model.nv)), np.zeros((6, model.nv))
         self.mj.mj_fullM(model, data, M)
         self.mj.mj_jacBody(model, data, J[:3], J[3:], self.tool)
         H = M[np.ix_(k, k)] - np.diag(model.dof_armature[k])
-        return H, data.qfrc_bias[k], J[:, k]
+        return G.T @ H @ G, G.T @ data.qfrc_bias[k], J[:, k] @ G
 
 
 def differences(one: object, other: object, n: int) -> Array:
@@ -174,31 +241,34 @@ def differences(one: object, other: object, n: int) -> Array:
     for _ in range(20):
         q, v = rng.uniform(-3, 3, n), rng.normal(size=n)
         pairs = zip(one(q, v), other(q, v), strict=True)  # type: ignore[operator]
-        worst = np.maximum(worst, [np.abs(a - b).max() / np.abs(b).max() for a, b in pairs])
+        worst = np.maximum(
+            worst, [np.abs(a - b).max() / max(np.abs(b).max(), TINY) for a, b in pairs]
+        )
     return worst
 
 
 def read(found: Found) -> bool:
-    """Print how an arm differs from what others read."""
-    path, tip, arm = found
-    mjcf, names = path.suffix == ".xml", [str(link.name) for link in arm.links]
-    if arm.coupling is not None:
-        print(f"{path.name}, {tip}: joints that follow others are not compared")
+    """Print how a robot was read, and how the arm differs from what others read."""
+    path, tip, arm, _, flags, said = found
+    where = f"{path.name}, {tip}"
+    if arm is None:
+        print(f"{where}: REFUSED {' '.join(flags)}: {said}", flush=True)
+        return False
+    how = f"{where}, {arm.n} joints{', coupled' if arm.followers else ''}"
+    how += f" [{' '.join(flags)}]" if flags else ""
+    if {"--repair", "--root"} & {flag.split()[0] for flag in flags}:
+        print(f"{how}: read", flush=True)
         return True
     try:
-        theirs = (ByMujoco if mjcf else ByPinocchio)(path, tip, names)
-    except (ValueError, KeyError) as error:
-        print(f"{path.name}, {tip}: they do not read it: {error}")
+        theirs = (ByMujoco if path.suffix == ".xml" else ByPinocchio)(path, found)
+    except (ValueError, KeyError, IndexError) as error:
+        print(f"{how}: read; they do not: {error}", flush=True)
         return True
-    first = differences(lambda q, v: of_arm(arm, q, v), theirs, arm.n)
-    with tempfile.TemporaryDirectory() as folder:
-        again = Path(folder) / ("arm.mjcf" if mjcf else "arm.urdf")
-        (arm.to_mjcf if mjcf else arm.to_urdf)(again)
-        back = get_arm(again)
-    second = differences(lambda q, v: of_arm(back, q, v), theirs, arm.n)
-    numbers = [" ".join(f"{k:.1e}" for k in row) for row in (first, second)]
-    print(f"{path.name}, {tip}, {arm.n} joints: {numbers[0]}; {numbers[1]}", flush=True)
-    return bool(max(first.max(), second.max()) < 1e-6)
+    gaps = differences(lambda q, v: of_arm(arm, q, v), theirs, arm.n)
+    close = bool(gaps.max() < CLOSE)
+    text = " ".join(f"{k:.1e}" for k in gaps)
+    print(f"{how}: {text}{'' if close else ' DIFFERS'}", flush=True)
+    return close
 
 
 # ------------------------------------------------------------------- played on the beams
@@ -223,6 +293,7 @@ def played(system: System, motion: Motion, *, watch: bool) -> tuple[float | None
 
 def play(found: Found, vehicles: Sequence[str]) -> bool:
     """Print what an arm's motion on each vehicle is worth."""
+    assert found.arm is not None
     good = True
     for vehicle in vehicles:
         where = f"{found.path.name}, {found.tip}, {found.arm.n} joints, {vehicle}"
@@ -256,10 +327,12 @@ def main(words: Sequence[str]) -> int:
     args = parser.parse_args(words)
     warnings.simplefilter("ignore")  # of what a format cannot hold
     vehicles = args.vehicles.split(",")
-    verdicts = [
-        read(found) if args.question == "read" else play(found, vehicles)
-        for found in find_arms(args.folders)
-    ]
+    every = find_arms(args.folders)
+    if args.question == "read":
+        verdicts = [read(found) for found in every]
+    else:
+        arms = (found for found in every if found.arm is not None and found.arm.n in JOINTS)
+        verdicts = [play(found, vehicles) for found in arms]
     print(f"{len(verdicts)} arms, {sum(verdicts)} of them well")
     return 0 if verdicts and all(verdicts) else 1
 

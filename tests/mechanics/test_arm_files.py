@@ -346,12 +346,12 @@ def test_a_mesh_becomes_a_capsule_that_holds_it(write, tmp_path, kind):
 
 
 @pytest.mark.parametrize(
-    "name", ["../m.stl", "{root}/m.stl", "file://{root}/m.stl", "package://robot/../m.stl"]
+    "name", ["../../m.stl", "{root}/m.stl", "file://{root}/m.stl", "package://robot/../m.stl"]
 )
 def test_a_mesh_outside_the_files_folder_is_asked_for(tmp_path, name):
     """Claim: a URDF reads no mesh outside its folder and its package unless it is told to."""
-    rng, folder = np.random.default_rng(0), tmp_path / "robot"
-    folder.mkdir()
+    rng, folder = np.random.default_rng(0), tmp_path / "robot" / "urdf"
+    folder.mkdir(parents=True)
     (tmp_path / "m.stl").write_bytes(mesh_file("stl", rng.normal(size=(9, 3))))
     shape = MESH.replace("package://x/f.stl", name.format(root=tmp_path))
     file = folder / "arm.urdf"
@@ -360,8 +360,12 @@ def test_a_mesh_outside_the_files_folder_is_asked_for(tmp_path, name):
         Arm.from_file(file)
     assert Arm.from_file(file, collision=False).n == 1
     assert len(Arm.from_file(file, allow_outside=True).links[0].shape) == 1
-    if name.startswith(".."):  # a package's files are its own
+    if name.startswith(".."):  # a package's files are its own; the folder beside is near
         (tmp_path / "package.xml").write_text("<package/>")
+        assert len(Arm.from_file(file).links[0].shape) == 1
+        (tmp_path / "package.xml").unlink()
+        (tmp_path / "m.stl").rename(tmp_path / "robot" / "m.stl")
+        file.write_text(file.read_text().replace("../../", "../"))
         assert len(Arm.from_file(file).links[0].shape) == 1
 
 

@@ -16,7 +16,8 @@ from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import named, read_xml
 from ves_gym.mechanics.arm import Arm, ArmPart
-from ves_gym.mechanics.arm_reader import ChainChoice, arm_of_tree
+from ves_gym.mechanics.arm_reader import arm_of_tree
+from ves_gym.mechanics.arm_tree import ChainChoice
 from ves_gym.mechanics.attitude import from_matrix
 from ves_gym.mechanics.chain import angles_of, upright
 from ves_gym.mechanics.flexure import expand

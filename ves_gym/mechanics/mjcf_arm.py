@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.arm_reader import Tie, Tree, TreeJoint, held
+from ves_gym.mechanics.arm_tree import Tie, Tree, TreeJoint, held
 from ves_gym.mechanics.attitude import to_matrix
 from ves_gym.mechanics.chain import ENDLESS, Joint, LinkMass, Lump, PlacedMesh, Segment
 from ves_gym.mechanics.meshes import box_corners, capsule_around

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import read_xml
-from ves_gym.mechanics.arm_reader import Tie, Tree, TreeJoint, held
+from ves_gym.mechanics.arm_tree import Tie, Tree, TreeJoint, held
 from ves_gym.mechanics.chain import ENDLESS, Joint, LinkMass, Lump, PlacedMesh, Segment
 from ves_gym.mechanics.meshes import box_corners, capsule_around, read_mesh
 
@@ -272,8 +272,8 @@ def _capsule(path: Path, shape: Element, where: str, outside: bool) -> Segment:
 
 
 def _mesh_file(path: Path, name: str, where: str, outside: bool) -> Path:
-    """Return the file of a mesh: near the URDF, or in its package, which package:// names and
-    ROS's paths lead to; elsewhere only if `outside`."""
+    """Return the file of a mesh: below the URDF's folder, or beside that as in ../meshes, or in
+    its package, which package:// names and ROS's paths lead to; elsewhere only if `outside`."""
     folder = path.resolve().parent
     around = (folder, *folder.parents)
     tried: list[tuple[Path, str]] = []  # folder that it must be in, and where in it
@@ -287,7 +287,8 @@ def _mesh_file(path: Path, name: str, where: str, outside: bool) -> Path:
                 tried.append((Path(entry) / inside / package, inner))
         tried += [(place, inner) for place in around]
     else:
-        root = next((k for k in around if (k / "package.xml").is_file()), folder)
+        near = folder if os.path.isabs(name) or "://" in name else folder.parent
+        root = next((k for k in around if (k / "package.xml").is_file()), near)
         inner = name.removeprefix("file://").replace("\\", "/")
         spaced = unquote(inner) if name.startswith("file://") else inner
         tried += [(root, os.path.relpath(folder / k, root)) for k in (inner, spaced)]
