@@ -422,6 +422,7 @@ BAD_URDF = {  # what is said of each
     "joint 'shoulder' has a range of 0 to 0": TWO.replace(RANGE, 'lower="0" upper="0"', 1),
     "joint 'elbow': its axis must not be zero": TWO.replace('xyz="0.0 1.0 0.0"', 'xyz="0 0 0"'),
     "is a xacro, not yet a URDF": '<robot xmlns:xacro="http://xacro"><xacro:a/></robot>',
+    "is a xacro, not yet a URDF: run": TWO.replace('lower="-2.5"', 'lower="${-pi}"'),
     "expected <robot> or <mujoco> at the top, got <sdf>": "<sdf/>",
     "cannot be read": "<robot",
     "must have one root link": TWO.replace("</robot>", '<link name="x"/></robot>'),

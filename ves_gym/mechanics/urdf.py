@@ -44,7 +44,7 @@ class UrdfTree(Tree):
     def __init__(self, path: Path, outside: bool = False) -> None:
         """`outside`: read meshes that lie outside the file's folder and package."""
         self.outside, robot = outside, read_xml(path)
-        if any("xacro" in element.tag for element in robot.iter()):
+        if any("xacro" in k.tag or "${" in "".join(k.attrib.values()) for k in robot.iter()):
             raise ParameterError("is a xacro, not yet a URDF: run `xacro` on it first")
         self.path, self.name = path, robot.get("name") or path.stem
         self.links = {_name(k, "link"): k for k in robot.findall("link")}
