@@ -279,11 +279,6 @@ class SensorNoiseModel:
             out[..., i] = scipy.signal.lfilter([1.0], [1.0, -a[i]], fresh[..., i], axis=-1)
         return out * self.std
 
-    def draw_slow(self, rng: np.random.Generator, n: int, length: int) -> Array:
-        """Return realisations (n, length, c) if all of it wandered, half a run its memory."""
-        wander = SensorNoiseModel(self.std, np.full(len(self.std), np.exp(-2 / length)))
-        return wander.draw(rng, n, length)
-
 
 def estimate_noise(
     x: Array, quiet: float = _QUIET, std: Array | None = None, computed: bool = False

@@ -60,7 +60,7 @@ from ves_gym.diagnosis.inference.reliability import (
     without,
 )
 from ves_gym.diagnosis.inference.signatures import Signatures
-from ves_gym.diagnosis.inference.slow_noise import slow_shares
+from ves_gym.diagnosis.inference.slow_noise import slow_noise
 from ves_gym.diagnosis.inference.steadiness import drop_nonstationary
 from ves_gym.diagnosis.inference.tolerance_scale import (
     ToleranceExcess,
@@ -77,7 +77,7 @@ from ves_gym.diagnosis.inference.unknown import (
     unnamed,
 )
 from ves_gym.diagnosis.inference.unknown import NOTHING as DESCRIBED
-from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
+from ves_gym.diagnosis.inference.whitened_residuals import Wander, WhitenedResiduals
 from ves_gym.diagnosis.machines.base import Machine, untestable
 from ves_gym.diagnosis.machines.causes import split
 from ves_gym.diagnosis.machines.drift import SlowPath
@@ -301,13 +301,13 @@ def diagnose(
     progress(0.0, "residuals")
     runs, final = with_shared_colour(runs, runs), with_shared_colour(final, runs)
 
-    def whitened(slow: Mapping[str, float]) -> WhitenedResiduals:
+    def whitened(slow: Mapping[str, Wander]) -> WhitenedResiduals:
         if cache is None:
             return WhitenedResiduals(machine, runs, seed, slow)
         return CachedResiduals(machine, runs, seed, cache, slow)
 
     residuals = whitened({})
-    slow = slow_shares(residuals)
+    slow = slow_noise(residuals)
     if slow:
         residuals = whitened(slow)
     lap("locate")

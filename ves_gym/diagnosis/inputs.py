@@ -16,6 +16,7 @@ from ves_gym.diagnosis.data.measured_run import BAND, Run, require_plausible, ru
 from ves_gym.diagnosis.inference.cache import digest_of
 from ves_gym.diagnosis.inference.candidates import Candidate, library, without
 from ves_gym.diagnosis.machines.base import Machine
+from ves_gym.diagnosis.machines.clocks import with_jitter
 from ves_gym.diagnosis.machines.mapping import read_machine
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
 from ves_gym.diagnosis.machines.residual import ResidualMachine
@@ -97,8 +98,11 @@ def system_inputs(
         require_plausible(log, machine.system, path.name)
     marked = [i for i, log in enumerate(logs) if log.meta.get("held_back")]
     fitted, held_back = _split(len(logs), marked, final)
+    jitter = stated.clocks.jitter if stated else 0.0
     runs = [
-        run_of(_with_noise(log, stated), path.name, BAND if band is None else band)
+        with_jitter(
+            run_of(_with_noise(log, stated), path.name, BAND if band is None else band), jitter
+        )
         for log, path in zip(logs, paths, strict=True)
     ]
     nominal, ports = machine.system, [p.name for p in machine.ports]

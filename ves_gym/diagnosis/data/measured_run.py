@@ -203,24 +203,19 @@ class Run:
         }
         return replace(self, signals={**self.signals, **changes}, memory=memory)
 
-    def with_noise(
-        self, rng: np.random.Generator, n: int, exact: Sequence[str] = (), slow: bool = False
-    ) -> Run:
+    def with_noise(self, rng: np.random.Generator, n: int, exact: Sequence[str] = ()) -> Run:
         """Return the run n times, each with another draw of its noise on top: (n, T, c).
 
         Args:
             rng: of the draws.
             n: number of copies.
             exact: signals that the part in question was really given, as the log has them.
-            slow: as if all of the noise wandered.
         """
         noisy = {}
         for name, x in self.signals.items():
             noisy[name] = np.broadcast_to(x, (n, *x.shape))
             if name in self.noise and name not in exact:
-                model = self.noise[name]
-                draw = model.draw_slow if slow else model.draw
-                noisy[name] = noisy[name] + draw(rng, n, self.length)
+                noisy[name] = noisy[name] + self.noise[name].draw(rng, n, self.length)
         return replace(self, signals=noisy, memory={NEAR: self.memory})
 
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, canonical_json, content_hash, write_bytes
 from ves_gym.diagnosis.data.measured_run import Run
-from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
+from ves_gym.diagnosis.inference.whitened_residuals import Wander, WhitenedResiduals
 from ves_gym.diagnosis.machines.base import Machine
 from ves_gym.system.effect import EFFECTS
 
@@ -87,10 +87,10 @@ class CachedResiduals(WhitenedResiduals):
         runs: Sequence[Run],
         seed: int,
         cache: AnswerCache,
-        slow: Mapping[str, float] | None = None,
+        slow: Mapping[str, Wander] | None = None,
     ) -> None:
         self._cache = cache
-        self._name = content_hash([seed, [digest_of(run) for run in runs], dict(slow or {})])
+        self._name = content_hash([seed, [digest_of(run) for run in runs], {k: (w.share, w.memory) for k, w in (slow or {}).items()}])
         super().__init__(machine, runs, seed, slow)
 
     def at_port(self, port: str, models: Sequence[Any]) -> Array:

@@ -18,6 +18,7 @@ import copy
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,42 @@ QUIETEST = 0.05  # of the noise's mean square that a model may leave
 _FAINT = 0.3  # of noise: what a run may have had of its own that is not worth a number
 _POOL = 6  # neighbouring frequencies on either side that are taken together
 _EDGES = (0.0, 0.1, 0.3, 1.0)  # of the ranges of frequencies, in parts of the band
+
+
+
+@dataclass(frozen=True)
+class Wander:
+    """Noise that wanders beside the noise that shows above the motion.
+
+    Of first order; the part that changes from sample to sample stands for 1 in power.
+    """
+
+    share: float  # of the variance
+    memory: float  # s
+
+    def excess(self, window: SpectralWindow) -> Array:
+        """Return (K,) the power of all noise, in that without it."""
+        return np.asarray(1 + self.share * wander_shape(window, self.memory))
+
+
+@cache
+def wander_shape(window: SpectralWindow, memory: float) -> Array:
+    """Return (K,) the mean power of wandering noise, white noise of its variance having 1.
+
+    Args:
+        window: of a run.
+        memory: s.
+    """
+    a = np.full(1, np.exp(-window.dt / memory))
+    drawn = SensorNoiseModel(np.ones(1), a).draw(
+        np.random.default_rng(0), _SHAPES, window.length
+    )
+    white = SensorNoiseModel(np.ones(1), np.zeros(1)).draw(
+        np.random.default_rng(1), _SHAPES, window.length
+    )
+    power = [np.square(np.abs(window.spectrum(x)[..., 0])).mean(axis=0) for x in (drawn, white)]
+    return np.asarray(power[0] / power[1].mean())
+
 
 Model = Any  # a machine's own: the description with some effects
 
@@ -65,7 +102,7 @@ class WhitenedResiduals:
         machine: the description.
         runs: all with the same ports.
         seed: of the noise draws.
-        slow: port -> share of the noise's variance that wanders.
+        slow: port -> how much its noise wanders beside that.
     """
 
     def __init__(
@@ -73,7 +110,7 @@ class WhitenedResiduals:
         machine: Machine,
         runs: Sequence[Run],
         seed: int = 0,
-        slow: Mapping[str, float] | None = None,
+        slow: Mapping[str, Wander] | None = None,
     ) -> None:
         self.machine, self.runs, self.seed = machine, list(runs), seed
         self.slow = dict(slow or {})
@@ -87,36 +124,22 @@ class WhitenedResiduals:
         self.memory: dict[Any, Array] = {}  # residuals already asked for, by port and effects
         raw = [machine.residuals(run, [machine.nominal], names) for run in self.runs]
         self._whiten: list[dict[str, Array]] = []  # (K, c, c) of each run and port
-        self._wander: list[dict[str, Array]] = []  # (K, c, c) the same of slow noise alone
         for i, run in enumerate(self.runs):
-            window, shape = run.window, wander_shape(run.window)
-            covariance: list[dict[str, Array]] = []
-            for only_slow in (False, True):
-                rng = np.random.default_rng([seed, i, 2] if only_slow else [seed, i])
-                noisy: dict[str, Array] = {}
-                for exact in sorted({p.exact for p in self.ports}):
-                    port_names = [p.name for p in self.ports if p.exact == exact]
-                    copies = run.with_noise(rng, _DRAWS, exact, only_slow)
-                    noisy |= machine.residuals(copies, [machine.nominal], port_names)
-                level = shape if only_slow else np.ones_like(shape)
-                covariance.append(
-                    {
-                        name: _pooled(window.spectrum(noisy[name][0] - raw[i][name][0]), level)
-                        for name in names
-                    }
-                )
-            fast, wandering = covariance
-            self._wander.append(wandering)
-            self._whiten.append(
-                {
-                    name: _inverse_root(
-                        fast[name]
-                        + self.slow.get(name, 0.0) * wandering[name]
-                        + np.diag(machine.floor(run, name) ** 2)
-                    )
-                    for name in names
-                }
-            )
+            window = run.window
+            rng = np.random.default_rng([seed, i])
+            noisy: dict[str, Array] = {}
+            for exact in sorted({p.exact for p in self.ports}):
+                port_names = [p.name for p in self.ports if p.exact == exact]
+                copies = run.with_noise(rng, _DRAWS, exact)
+                noisy |= machine.residuals(copies, [machine.nominal], port_names)
+            whiten = {}
+            for name in names:
+                covariance = _pooled(window.spectrum(noisy[name][0] - raw[i][name][0]))
+                if name in self.slow:
+                    covariance *= self.slow[name].excess(window)[:, None, None]
+                floor = np.diag(machine.floor(run, name) ** 2)
+                whiten[name] = _inverse_root(covariance + floor)
+            self._whiten.append(whiten)
         self.groups = self._with_floors()
         self.null = np.zeros(self.length)
         for port in self.ports:
@@ -238,8 +261,8 @@ class WhitenedResiduals:
             self._spans[port.name] = slice(first, at)
         return groups, rows
 
-    def wander_shown(self, port: str, z: Array) -> tuple[Array, Array]:
-        """Return the power of a port at its lowest frequencies, and that of slow noise.
+    def lowest(self, port: str, z: Array) -> list[tuple[Array, Array]]:
+        """Return frequencies and power of a port at its lowest frequencies, run by run.
 
         Channels are taken as they are: whitening mixes a little of one into the others, and
         what is large in one would show in all.
@@ -249,11 +272,10 @@ class WhitenedResiduals:
             z: (N,) whitened.
 
         Returns:
-            (m, c) over all runs, both in mean squares of the noise: what z has, and what it
-            would have if all of the noise wandered.
+            (m,) places in the run's window, and (m, c) in mean squares of the noise.
         """
-        power, visible = [], []
-        for rows, whiten, wander in zip(self._rows, self._whiten, self._wander, strict=True):
+        out = []
+        for rows, whiten in zip(self._rows, self._whiten, strict=True):
             lowest = {c: (take, part) for take, part, c in reversed(rows[port])}
             take = lowest[0][0]
             parts = [z[lowest[c][1]].reshape(2, -1) for c in sorted(lowest)]
@@ -261,9 +283,8 @@ class WhitenedResiduals:
             root = np.linalg.inv(whiten[port][take])
             noise = np.einsum("kij,kij->ki", root, root.conj()).real
             x = np.einsum("kij,kj->ki", root, both)
-            power.append(np.abs(x) ** 2 / noise)
-            visible.append(np.einsum("kii->ki", wander[port][take]).real / noise)
-        return np.concatenate(power), np.concatenate(visible)
+            out.append((take, np.abs(x) ** 2 / noise))
+        return out
 
     def part(self, port: str) -> slice:
         """Return the place of a port's numbers in the long vector."""
@@ -390,24 +411,12 @@ class WhitenedResiduals:
         return out
 
 
-def wander_shape(window: SpectralWindow) -> Array:
-    """Return (K,) the mean power of slow noise of unit variance by frequency."""
-    noise = SensorNoiseModel(np.ones(1), np.zeros(1))
-    drawn = noise.draw_slow(np.random.default_rng(0), _SHAPES, window.length)
-    return np.asarray(np.square(np.abs(window.spectrum(drawn)[..., 0])).mean(axis=0))
-
-
-def _pooled(spectra: Array, level: Array) -> Array:
-    """(K, c, c) cross-spectra of draws (D, K, c), neighbouring frequencies taken together.
-
-    `level` (K,) is how they fall with the frequency, which pooling would smear.
-    """
+def _pooled(spectra: Array) -> Array:
+    """(K, c, c) cross-spectra of draws (D, K, c), neighbouring frequencies taken together."""
     draws, K, _ = spectra.shape
-    spectra = spectra / np.sqrt(level)[:, None]
     cross = np.einsum("dki,dkj->kij", spectra, spectra.conj()) / draws
     reach = np.abs(np.arange(K)[:, None] - np.arange(K)) <= _POOL
-    pooled = np.einsum("kl,lij->kij", reach / reach.sum(axis=1, keepdims=True), cross)
-    return np.asarray(pooled * level[:, None, None])
+    return np.asarray(np.einsum("kl,lij->kij", reach / reach.sum(axis=1, keepdims=True), cross))
 
 
 def _inverse_root(covariance: Array) -> Array:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
+import scipy
 
 from ves_gym._util.params import ParameterError
 from ves_gym.diagnosis.machines.base import WRENCH, Nuisance
@@ -127,13 +128,35 @@ def _nuisances(system: System) -> Iterator[Nuisance | None]:
                 inner = altered(system.vehicle, mode.base(system.base))
                 tolerance = dataclasses.replace(tolerance, model=system.replace(vehicle=inner))
             yield tolerance
+    modal = system.mode == "ideal" and not isinstance(system.vehicle, Satellite)
+    if modal:
+        yield from _of_the_modes(system)
     for what, kind in (
         ("stiffness", BaseStiffness),
         ("mass", BaseVirtualMass),
         ("damping", BaseDamping),
     ):
+        if modal and what != "mass":
+            continue
         std = _BASE if what != "damping" else _LOSS
         yield effect(f"{what} of the base", _at_base(system), 0.01, std, kind(error=0.01))
+
+
+def _of_the_modes(system: System) -> Iterator[Nuisance]:
+    """Yield errors of stiffness and damping, those of each mode of the base by themselves."""
+    base = system.base
+    rates, ways = scipy.linalg.eigh(base.K, base.M)
+    for i, (square, way) in enumerate(zip(rates, (base.M @ ways).T, strict=True)):
+        stiffness = square * np.outer(way, way)
+        damping = float(ways[:, i] @ base.D @ ways[:, i]) * np.outer(way, way)
+        hertz = np.sqrt(max(square, 0.0)) / (2 * np.pi)
+        for what, std, changes in (
+            ("stiffness", _BASE, {"K": base.K + 0.01 * stiffness}),
+            ("damping", _LOSS, {"D": base.D + 0.01 * damping}),
+        ):
+            other = altered(system.vehicle, dataclasses.replace(base, **changes))
+            name = f"{what} of the base at {hertz:.3g} Hz"
+            yield Nuisance(name, ("base", "wrench"), system.replace(vehicle=other), 0.01, std)
 
 
 def _at_base(system: System) -> str:

@@ -42,6 +42,7 @@ from ves_gym.diagnosis.machines.between_samples import (
     butterworth,
 )
 from ves_gym.diagnosis.machines.causes import CompositeCause, split
+from ves_gym.diagnosis.machines.clocks import ClockError, clock_errors
 from ves_gym.diagnosis.machines.drift import SlowPath, courses
 from ves_gym.diagnosis.machines.gear_deflection import (
     backlash_reaction,
@@ -109,6 +110,7 @@ class SystemVariant:
     presliding: tuple[Presliding, ...] = ()
     gains: tuple[tuple[float, ...], ...] = ()
     starts: tuple[InnerStart, ...] = ()  # of a vehicle's internal modes, in single runs
+    clock: ClockError | None = None  # of a recorder, in a single run
 
 
 class SystemMachine:
@@ -220,7 +222,9 @@ class SystemMachine:
         return SystemVariant(system, paths, grown)
 
     def passing(self, model: SystemVariant) -> SystemVariant:
-        """Return a model without what it adds to the torques at joints."""
+        """Return a model without what it adds to the torques at joints, and with all clocks right."""
+        if model.clock is not None:
+            model = dataclasses.replace(model, clock=None)
         moving = tuple(e for e in model.system.effects if not isinstance(e, _AT_REST))
         if len(moving) == len(model.system.effects) and not model.presliding:
             return model
@@ -287,9 +291,19 @@ class SystemMachine:
     def unknowns(self, run: Run) -> tuple[Nuisance, ...]:
         """Return what a run may have of its own.
 
-        In the laboratory the course of a described drift of the force sensor; in space how the
-        vehicle's internal modes moved when the run began.
+        Clocks that are not in step; in the laboratory the course of a described drift of the
+        force sensor; in space how the vehicle's internal modes moved when the run began.
         """
+        return (*self._clocks(run), *self._courses(run))
+
+    def _clocks(self, run: Run) -> Iterator[Nuisance]:
+        emulated = self.system.mode == "emulated"
+        for name, error, std in clock_errors(run, self._stated.clocks, emulated):
+            ports = tuple(p.name for p in self.ports if set(error.signals) & set(p.needs))
+            variant = SystemVariant(self.system, clock=error)
+            yield Nuisance(f"{name} in {run.name}", ports, variant, 1.0, std)
+
+    def _courses(self, run: Run) -> tuple[Nuisance, ...]:
         system = self.system
         if system.mode != "emulated":
             return self._inner_starts(run)
@@ -325,6 +339,9 @@ class SystemMachine:
         self, run: Run, models: Sequence[SystemVariant], ports: Sequence[str]
     ) -> dict[str, Array]:
         """Return (m, ..., T, c) per port, as `Machine.residuals`."""
+        if any(m.clock is not None for m in models):
+            single = [self._of_clock(run, m, ports) for m in models]
+            return {p: np.concatenate([k[p] for k in single]) for p in ports}
         systems = [m.system for m in models]
         residual_of = {
             "wrench": self._wrench,
@@ -358,6 +375,14 @@ class SystemMachine:
                 if "wrench" in ports:
                     out["wrench"][k] -= self._seen_in_wrench(run, without_modes, force)
         return out
+
+    def _of_clock(
+        self, run: Run, model: SystemVariant, ports: Sequence[str]
+    ) -> dict[str, Array]:
+        if model.clock is None:
+            return self.residuals(run, [model], ports)
+        plain = dataclasses.replace(model, clock=None)
+        return self.residuals(model.clock.undone(run), [plain], ports)
 
     # ------------------------------------------------------------------- arm
 

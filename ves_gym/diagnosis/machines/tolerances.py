@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from ves_gym._util.params import ParameterError, require_positive, unit
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.diagnosis.machines.base import Nuisance
+from ves_gym.diagnosis.machines.clocks import ClockTolerance
 
 SCHEMA = "ves-tolerances/1"
 _MEASURED = ("q", "v", "tau", "y", "yd", "w")  # signals of a run log
@@ -43,6 +44,7 @@ class StatedErrors:
     scale: float = 1.0  # of all tolerances
     known: dict[str, float] = field(default_factory=dict)  # tolerance -> standard deviation
     noise: dict[str, float] = field(default_factory=dict)  # signal of the log -> the same
+    clocks: ClockTolerance = field(default_factory=ClockTolerance)
 
     def __post_init__(self) -> None:
         if self.schema != SCHEMA:
