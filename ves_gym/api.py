@@ -339,7 +339,6 @@ def diagnose(
     """
     from ves_gym.diagnosis.data.sanity_checks import require_as_logged
     from ves_gym.diagnosis.diagnose import diagnose as name_missing
-    from ves_gym.diagnosis.inference.model_selection import Thresholds
     from ves_gym.diagnosis.inputs import machine_inputs, system_inputs
 
     single = isinstance(logs, (RunLog, str, os.PathLike))
@@ -370,7 +369,7 @@ def diagnose(
         inputs.runs,
         inputs.final,
         candidates=(*library, *candidates),
-        limits=Thresholds(most=most),
+        most=most,
         progress=progress,
         seed=seed,
     )

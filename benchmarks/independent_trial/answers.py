@@ -62,7 +62,7 @@ LABORATORY = ("platform bandwidth", "sensor gain")  # there alone
 def tolerances(case: dict[str, Any], emulated: bool) -> dict[str, Any]:
     """What `--tolerances` says of a case: errors of the description as they are stated.
 
-    Noise differs by channel and is stated in the logs' metadata; clocks have no place.
+    Noise differs by channel and is stated in the logs' metadata.
     """
     stated = {k: v["sigma"] for k, v in case["tolerance"].items()}
     known = {
@@ -71,7 +71,12 @@ def tolerances(case: dict[str, Any], emulated: bool) -> dict[str, Any]:
         if emulated or name not in LABORATORY
         for pattern in patterns
     }
-    return {"schema": "ves-tolerances/1", "known": known}
+    clocks = {
+        "offset": stated["time between recorders"],
+        "rate": stated["clock rate"],
+        "jitter": stated["jitter of sampling"],
+    }
+    return {"schema": "ves-tolerances/1", "known": known, "clocks": clocks}
 
 
 def answer(folder: Path, out: Path) -> Answer:

@@ -23,9 +23,7 @@ So are the rivals of an answer ("one of {sensor/bias, sensor/rotation}"), at mos
 RIVALS = 3
 
 
-KEPT = (
-    "kind", "slot", "value", "interval", "gain", "strain", "reliability", "probability", "class"
-)  # fmt: skip
+KEPT = ("kind", "slot", "value", "interval", "gain", "probability", "class")
 """What an answer keeps of a name; intervals are of 90 %."""
 
 
@@ -37,7 +35,7 @@ def answer(folder: Path, out: Path) -> dict[str, Any]:
         out: gets the diagnosis.
 
     Returns:
-        Verdict; names, and names withheld, with what is `KEPT`; `closest`, the best that the
+        Verdict; names with what is `KEPT`; `closest`, the best that the
         library can do where there is no name; channels of the run held back that are `worse`;
         `gap`: RMS over noise of each of them before and after; `cpu`: seconds.
     """
@@ -61,13 +59,12 @@ def answer(folder: Path, out: Path) -> dict[str, Any]:
     if done.returncode == 2 or not path.exists():  # refused, or broke down
         error = done.stderr.strip()[-400:]
         said = {"verdict": "refused", "error": error, "cpu": cpu, "gap": {}}
-        return {**said, **{k: [] for k in ("names", "withheld", "closest", "worse")}}
+        return {**said, **{k: [] for k in ("names", "closest", "worse")}}
     found = json.loads(path.read_text("utf-8"))
     last = found["final_after"]
     return {
         "verdict": found["verdict"],
         "names": [{k: name[k] for k in KEPT} for name in found["effects"]],
-        "withheld": [{k: name[k] for k in KEPT} for name in found["withheld"]],
         "closest": [name["name"] for name in found["closest"]],
         "worse": found["worse"],
         "gap": {k: [gap, last[k]] for k, gap in found["final_before"].items()},

@@ -21,6 +21,7 @@ from examples.thesis_weight.diagnose import (
     verdict,
     write_logs,
 )
+from ves_gym.diagnosis.constants import EXCESS
 from ves_gym.diagnosis.diagnose import MORE, UNKNOWN, added
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.gravity import GravityModel, minimal_model
@@ -103,7 +104,7 @@ def test_other_bands_leave_much_without_a_name(files, band):
     found = verdict(MEASURED, files, band=band)
     print(found.verdict, [f.candidate.name for f in found.explanations], stretched(found))
     assert found.verdict in (UNKNOWN, MORE)
-    assert found.remaining > 2 * found.limits.remains
+    assert found.remaining > 2 * EXCESS
 
 
 @pytest.mark.slow

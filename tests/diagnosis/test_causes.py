@@ -48,14 +48,14 @@ def test_a_bias_of_all_six_signals_is_one_cause_and_friction_of_all_joints_anoth
     by_kind = {f.candidate.kind: f for f in found.explanations}
     assert by_kind.keys() == {"sensor/bias", FRICTION}, found.sentence
     bias = [*BIAS.force, *BIAS.moment]
-    assert by_kind["sensor/bias"].values == pytest.approx(bias, abs=0.1)
+    assert by_kind["sensor/bias"].values == pytest.approx(bias, abs=0.2)
     assert by_kind[FRICTION].values == pytest.approx([*VISCOUS, *COULOMB], rel=0.2)
     assert all(signal in found.sentence for signal in WRENCH)
     written = {e.kind: e for e in found.system.effects}
     assert written.keys() == {"joint/viscous", "joint/coulomb", "sensor/bias"}
     assert written["joint/viscous"].damping == pytest.approx(VISCOUS, rel=0.2)
     better = written["sensor/bias"]
-    assert [*better.force, *better.moment] == pytest.approx(bias, abs=0.1)
+    assert [*better.force, *better.moment] == pytest.approx(bias, abs=0.2)
     assert vg.System.from_dict(found.system.to_dict()) == found.system
     before, after = (
         max(getattr(g, side) for g in found.gaps if g.port == "joint")

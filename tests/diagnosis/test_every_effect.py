@@ -21,8 +21,7 @@ from ves_gym.diagnosis.data.measured_run import run_of
 from ves_gym.diagnosis.excitation import excitation_motions
 from ves_gym.diagnosis.inference.candidates import library
 from ves_gym.diagnosis.inference.fit import fit
-from ves_gym.diagnosis.inference.model_selection import Thresholds, _required_gain
-from ves_gym.diagnosis.inference.null_law import NullLaw
+from ves_gym.diagnosis.inference.model_selection import cost
 from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.system import SystemMachine
@@ -171,7 +170,7 @@ def residuals_of(system, log, ports):
 
 
 def seen(residuals, null, candidate, count):
-    """Gain of a candidate at its ports, what it needs to be named, and its numbers.
+    """Evidence for a candidate at its ports, and its numbers.
 
     Args:
         residuals: at the candidate's ports.
@@ -182,8 +181,7 @@ def seen(residuals, null, candidate, count):
     signatures = Signatures(residuals, [candidate])
     score = signatures.scores(null.residual, null.tangents, null.size)[0]
     found = fit(residuals, [candidate], [score.values])
-    needed = _required_gain(residuals, NullLaw(count), Thresholds(), found, 0)
-    return null.deviance - found.deviance, needed, found.values[0]
+    return cost(null, count) - cost(found, count), found.values[0]
 
 
 @functools.cache
@@ -242,13 +240,13 @@ def test_an_effect_of_ten_times_the_noise_is_seen_at_its_port(kind):
     log = played(system, effect)
     assert 8.0 < gap(log, null) < 14.0
     residuals = residuals_of(system, noisy(log), candidate.ports)
-    gained, needed, found = seen(*residuals, candidate, len(every))
-    assert gained > needed
+    evidence, found = seen(*residuals, candidate, len(every))
+    assert evidence > 0
     if numbers is not None:
         clear = numbers != 0
         np.testing.assert_allclose(found[clear], numbers[clear], rtol=ROUGH.get(kind, 0.15))
-    gained, needed, _ = seen(*quiet(system, tuple(candidate.ports)), candidate, len(every))
-    assert gained < needed
+    evidence, _ = seen(*quiet(system, tuple(candidate.ports)), candidate, len(every))
+    assert evidence < 0
 
 
 SILENT = {  # of which test_ports.py and test_admittance.py say the same, if not at every port

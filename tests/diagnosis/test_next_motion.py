@@ -132,24 +132,3 @@ def test_a_motion_is_a_table_for_a_controller(designed):
     assert np.diff(t) == pytest.approx(5e-3) and t[-1] == pytest.approx(4.0)
     assert q == pytest.approx(designed.motion.at(t).q, abs=1e-8)
     assert np.gradient(q, t, axis=0)[5:-5] == pytest.approx(rows[5:-5, 4:], abs=2e-3)
-
-
-@pytest.mark.slow
-def test_a_name_that_is_withheld_gets_the_motion_that_decides_about_it(monkeypatch):
-    """A drive 0.75 % off gains 66: of names that gain so little some are wrong."""
-    motion = Motion.straight([0.3, 0.5, 0.4], [1.2, -0.4, -0.9], 4.0)
-    truth = JointDriveGain(error=(0.0, 0.0075, 0.0))
-    first = measured(motion, 1, (truth,))
-    monkeypatch.setattr(d, "DOUBT", 0.99)  # whoever wants to be surer than usual
-    found, name = diagnosed([first]), "joint/drive_gain at joint 2"
-    assert found.verdict == d.NOTHING and found.explanations == ()
-    assert [f.candidate.name for f in found.withheld] == [name]
-    assert name in found.sentence and found.effects == ()
-    [told] = found.to_dict()["withheld"]
-    assert told["name"] == name and 0.8 < told["reliability"] < 0.99
-    best = next_motion(found, pool=2, rounds=1)
-    assert best.between == (name, f"no {name}") and best.least > CLEAR
-    assert f"decides whether {name} is there: " in best.sentence
-    monkeypatch.undo()
-    after = diagnosed([first, measured(best.motion, 2, (truth,))])
-    assert [f.candidate.name for f in after.explanations] == [name] and not after.withheld

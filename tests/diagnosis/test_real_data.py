@@ -16,7 +16,6 @@ from ves_gym._util.recordings import read_columns
 from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis.data.measured_run import run_of_signals
 from ves_gym.diagnosis.inference.fit import fit
-from ves_gym.diagnosis.inference.model_selection import Thresholds
 from ves_gym.diagnosis.machines.mapping import read_machine
 
 ROOT = Path(__file__).parents[2]
@@ -39,7 +38,7 @@ def test_friction_of_the_emps_axis_is_named():
         [fitted],
         [final],
         candidates=machine.candidates(),
-        limits=Thresholds(most=5),
+        most=5,
     )
     named = {f.candidate.kind: f.values for f in found.explanations}
     assert {"joint/coulomb", "joint/viscous", "joint/asymmetry"} <= set(named)

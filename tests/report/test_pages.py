@@ -59,7 +59,6 @@ def diagnosis():
             for a, b in ((0.0, 1.2), (1.2, 12.0))
         ],
         "closest": [],
-        "withheld": [],
         "when": [
             {"port": p, "channel": c, "run": r, "step": 1.0,
              "before": [9.0, 30.0], "after": [1.0, 1.2]}
@@ -293,12 +292,3 @@ def test_names_cannot_become_markup(diagnosis):
     del plain["overlays"], hostile["overlays"]
     expected, other = (Elements(render_page(r)).tags for r in (plain, hostile))
     assert [tag for tag, _ in expected] == [tag for tag, _ in other]
-
-
-def test_names_that_are_withheld_are_told_and_why(diagnosis):
-    diagnosis["withheld"] = [
-        {**diagnosis["effects"][0], "name": "sensor/lag", "reliability": 0.234}
-    ]
-    text = Elements(render_page(diagnosis)).text
-    assert "most are wrong (share that is right): sensor/lag (23 %)" in text
-    assert "Withheld" not in Elements(render_page({**diagnosis, "withheld": []})).text

@@ -98,7 +98,6 @@ def diagnose(
     from ves_gym.diagnosis import diagnose as d
     from ves_gym.diagnosis.data.sanity_checks import require_as_logged, suspected_mistake
     from ves_gym.diagnosis.inference.cache import AnswerCache
-    from ves_gym.diagnosis.inference.model_selection import Thresholds
     from ves_gym.report.diagnosis import diagnosis_text, write_page
     from ves_gym.report.diagnosis_figures import overlays
 
@@ -127,7 +126,7 @@ def diagnose(
     try:
         diagnosis = d.diagnose(
             inputs.machine, inputs.runs, inputs.final, candidates=inputs.candidates,
-            limits=Thresholds(most=most), progress=at.progress, seed=at.seed, cache=cache,
+            most=most, progress=at.progress, seed=at.seed, cache=cache,
         )  # fmt: skip
     except KeyboardInterrupt:
         say("what is done is kept: run the command again")

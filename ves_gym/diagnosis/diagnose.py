@@ -14,16 +14,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import scipy.stats
 
 from ves_gym._util.params import Array, ParameterError, to_plain, write_result
 from ves_gym._util.views import Viewable
+from ves_gym.diagnosis.constants import ALIKE, EXCESS, NOISE_POWER, POWER, SPREAD, TEMPERATURE
 from ves_gym.diagnosis.data.measured_run import Run, with_shared_colour
 from ves_gym.diagnosis.data.quality import Fault, faults
 from ves_gym.diagnosis.inference.cache import AnswerCache, CachedResiduals
 from ves_gym.diagnosis.inference.candidates import Candidate
-from ves_gym.diagnosis.inference.dependence import Dependence, dependences
-from ves_gym.diagnosis.inference.earned import drop_beaten_by_splines
 from ves_gym.diagnosis.inference.explanations import (
     Experiment,
     RankedCandidate,
@@ -33,50 +31,20 @@ from ves_gym.diagnosis.inference.explanations import (
     ranked,
     residual_over_time,
 )
-from ves_gym.diagnosis.inference.fit import Fit
-from ves_gym.diagnosis.inference.held_back import (
-    CLEAR,
-    drop_refuted_by_holdout,
-    gaps,
-    unexplained_there,
-)
+from ves_gym.diagnosis.inference.fit import Fit, fit_residual
 from ves_gym.diagnosis.inference.held_back import Gap as Gap
-from ves_gym.diagnosis.inference.model_selection import (
-    Rival,
-    Selection,
-    Thresholds,
-    allowed,
-    drop_unidentified,
-    is_computed,
-    select,
-    unexplained,
-)
-from ves_gym.diagnosis.inference.reliability import (
-    COMPUTED,
-    DOUBT,
-    gain,
-    reliability,
-    strain,
-    without,
-)
+from ves_gym.diagnosis.inference.held_back import excess, gaps
+from ves_gym.diagnosis.inference.hypotheses import Hypothesis, beliefs, table
+from ves_gym.diagnosis.inference.model_selection import Rival, Selection, cost, select, without
 from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.slow_noise import slow_noise
-from ves_gym.diagnosis.inference.steadiness import drop_nonstationary
 from ves_gym.diagnosis.inference.tolerance_scale import (
     ToleranceExcess,
     errors_told,
-    selected_with_tolerances,
+    likeliest_scale,
+    scale_price,
 )
 from ves_gym.diagnosis.inference.tolerance_scale import sentence as wider
-from ves_gym.diagnosis.inference.unknown import (
-    LIBRARY,
-    NONE_OF_THESE,
-    beliefs,
-    doubting,
-    evidence,
-    unnamed,
-)
-from ves_gym.diagnosis.inference.unknown import NOTHING as DESCRIBED
 from ves_gym.diagnosis.inference.whitened_residuals import Wander, WhitenedResiduals
 from ves_gym.diagnosis.machines.base import Machine, untestable
 from ves_gym.diagnosis.machines.causes import split
@@ -95,8 +63,6 @@ _LOGGED = {"weight": "wg"}  # a run's own name of a signal -> that in the log
 WIDE = 1.645  # standard deviations to either side of a 90 % interval
 _CLEAR = 1.5  # stated standard deviations from zero; they are twice those of a perfect fit
 _COMPARED = 10  # candidates whose likeness is told
-_FEW = 3  # names that may need a tolerance far off: descriptions state them too narrow
-_CHANCE = 1e-4  # of any tolerance of an exact description lying farther off
 
 Progress = Callable[[float, str], None]
 
@@ -109,8 +75,6 @@ class Explanation:
     values: Array  # (k,)
     std: Array  # (k,)
     gain: float  # deviance that it explains beside the others
-    strain: float  # of the description beside all names, see `reliability.strain`
-    reliability: float  # share of names with such evidence that are right
     probability: float
     rivals: tuple[Rival, ...]  # those that do about as well, itself first
 
@@ -131,17 +95,23 @@ class Diagnosis(Viewable):
     untestable: dict[str, tuple[str, ...]]
     weak: tuple[str, ...]  # candidates that these data could not show
     faults: tuple[Fault, ...]  # of the recording
-    remaining: float  # deviance above that of noise, after
+    remaining: float  # evidence for power beyond any noise stated that is left, see `excess`
     selection: Selection
     residuals: WhitenedResiduals
     signatures: Signatures
-    limits: Thresholds = field(default_factory=Thresholds)
+    table: tuple[Hypothesis, ...] = ()  # the most probable first
     seconds: dict[str, float] = field(default_factory=dict)
-    depends: tuple[Dependence, ...] = ()  # of what has no name, the best curve first
-    beliefs: dict[str, float] = field(default_factory=dict)  # of all hypotheses; their sum is 1
-    unnamed: Fit | None = None  # regression of what has no name, where one holds
     tolerances: float = 1.0  # most probable size of the description's errors, in those stated
-    withheld: tuple[Explanation, ...] = ()  # names that are not right often enough
+
+    @property
+    def beliefs(self) -> dict[str, float]:
+        """Probabilities of all sets of names; their sum is 1."""
+        return beliefs(self.table)
+
+    @property
+    def unnamed(self) -> Fit | None:
+        """The fit with laws that have no name, where the evidence asks for them."""
+        return self.table[0].fit if self.table and self.table[0].unnamed else None
 
     def __repr__(self) -> str:
         return f"<Diagnosis: {self.sentence}>"
@@ -179,7 +149,11 @@ class Diagnosis(Viewable):
     def chance(self) -> float:
         """Chance that the best of all that was looked at gains as much from noise alone."""
         first = self.selection.first
-        return 1.0 if first is None else self.selection.law.chance(first[1], first[0])
+        return (
+            1.0
+            if first is None
+            else self.selection.law.chance(first[1] / TEMPERATURE, first[0])
+        )
 
     @property
     def off(self) -> tuple[ToleranceExcess, ...]:
@@ -198,31 +172,20 @@ class Diagnosis(Viewable):
     def _verdict_in_words(self) -> str:
         names = " and ".join(_named(f) for f in self.explanations)
         why = "".join(f"; {f.sentence}" for f in self.faults)
-        withheld = [f"{f.candidate.name} ({100 * f.reliability:.0f} %)" for f in self.withheld]
-        doubt = (
-            " Not named, as of names with such evidence too few are right:"
-            f" {_abbreviated(withheld)}."
-        )
-        doubt = doubt if withheld else ""
         if self.verdict == NOTHING:
-            return (
-                "Nothing is missing: description and data agree within noise and tolerances."
-                f"{doubt}"
-            )
+            return "Nothing is missing: description and data agree within noise and tolerances."
         if self.verdict == WEAK:
             begin = "There is a disagreement" if self.explanations else "No disagreement"
             return (
                 f"{begin}, but these runs cannot show {_abbreviated(self.weak)}: the excitation"
-                f" is too weak.{doubt}"
+                " is too weak."
             )
         if self.verdict == UNKNOWN:
-            on = "".join(f"; {d.sentence}" for d in self.depends[:1])
-            if self.unnamed is not None:
-                on += _written(self.unnamed.candidates)
-            return f"Something is missing, and it is not in the library{why}{on}.{doubt}"
+            on = "" if self.unnamed is None else _written(self.unnamed.candidates)
+            return f"Something is missing, and it is not in the library{why}{on}."
         if self.verdict == MORE:
-            return f"Missing: {names}; more remains that is not in the library{why}.{doubt}"
-        return f"Missing: {names}.{doubt}"
+            return f"Missing: {names}; more remains that is not in the library{why}."
+        return f"Missing: {names}."
 
 
 def _named(explanation: Explanation) -> str:
@@ -270,7 +233,7 @@ def diagnose(
     final: Sequence[Run] = (),
     *,
     candidates: Sequence[Candidate],
-    limits: Thresholds | None = None,
+    most: int | None = None,
     progress: Progress = lambda done, what: None,
     seed: int = 0,
     cache: AnswerCache | None = None,
@@ -280,9 +243,9 @@ def diagnose(
     Args:
         machine: the description, as parts that each run alone on measured input.
         runs: to fit.
-        final: runs held back; they are opened once, after everything is decided.
+        final: runs held back; they are opened once, after the names are found.
         candidates: the library.
-        limits: thresholds of the verdict; by default those of the sealed benchmark.
+        most: names at most; None: as many as the evidence bears.
         progress: called with the fraction done and the stage.
         seed: of the noise draws.
         cache: answers of the machine on disk, so that an interrupted diagnosis resumes.
@@ -290,7 +253,6 @@ def diagnose(
     Returns:
         The verdict, the effects that explain the gap, and all that it rests on.
     """
-    stated = limits or Thresholds()
     clock = [time.perf_counter()]
     seconds: dict[str, float] = {}
 
@@ -300,6 +262,59 @@ def diagnose(
 
     progress(0.0, "residuals")
     runs, final = with_shared_colour(runs, runs), with_shared_colour(final, runs)
+    residuals, slow = _located(machine, runs, seed, cache)
+    lap("locate")
+    signatures = Signatures(
+        residuals, candidates, lambda done: progress(0.1 + 0.5 * done, "signatures")
+    )
+    lap("screen")
+    found = _named_within_tolerances(
+        residuals, signatures, most, lambda text: progress(0.7, text)
+    )
+    lap("name")
+    progress(0.9, "runs held back")
+    last = None
+    if final:
+        last = WhitenedResiduals(machine, final, seed + 1, slow).with_tolerances(found.scale)
+    residuals, signatures = found.residuals, found.signatures
+    rows = table(found.selection, residuals, last, len(candidates))
+    selection, best = _of_names(found.selection, rows[0]), rows[0]
+    explanations = tuple(
+        _explanation(selection, i, residuals, rows) for i in range(len(selection.rivals))
+    )
+    remaining = _excess(best.fit, residuals)
+    if last is not None:
+        # excess of the runs fitted that does not come again is noise
+        remaining = excess(last, fit_residual(last, best.fit, False))
+    faint = _faint(signatures, best.fit.size)
+    faulty = tuple(f for f in faults(runs) if not _described(f, machine, runs))
+    verdict = _verdict(explanations, bool(best.unnamed) or remaining > EXCESS, faint)
+    if faulty:
+        verdict = _verdict_despite_faults(verdict, faulty, explanations, machine)
+    told = best.fit if verdict in (*NAMING_VERDICTS, UNKNOWN) else selection.null
+    lap("verify")
+    return Diagnosis(
+        verdict=verdict,
+        explanations=explanations,
+        gaps=gaps(residuals, told, selection.null),
+        final=() if last is None else gaps(last, told, selection.null, False),
+        untestable=untestable(machine, runs),
+        weak=tuple(c.name for c in faint),
+        faults=faulty,
+        remaining=remaining,
+        selection=selection,
+        residuals=residuals,
+        signatures=signatures,
+        table=tuple(rows),
+        seconds=seconds,
+        tolerances=found.scale,
+    )
+
+
+def _located(
+    machine: Machine, runs: Sequence[Run], seed: int, cache: AnswerCache | None
+) -> tuple[WhitenedResiduals, Mapping[str, Wander]]:
+    """Return residuals whitened by all of their noise, and what of it wanders."""
 
     def whitened(slow: Mapping[str, Wander]) -> WhitenedResiduals:
         if cache is None:
@@ -308,187 +323,90 @@ def diagnose(
 
     residuals = whitened({})
     slow = slow_noise(residuals)
-    if slow:
-        residuals = whitened(slow)
-    lap("locate")
-    signatures = Signatures(
-        residuals, candidates, lambda done: progress(0.1 + 0.5 * done, "signatures")
-    )
-    lap("screen")
-    judged = selected_with_tolerances(
-        residuals,
-        signatures,
-        lambda r, s: select(r, s, stated, lambda text: progress(0.7, text)),
-        lambda k: (
-            bool(k.fit.candidates)
-            or unexplained(k.fit, residuals, stated.imperfect)
-            > allowed(k.fit, residuals, stated)
-        ),
-    )
-    selection, residuals, signatures = (
-        judged.selection,
-        judged.residuals,
-        judged.signatures,
-    )
-    # what errors far off leave of a linear law grows with their square
-    square = judged.factor**2
-    limits = dataclasses.replace(
-        stated, remains=stated.remains * square, sensed=stated.sensed * square
-    )
-    lap("name")
-    progress(0.9, "runs held back")
-    last = None
-    if final:
-        last = WhitenedResiduals(machine, final, seed + 1, slow).with_tolerances(judged.factor)
-    before_gate = selection.fit.deviance
-    selection = drop_nonstationary(selection, residuals)
-    if last is not None:
-        selection = drop_refuted_by_holdout(selection, residuals, last)
-    selection = drop_unidentified(selection, residuals)
-    # deviance that withdrawn names had explained on the runs fitted
-    doubted = selection.fit.deviance - before_gate
-    unearned: tuple[str, ...] = ()  # names that curves of no shape beat
-    if last is not None:
-        selection, unearned = drop_beaten_by_splines(selection, residuals, last)
-    explained = [
-        _explanation(selection, i, residuals, limits) for i in range(len(selection.rivals))
-    ]
-    trust = [f.reliability for f in explained]
-    doubtful = [i for i, p in enumerate(trust) if p < DOUBT]
-    withheld = tuple(
-        dataclasses.replace(explained[i], probability=explained[i].probability * trust[i])
-        for i in doubtful
-    )
-    before_doubt = selection.fit.deviance
-    selection = without(selection, residuals, doubtful, trust)
-    doubted += selection.fit.deviance - before_doubt
-    reliable = [f for f in explained if f.reliability >= DOUBT]
-    explanations = tuple(
-        dataclasses.replace(f, values=x, std=limits.spread * std)
-        for f, x, std in zip(reliable, selection.fit.values, selection.fit.std, strict=True)
-    )
-    remaining = unexplained(selection.fit, residuals, limits.imperfect)
-    limits = dataclasses.replace(limits, remains=allowed(selection.fit, residuals, limits))
-    tested = {p.name for p in residuals.ports}
-    faint = [
-        c
-        for i, c in enumerate(signatures.candidates)
-        if c.kind in _BASIC
-        and tested & set(c.ports)
-        and _is_faint(signatures, i, selection.fit.size, limits)
-    ]
-    weak = tuple(c.name for c in faint)
-    hidden = any(f.candidate.slot in _motionless_joints(faint) for f in explanations)
-    faulty = tuple(f for f in faults(runs) if not _described(f, machine, runs))
-    gained = selection.null.deviance - selection.fit.deviance
-    share = remaining / max(remaining + gained, 1e-9)
-    verdict = _verdict(explanations, remaining, share, bool(weak), hidden, limits)
-    if (verdict == MORE or len(explanations) > _FEW) and _is_strained(selection.fit):
-        verdict = UNKNOWN
-    if unearned and verdict != UNKNOWN:
-        earned = any(f.candidate.name not in unearned for f in explanations)
-        verdict = MORE if earned else UNKNOWN
-    if faulty:
-        verdict = _verdict_despite_faults(verdict, faulty, explanations, machine)
-    chosen = selection.fit if verdict in NAMING_VERDICTS else selection.null
-    after: tuple[Gap, ...] = ()
-    if last is not None:
-        after = gaps(last, chosen, selection.null, False)
-        much = verdict == MORE and remaining > limits.unexplained_named  # not but a tone beside
-        if much and _remaining_share(after) > limits.held_back:  # names that do not hold
-            verdict, chosen = UNKNOWN, selection.null
-            after = gaps(last, chosen, selection.null, False)
-        there = unexplained_there(last, chosen, limits.imperfect)
-        silent = verdict in (NOTHING, WEAK) and not explanations
-        if silent and (there > stated.remains or doubted > CLEAR):
-            verdict, remaining = UNKNOWN, max(remaining, there)
-    depends: tuple[Dependence, ...] = ()
-    regressed: Fit | None = None
-    if last is not None and verdict == UNKNOWN:
-        depends = dependences(residuals, last, selection.null)
-        regressed = unnamed(residuals, last, selection.null)
-        if regressed is not None:
-            chosen = regressed
-            after = gaps(last, chosen, selection.null, False)
-    before = gaps(residuals, chosen, selection.null)
-    decided = {UNKNOWN: NONE_OF_THESE, NOTHING: DESCRIBED, WEAK: None}.get(verdict, LIBRARY)
-    believed = beliefs(selection, *evidence(selection, remaining, limits), decided, limits)
-    library = 1 - believed[DESCRIBED] - believed[NONE_OF_THESE]
-    explanations = tuple(
-        dataclasses.replace(f, probability=f.probability * library * f.reliability)
-        for f in explanations
-    )
-    doubted_most = min((f.reliability for f in explanations or withheld), default=1.0)
-    believed = doubting(believed, doubted_most)
-    lap("verify")
-    return Diagnosis(
-        verdict=verdict,
-        explanations=explanations,
-        gaps=before,
-        final=after,
-        untestable=untestable(machine, runs),
-        weak=weak,
-        faults=faulty,
-        remaining=remaining,
-        selection=selection,
-        residuals=residuals,
-        signatures=signatures,
-        limits=limits,
-        seconds=seconds,
-        depends=depends,
-        beliefs=believed,
-        unnamed=regressed,
-        tolerances=judged.factor,
-        withheld=withheld,
-    )
+    return (whitened(slow) if slow else residuals), slow
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Names under the more probable of two scales of the tolerances."""
+
+    selection: Selection
+    residuals: WhitenedResiduals
+    signatures: Signatures
+    scale: float = 1.0
+
+
+def _named_within_tolerances(
+    residuals: WhitenedResiduals,
+    signatures: Signatures,
+    most: int | None,
+    report: Callable[[str], None],
+) -> _Found:
+    stated = _Found(select(residuals, signatures, most, report), residuals, signatures)
+    scale = likeliest_scale(stated.selection.null, residuals)
+    if not stated.selection.fit.candidates or scale == 1.0:
+        return stated
+    wide = residuals.with_tolerances(scale)
+    beside = signatures.with_tolerances(wide)
+    other = _Found(select(wide, beside, most, report), wide, beside, scale)
+    library = len(signatures.candidates)
+    price = cost(other.selection.fit, library) + scale_price(scale)
+    return other if price < cost(stated.selection.fit, library) else stated
+
+
+def _of_names(selection: Selection, row: Hypothesis) -> Selection:
+    """Return a selection less the names that the most probable hypothesis does without."""
+    kept = [i for i, c in enumerate(selection.fit.candidates) if c.name in row.names]
+    rivals = tuple(selection.rivals[i] for i in kept)
+    return dataclasses.replace(selection, fit=row.named, rivals=rivals)
 
 
 def _explanation(
-    selection: Selection, i: int, residuals: WhitenedResiduals, limits: Thresholds
+    selection: Selection, i: int, residuals: WhitenedResiduals, rows: Sequence[Hypothesis]
 ) -> Explanation:
-    rivals = selection.rivals[i]
-    near = tuple(r for r in rivals if r.cost - rivals[0].cost < limits.alike)
-    first = rivals[0]
-    p = sum(r.probability for r in rivals if r.candidate.kind == first.candidate.kind)
-    std = limits.spread * selection.fit.std[i]
-    gained = gain(residuals, selection.fit, i)
-    strained = strain(residuals, selection.fit)
-    trust = COMPUTED if is_computed(first.candidate) else reliability(gained, strained)
-    values = selection.fit.values[i]
-    return Explanation(first.candidate, values, std, gained, strained, trust, p, near)
+    rivals, found = selection.rivals[i], selection.fit
+    candidate = found.candidates[i]
+    near = tuple(r for r in rivals if r.cost - rivals[0].cost < ALIKE)
+    of_kind = sum(r.probability for r in rivals if r.candidate.kind == candidate.kind)
+    there = sum(r.probability for r in rows if candidate.name in r.names)
+    gained = without(residuals, found, i).deviance - found.deviance
+    return Explanation(
+        candidate, found.values[i], SPREAD * found.std[i], gained, of_kind * there, near
+    )
+
+
+def _excess(f: Fit, residuals: WhitenedResiduals) -> float:
+    """Return the evidence for power beyond any noise that was stated in what a fit leaves."""
+    n = np.array([g.n for g in residuals.groups], float)
+    return float((n * np.log(np.maximum(f.size / NOISE_POWER, 1.0))).sum())
 
 
 def _verdict(
-    explanations: Sequence[Explanation],
-    remaining: float,
-    share: float,
-    weak: bool,
-    hidden: bool,
-    limits: Thresholds,
+    explanations: Sequence[Explanation], more: bool, faint: Sequence[Candidate]
 ) -> str:
-    if hidden:
+    """Return the verdict on names and on what is missing beside them."""
+    if any(f.candidate.slot in _motionless_joints(faint) for f in explanations):
         return WEAK
-    if remaining > limits.remains and (not explanations or share > limits.explained):
-        return UNKNOWN
     if not explanations:
-        return WEAK if weak else NOTHING
-    if remaining > limits.unexplained_named:
+        return UNKNOWN if more else WEAK if faint else NOTHING
+    if more:
         return MORE
     return ONE_OF if any(len(f.kinds) > 1 for f in explanations) else NAMED
 
 
-def _is_strained(f: Fit) -> bool:
-    """Return True if a tolerance is farther off than chance would have it.
+def _faint(signatures: Signatures, size: Array) -> list[Candidate]:
+    """Return basic effects that these runs could not show."""
+    tested = {p.name for p in signatures.residuals.ports}
+    return [
+        c
+        for i, c in enumerate(signatures.candidates)
+        if c.kind in _BASIC and tested & set(c.ports) and _is_faint(signatures, i, size)
+    ]
 
-    Names that leave more, or many names, that need that beside them imitate something else.
-    """
-    chance = scipy.stats.norm.isf(_CHANCE / (2 * len(f.nuisances)))
-    return bool((np.abs(f.nuisances) > chance).any())
 
-
-def _is_faint(signatures: Signatures, i: int, size: Array, limits: Thresholds) -> bool:
+def _is_faint(signatures: Signatures, i: int, size: Array) -> bool:
     """Return True if candidate i, of its usual size, would not show in these runs."""
-    return max(signatures.visible(i), signatures.visible_above(i, size)) < limits.power
+    return max(signatures.visible(i), signatures.visible_above(i, size)) < POWER
 
 
 def _motionless_joints(faint: Sequence[Candidate]) -> set[str]:
@@ -521,28 +439,16 @@ def _verdict_despite_faults(
     return MORE if verdict in NAMING_VERDICTS and not all(f.shared for f in faulty) else verdict
 
 
-def _remaining_share(gaps: Sequence[Gap]) -> float:
-    """Return the part of the gap above noise that is left, all channels together."""
-    before, after = (
-        sum(max(getattr(g, side) ** 2 - 1, 0.0) for g in gaps) for side in ("before", "after")
-    )
-    return after / before if before else 0.0
-
-
 def added(diagnosis: Diagnosis) -> tuple[Any, ...]:
     """Return the effects that a better description has; the course of a drift becomes its size.
 
     Where there is no name, the best that the library can do is not added; a torque that holds
     on the runs held back is, as `joint/unknown`.
     """
-    if diagnosis.unnamed is not None:
-        return diagnosis.unnamed.effects
-    if diagnosis.verdict not in NAMING_VERDICTS:
+    if diagnosis.verdict not in (*NAMING_VERDICTS, UNKNOWN):
         return ()
-    return tuple(
-        e.effect if isinstance(e, SlowPath) else e
-        for e in split(diagnosis.selection.fit.effects)
-    )
+    found = diagnosis.unnamed or diagnosis.selection.fit
+    return tuple(e.effect if isinstance(e, SlowPath) else e for e in split(found.effects))
 
 
 def plain(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -559,18 +465,16 @@ def plain(diagnosis: Diagnosis) -> dict[str, Any]:
     tried = experiments(
         diagnosis.signatures,
         diagnosis.selection,
-        diagnosis.limits.alike,
+        ALIKE,
         list(diagnosis.untestable),
     )
     effects = [_explanation_to_plain(f) for f in diagnosis.explanations]
-    withheld = [_explanation_to_plain(f) for f in diagnosis.withheld]
     unknown = diagnosis.verdict == UNKNOWN
     return {
         "verdict": diagnosis.verdict,
         "sentence": diagnosis.sentence,
         "effects": [] if unknown else effects,
         "closest": effects if unknown else [],  # the best the library can do: no names
-        "withheld": withheld,
         "ranking": [_ranked_to_plain(r, diagnosis) for r in ranking],
         "likeness": {
             "names": names,
@@ -586,11 +490,12 @@ def plain(diagnosis: Diagnosis) -> dict[str, Any]:
         ),
         "null": _null_to_plain(diagnosis),
         "hypotheses": diagnosis.beliefs,
+        "table": [_row_to_plain(row) for row in diagnosis.table],
         "unknown": [] if diagnosis.unnamed is None else list(map(to_plain, diagnosis.effects)),
         "tolerances": diagnosis.tolerances,
         "off": [dataclasses.asdict(e) for e in diagnosis.off],
         "remaining": diagnosis.remaining,
-        "remaining_allowed": diagnosis.limits.remains,
+        "remaining_allowed": EXCESS,
         "gap_before": {f"{g.port}/{g.channel}": g.before for g in diagnosis.gaps},
         "gap_after": {f"{g.port}/{g.channel}": g.after for g in diagnosis.gaps},
         "gap_intervals": _intervals(diagnosis.gaps),
@@ -604,9 +509,6 @@ def plain(diagnosis: Diagnosis) -> dict[str, Any]:
             port: [_LOGGED.get(k, k) for k in lacks]
             for port, lacks in diagnosis.untestable.items()
         },
-        "depends": [
-            {**dataclasses.asdict(d), "sentence": d.sentence} for d in diagnosis.depends
-        ],
         "weak": list(diagnosis.weak),
         "faults": [{**dataclasses.asdict(f), "sentence": f.sentence} for f in diagnosis.faults],
         "steps": diagnosis.selection.steps,
@@ -627,6 +529,17 @@ def _null_to_plain(diagnosis: Diagnosis) -> dict[str, Any]:
         "sentence": f"Of the library {name or 'nothing'} gains most, {gain:.3g} in deviance:"
         f" the chance that the best of {tried} gains as much from noise is"
         f" {diagnosis.chance:.2g}.",
+    }
+
+
+def _row_to_plain(row: Hypothesis) -> dict[str, Any]:
+    """A row of the table; evidence is -2 log p."""
+    return {
+        "names": list(row.names),
+        "unnamed": list(row.unnamed),
+        "fitted": row.fitted,
+        "held_back": row.held_back,
+        "probability": row.probability,
     }
 
 
@@ -653,8 +566,6 @@ def _explanation_to_plain(f: Explanation) -> dict[str, Any]:
         "interval": dict(zip(c.names, _intervals_90(f), strict=True)),  # 90 %
         "unit": dict(zip(c.names, c.units, strict=True)),
         "gain": f.gain,
-        "strain": f.strain,
-        "reliability": f.reliability,
         "probability": f.probability,
         "class": [r.candidate.name for r in f.rivals],
     }
@@ -703,9 +614,7 @@ def _experiment_to_plain(e: Experiment) -> dict[str, Any]:
 def _residual_map(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """Mean square of every group, in variances of noise, before and after."""
     ports = {p.name: p for p in diagnosis.residuals.ports}
-    null = fit = diagnosis.selection.null.size
-    if diagnosis.verdict != UNKNOWN:
-        fit = diagnosis.selection.fit.size
+    null, fit = diagnosis.selection.null.size, diagnosis.selection.fit.size
     return [
         {
             "port": g.port,

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
+from ves_gym.diagnosis.constants import ALIKE
 from ves_gym.diagnosis.data.measured_run import Run, run_of
 from ves_gym.diagnosis.diagnose import NAMING_VERDICTS, NOTHING, WEAK, Diagnosis
 from ves_gym.diagnosis.excitation import drawn_motion, drawn_series, within_limits
 from ves_gym.diagnosis.inference.candidates import Candidate
-from ves_gym.diagnosis.inference.fit import fit
 from ves_gym.diagnosis.inference.separation import (
     Hypothesis,
     hypothesis,
@@ -75,12 +75,8 @@ class NextMotion:
                 f" hand, once more: {self.at_hand:.1f})."
             )
         decides = "decides" if self.least >= CLEAR else "helps to decide"
-        first, *others = self.between
-        what = f"between {', '.join(self.between)}"
-        if others == [_absent(first)]:
-            what = f"whether {first} is there"
         return (
-            f"{m} {decides} {what}: any two answers are expected"
+            f"{m} {decides} between {', '.join(self.between)}: any two answers are expected"
             f" {self.least:.1f} standard deviations apart and more after one run (after the"
             f" best of the motions at hand, once more: {self.at_hand:.1f})."
         )
@@ -143,8 +139,7 @@ def next_motion(
         progress: called with the fraction done.
 
     Returns:
-        The motion; None where nothing is open: no rivals, no name withheld, and nothing too
-        weak.
+        The motion; None where nothing is open: no rivals, and nothing too weak.
 
     Raises:
         ParameterError: the machine is no `System`, or no motion keeps its limits.
@@ -346,25 +341,9 @@ def _search_of(diagnosis: Diagnosis) -> _Search | None:
         return None
     for place, explanation in enumerate(diagnosis.explanations):
         if len(explanation.kinds) > 1:
-            rivals = rival_hypotheses(
-                residuals, selection, place, diagnosis.limits.alike, _RIVALS
-            )
+            rivals = rival_hypotheses(residuals, selection, place, ALIKE, _RIVALS)
             return _Search(diagnosis, rivals, ())
-    for doubted in diagnosis.withheld[:1]:  # is it there, or not?
-        without, name = selection.fit, doubted.candidate.name
-        candidates = [*without.candidates, doubted.candidate]
-        there = fit(residuals, candidates, [*without.values, doubted.values])
-        rivals = [
-            hypothesis(residuals, there, name),
-            hypothesis(residuals, without, _absent(name)),
-        ]
-        return _Search(diagnosis, rivals, ())
     return None
-
-
-def _absent(name: str) -> str:
-    """Name of the hypothesis that an effect is not there."""
-    return f"no {name}"
 
 
 def _lockstep(

@@ -112,7 +112,7 @@ def _tiles(result: Result) -> str:
 
 
 def _missing(result: Result) -> str:
-    effects, end = result["effects"] or result["closest"], _withheld(result) + _designed(result)
+    effects, end = result["effects"] or result["closest"], _designed(result)
     named, rows = result["verdict"] != UNKNOWN, []
     if not effects:
         return f"<p>{_NO_EFFECT[named]}</p>{end}"
@@ -151,22 +151,8 @@ _NO_NAME = (
 )
 _INTERVALS = (
     "Intervals are of the fit with tolerances carried along. The probability is that of the"
-    " kind among everything that could stand in its place, times how often a name with such"
-    " evidence is right."
+    " kind among everything that could stand in its place, and of the name being there at all."
 )
-
-
-def _withheld(result: Result) -> str:
-    """Names that are not printed as found, and how often such names are right."""
-    names = ", ".join(
-        f"{escaped(k['name'])} ({100 * k['reliability']:.0f} %)" for k in result["withheld"]
-    )
-    if not names:
-        return ""
-    return (
-        '<p class="note">Withheld, since of names with such evidence most are wrong (share that'
-        f" is right): {names}.</p>"
-    )
 
 
 def _designed(result: Result) -> str:
@@ -266,7 +252,7 @@ def _gaps(result: Result) -> dict[str, str]:
     head = ("port", "channel", "before", "after", "of the gap above noise removed")
     return {
         "runs": escaped(runs),
-        "remaining": f"{result['remaining']:.0f} in deviance on the runs that were fitted:"
+        "remaining": f"{result['remaining']:.0f} in deviance beyond twice the noise stated:"
         f" {within} the {result['remaining_allowed']:.0f}",
         "gaps": html_table(head, rows, numbers=(2, 3, 4), kind="narrow"),
     }
@@ -420,11 +406,6 @@ def diagnosis_text(diagnosis: Diagnosis, result: Mapping[str, Any]) -> str:
             for name, value, std, unit in rows
         )
         lines.append(f"  {f.candidate.name}: {numbers} (90 %), p = {f.probability:.2f}")
-    for f in diagnosis.withheld:
-        lines.append(
-            f"  withheld: {f.candidate.name}; of names with such evidence"
-            f" {100 * f.reliability:.0f} % are right"
-        )
     lines.append(_gap_table(diagnosis, result["held_back"]))
     if result["worse"]:
         lines.append(f"worse by more than 2 %: {', '.join(result['worse'])}")

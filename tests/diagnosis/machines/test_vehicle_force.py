@@ -18,8 +18,7 @@ from ves_gym.diagnosis.data.measured_run import run_of, run_of_signals
 from ves_gym.diagnosis.diagnose import NOTHING, WEAK
 from ves_gym.diagnosis.inference.candidates import library
 from ves_gym.diagnosis.inference.fit import fit
-from ves_gym.diagnosis.inference.model_selection import Thresholds, _required_gain
-from ves_gym.diagnosis.inference.null_law import NullLaw
+from ves_gym.diagnosis.inference.model_selection import cost
 from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.inputs import system_inputs
@@ -344,7 +343,7 @@ def test_the_stiffness_of_a_base_is_what_its_port_says(name):
 
 
 def gained(candidate_kind, *effects, machine_type=SystemMachine):
-    """Gain of a kind at its ports, what it needs to be named, its number, its deviation."""
+    """Gain of a kind at its ports, evidence for it, its number, its deviation."""
     machine, runs = machine_type(BENT), [run_of_noisy(BENT, *effects)]
     every = library(3, [p.name for p in machine.ports], "ideal", ["run"], system=BENT)
     candidate = next(c for c in every if c.kind == candidate_kind)
@@ -353,8 +352,8 @@ def gained(candidate_kind, *effects, machine_type=SystemMachine):
     null = fit(residuals, (), ())
     score = Signatures(residuals, [candidate]).scores(null.residual, null.tangents, null.size)
     found = fit(residuals, [candidate], [score[0].values])
-    needed = _required_gain(residuals, NullLaw(len(every)), Thresholds(), found, 0)
-    return null.deviance - found.deviance, needed, found.values[0][0], found.std[0][0]
+    evidence = cost(null, len(every)) - cost(found, len(every))
+    return null.deviance - found.deviance, evidence, found.values[0][0], found.std[0][0]
 
 
 @pytest.mark.parametrize(
@@ -369,9 +368,9 @@ def gained(candidate_kind, *effects, machine_type=SystemMachine):
 def test_what_is_seen_through_a_noisy_pose(effect, number, deviation):
     """Without the estimate the base's numbers are told half as well, and a payload less."""
     before = gained(effect.kind, effect, machine_type=Plain)
-    gain, needed, value, std = gained(effect.kind, effect)
+    gain, evidence, value, std = gained(effect.kind, effect)
     assert gain > before[0] and std < before[3]
-    assert gain > needed and value == pytest.approx(number, abs=3 * deviation)
+    assert evidence > 0 and value == pytest.approx(number, abs=3 * deviation)
     assert std < deviation
-    gain, needed, _, _ = gained(effect.kind)
-    assert gain < needed
+    _, evidence, _, _ = gained(effect.kind)
+    assert evidence < 0

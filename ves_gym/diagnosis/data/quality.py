@@ -19,6 +19,7 @@ from ves_gym.diagnosis.data.measured_run import COMMANDED, MEASURED, Run
 _SHARE = 0.01  # of samples that repeat, above what chance has: lost
 _TONE = 30.0  # power over that of its neighbours; the highest of 10^5 in noise have 12
 _NEIGHBOURS = 61  # frequencies
+_LINE = 1.5  # of a line's variance is what its highest frequency has under a Hann window
 _SEEN = 8.0  # the same, of a tone that is known from another signal
 _GRID = np.linspace(0.06, 0.5, 2000)  # frequencies, of the sampling rate; below is motion
 
@@ -69,9 +70,10 @@ def _tones(runs: Sequence[Run], name: str) -> Array:
         x = run[name]
         f, power = scipy.signal.periodogram(x, window="hann", detrend="linear", axis=0)
         around = scipy.ndimage.median_filter(power, size=(_NEIGHBOURS, 1)) / np.log(2)
-        ratio = scipy.ndimage.maximum_filter(
-            power / np.maximum(around, 1e-30 + 1e-12 * power.max(axis=0)), size=(3, 1)
-        )
+        ratio = power / np.maximum(around, 1e-30 + 1e-12 * power.max(axis=0))
+        if name in run.meta.get("noise_std", {}):  # a line within the noise stated is none
+            ratio[_LINE * power * f[1] < run.noise[name].std ** 2] = 1.0
+        ratio = scipy.ndimage.maximum_filter(ratio, size=(3, 1))
         heights.append(
             np.stack([np.interp(_GRID, f, ratio[:, i]) for i in range(x.shape[1])], axis=1)
         )

@@ -90,7 +90,13 @@ class CachedResiduals(WhitenedResiduals):
         slow: Mapping[str, Wander] | None = None,
     ) -> None:
         self._cache = cache
-        self._name = content_hash([seed, [digest_of(run) for run in runs], {k: (w.share, w.memory) for k, w in (slow or {}).items()}])
+        self._name = content_hash(
+            [
+                seed,
+                [digest_of(run) for run in runs],
+                {k: (w.share, w.memory) for k, w in (slow or {}).items()},
+            ]
+        )
         super().__init__(machine, runs, seed, slow)
 
     def at_port(self, port: str, models: Sequence[Any]) -> Array:

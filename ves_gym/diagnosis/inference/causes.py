@@ -31,7 +31,7 @@ def single_parts(
         most: effects to name at most.
     """
     by_name = {(c.kind, c.slot): c for c in library}
-    choice = 2 * float(np.log(len(library)))
+    choice = 2 * float(np.log(len(library)))  # of a name
     for i, cause in enumerate(current.candidates):
         there = [k for k in np.flatnonzero(current.clear(i)) if cause.parts]
         parts = [by_name[cause.parts[k]] for k in there if cause.parts[k] in by_name]
@@ -47,11 +47,7 @@ def single_parts(
                 *current.values[i + 1 :],
             ),
         )
-        before, after = (
-            f.deviance
-            + sum(f.price(j, residuals.size) + choice for j in range(len(f.candidates)))
-            for f in (current, single)
-        )
+        before, after = (f.evidence + choice * len(f.candidates) for f in (current, single))
         if after < before and all(single.is_told(i + j) for j in range(len(parts))):
             return single_parts(residuals, library, single, most)
     return current

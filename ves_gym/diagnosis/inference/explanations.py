@@ -14,6 +14,7 @@ import numpy as np
 import scipy
 
 from ves_gym._util.params import Array, Index
+from ves_gym.diagnosis.constants import TEMPERATURE
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.fit import Fit, evaluate_residuals, fit
 from ves_gym.diagnosis.inference.intervals import stretches
@@ -135,7 +136,7 @@ def ranked(
                 screen=null.deviance - s.deviance if scored else None,
                 gain=gain,
                 error=error,
-                chance=law.chance(gain, candidate),
+                chance=law.chance(gain / TEMPERATURE, candidate),
             )
         )
     return out

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.inference.candidates import Candidate
+from ves_gym.diagnosis.inference.evidence import CLEAR, laplace
 from ves_gym.diagnosis.inference.variance_groups import Solution, products, solve
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.system.effect import Effect
@@ -21,7 +21,6 @@ _MORE, _FAR = 40, 10.0  # rounds of a fit whose last one gained so much in devia
 _UNSEEN = 1e-3  # of a whitened residual, by all of a number's range
 _TORQUES = ("joint",)  # ports of a law that is a torque at joints, and no more
 _REMEMBERED = 600  # residuals of a port
-_CLEAR = 3.0  # standard deviations from zero
 # What repeats turns and changes its curvature within any half a period: with a margin, so much
 # of one tells it from curves that do neither, such as a spring that hardens.
 _PERIODS = 2 / 3
@@ -44,23 +43,7 @@ class Fit:
     residual: Array  # (N,)
     tangents: Array  # (N, b + sum of k); other forms of the effects first
     forms: Array = field(default_factory=lambda: np.zeros(0))  # (b,) share of each other form
-
-    def price(self, i: int, size: int) -> float:
-        """Return the cost in deviance of the numbers of the effect in place i.
-
-        Bayesian information criterion; for the choice of some coordinates among several that
-        of Chen and Chen (Biometrika 95, 2008).
-
-        Args:
-            i: place.
-            size: count of whitened numbers that were fitted.
-        """
-        candidate, count = self.candidates[i], self.candidates[i].price
-        choice = 0.0
-        if candidate.sparse:
-            count = max(count, int(np.count_nonzero(self.clear(i))))
-            choice = 2 * float(np.log(math.comb(candidate.k, count)))
-        return count * float(np.log(size)) + choice
+    evidence: float = np.inf  # -2 log p(data), the choice of names not counted
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -91,15 +74,9 @@ class Fit:
         periods = self.candidates[i].periods
         return not self.on_bound(i) and (periods is None or periods(self.values[i]) >= _PERIODS)
 
-    def is_usual(self, i: int) -> bool:
-        """Return True if the effect in place i has its law's usual form, or nearly so."""
-        first = sum(len(c.blurs) for c in self.candidates[:i])
-        shares = self.forms[first : first + len(self.candidates[i].blurs)]
-        return bool((np.abs(shares) <= _CLEAR).all())
-
     def clear(self, i: int) -> Array:
         """Return (k,) which numbers of the effect in place i are clearly not zero."""
-        return np.asarray(np.abs(self.values[i]) > _CLEAR * self.std[i])
+        return np.asarray(np.abs(self.values[i]) > CLEAR * self.std[i])
 
 
 def fit(
@@ -118,8 +95,10 @@ def fit(
     if not candidates:
         none = np.zeros((residuals.length, 0))
         solution = solve(products(residuals, residuals.null, none), p)
+        likely = laplace(solution.deviance, solution.covariance, solution.x, (), (), ())
         return Fit(
-            (), (), solution.deviance, (), solution.size, solution.x, residuals.null, none
+            *((), (), solution.deviance, (), solution.size, solution.x, residuals.null, none),
+            evidence=likely,
         )
     low = np.concatenate([c.low for c in candidates])
     high = np.concatenate([c.high for c in candidates])
@@ -192,16 +171,20 @@ def fit(
         S = tangents(x, z, B, current.x[p:])
         solution = solve(products(residuals, z, np.hstack([B, S])), b, low - x, high - x)
     deviation = np.sqrt(np.maximum(np.diag(solution.covariance)[b:], 0.0))
+    values, std = tuple(np.split(x, edges)), tuple(np.split(deviation, edges))
     return Fit(
         candidates=tuple(candidates),
-        values=tuple(np.split(x, edges)),
+        values=values,
         deviance=current.deviance,
-        std=tuple(np.split(deviation, edges)),
+        std=std,
         size=current.size,
         nuisances=current.x[:p],
         residual=z,
         tangents=np.hstack([B, S]),
         forms=current.x[p:],
+        evidence=laplace(
+            current.deviance, solution.covariance, current.x, candidates, values, std
+        ),
     )
 
 

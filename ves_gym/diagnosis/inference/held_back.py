@@ -1,10 +1,4 @@
-"""Runs held back decide: names that they contradict are withdrawn, silence that they contradict
-is no silence.
-
-A name has been chosen among a whole library by its gain on the runs fitted. On runs that no fit
-has seen nothing was chosen: an effect that is there gains again, in proportion to the runs'
-length, and one that is not there, or has numbers of its own in every run, loses.
-"""
+"""What a fit leaves of runs, those that it was fitted to or others, channel by channel."""
 
 from __future__ import annotations
 
@@ -14,22 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from ves_gym._util.params import Array
+from ves_gym.diagnosis.constants import NOISE_POWER
 from ves_gym.diagnosis.inference.fit import Fit, fit_residual
 from ves_gym.diagnosis.inference.intervals import intervals, stretches
-from ves_gym.diagnosis.inference.model_selection import Selection, reduced_selection
 from ves_gym.diagnosis.inference.variance_groups import (
     deviance,
-    deviances,
     likely_sizes,
     limits_of,
     sizes,
 )
 from ves_gym.diagnosis.inference.whitened_residuals import VarianceGroup, WhitenedResiduals
 
-CLEAR = (
-    100.0  # gain on the runs fitted that is no chance, though runs held back have none of it
-)
-LOSS = 2.0  # of deviance: less is no contradiction, as where a limit is not reached
 WORSE = 1.02  # of its gap before, or of noise: a channel that is worse
 
 
@@ -56,11 +45,6 @@ class Gap:
         """True where the effects added spoil this channel."""
         return self.ratio > WORSE
 
-    @property
-    def surely_worse(self) -> bool:
-        """True where it is worse and its interval has no place for being as good."""
-        return self.worse and self.ratio_interval[0] > 1.0
-
 
 def gaps(
     residuals: WhitenedResiduals, after: Fit, before: Fit, fitted: bool = True
@@ -86,105 +70,6 @@ def gaps(
             old, new, ratio = intervals(count, sums, noise)
             out.append(Gap(port.name, channel, rms[0], rms[1], old, new, ratio, noise))
     return tuple(out)
-
-
-def drop_refuted_by_holdout(
-    selection: Selection, residuals: WhitenedResiduals, last: WhitenedResiduals
-) -> Selection:
-    """Return the selection less the names that runs held back contradict.
-
-    A name is contradicted where the runs held back are more probable without it, or where its
-    port has a channel that is surely worse. One whose course is another in every run (a drift)
-    has no numbers to hold, and a limit that is not reached gains and loses nothing.
-
-    Args:
-        selection: found on the runs fitted.
-        residuals: of those.
-        last: of the runs held back.
-    """
-    while selection.fit.candidates:
-        losses = _losses(selection, residuals, last)
-        worst = max(range(len(losses)), key=losses.__getitem__)
-        spoilt = {
-            g.port for g in gaps(last, selection.fit, selection.null, False) if g.surely_worse
-        }
-        hurt = [i for i, c in enumerate(selection.fit.candidates) if spoilt & set(c.ports)]
-        if losses[worst] > LOSS:
-            out, why = worst, f"{losses[worst]:.1f} of deviance worse with it"
-        elif hurt:
-            out = max(hurt, key=losses.__getitem__)
-            why = f"worse by more than {100 * (WORSE - 1):.0f} % at {', '.join(sorted(spoilt))}"
-        else:
-            break
-        name = selection.fit.candidates[out].name
-        selection = reduced_selection(
-            residuals, selection, out, f"{name}: withdrawn, runs held back are {why}"
-        )
-    return selection
-
-
-def unexplained_there(last: WhitenedResiduals, fit: Fit, imperfect: float) -> float:
-    """Return the deviance above that of noise which a fit leaves on runs held back.
-
-    Args:
-        last: of those runs.
-        fit: found on others.
-        imperfect: mean square that is still taken for noise.
-    """
-    n, *others = group_squares(last, fit_residual(last, fit, False))
-    size = sizes(n, *others)
-    return float((n * np.log(np.maximum(size / imperfect, 1.0))).sum())
-
-
-def losses(last: WhitenedResiduals, full: Fit, reduced: Fit) -> float:
-    """Return by how much the runs held back are less probable with one fit than another.
-
-    Args:
-        last: of those runs.
-        full, reduced: fits found on others.
-    """
-    return likeliness(last, fit_residual(last, full, False)) - likeliness(
-        last, fit_residual(last, reduced, False)
-    )
-
-
-def _losses(
-    selection: Selection, residuals: WhitenedResiduals, last: WhitenedResiduals
-) -> list[float]:
-    """Return by how much the runs held back are less probable with each name than without."""
-    out = []
-    for i, candidate in enumerate(selection.fit.candidates):
-        if candidate.counts is not None:  # a course of its own in every run
-            out.append(0.0)
-            continue
-        without = reduced_selection(residuals, selection, i, "").fit
-        out.append(_contradiction(last, selection.fit, without))
-    return out
-
-
-def _contradiction(last: WhitenedResiduals, full: Fit, reduced: Fit) -> float:
-    """Return by how much the runs held back contradict what one fit has beyond another.
-
-    A model passes noise of the motion on to one port and takes it from another. How much is
-    expected from draws, and these runs have another: a group that grew by no more than it was
-    to, or did not shrink by as much, contradicts nothing. So each counts by the noise that it
-    was expected to leave or by its squares alone, whichever is less. Here it has no price: that
-    a soft gear makes more noise of a torque was weighed on the runs fitted, and a slow run,
-    which shows little of the gear, is not likelier without one for being quieter.
-
-    Args:
-        last: of those runs.
-        full, reduced: fits found on others.
-    """
-    parts = []
-    for f in (full, reduced):
-        n, squares, noise = group_squares(last, fit_residual(last, f, False))
-        most, least = np.maximum(noise, n), limits_of(last.groups)[1]
-        parts.append(
-            [deviances(n, likely_sizes(n, squares, k, most, least)) for k in (noise, n)]
-        )
-    differences = np.subtract(parts[0], parts[1])
-    return float(differences.min(axis=0).sum())
 
 
 def likeliness(last: WhitenedResiduals, remainders: Array) -> float:
@@ -222,3 +107,14 @@ def group_squares(
             )
     noise = np.maximum(noise, 0.05 * n)
     return n, squares, noise
+
+
+def excess(residuals: WhitenedResiduals, remainders: Array) -> float:
+    """Return the evidence for power beyond any noise that was stated [deviance].
+
+    Args:
+        residuals: of runs.
+        remainders: (N,) what is left of them.
+    """
+    n, *others = group_squares(residuals, remainders)
+    return float((n * np.log(np.maximum(sizes(n, *others) / NOISE_POWER, 1.0))).sum())

@@ -11,7 +11,6 @@ of what is best among everything that was looked at, correlations and grids of s
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +23,7 @@ from ves_gym.diagnosis.inference.signatures import Signatures
 _DRAWS = 2000
 _TAIL = 20  # draws below which the tail goes on as that of independent tests
 _UNSEEN = 1e-5  # of a signature's square that tolerances leave: single precision holds no less
+_NOTHING = 1e-6  # variances of noise: what an effect of its usual size must do to be looked at
 _JITTER = 1e-5
 
 
@@ -49,20 +49,6 @@ class NullLaw:
             p = (np.searchsorted(self.least, a, side="right") + 1) / (len(self.least) + 1)
         return float(min(p, 1.0))
 
-    def gain(self, chance: float, candidate: Candidate) -> float:
-        """Return the gain in deviance at which that chance is reached.
-
-        Args:
-            chance: family-wise.
-            candidate: that gains it.
-        """
-        edge, alike = self._edge()
-        a = max(-np.expm1(np.log1p(-chance) / alike), chance / self.tests)
-        if a > edge:
-            a = float(np.quantile(self.least, chance))
-        a = min(a / _tail(candidate), 1.0)
-        return float(scipy.stats.chi2.isf(a, _numbers(candidate)))
-
     def _edge(self) -> tuple[float, float]:
         """Tail probability where the draws get few, and independent tests that have as many."""
         if len(self.least) <= _TAIL:
@@ -84,8 +70,9 @@ def null_law(
     """
     curvature, covariance = signatures.score_law(size)
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    raw = signatures.squares(size)
-    observable = np.flatnonzero((np.diag(curvature) > _UNSEEN * raw) & (scale > 0))
+    square = np.diag(curvature)
+    beyond = square > _UNSEEN * signatures.squares(size)
+    observable = np.flatnonzero(beyond & (square * signatures.usual**2 > _NOTHING))
     if not len(observable):
         return NullLaw(max(len(signatures.blocks), 1))
     C = covariance[np.ix_(observable, observable)] / np.outer(
@@ -117,16 +104,6 @@ def null_law(
         tail = _tail(candidate) * scipy.stats.chi2.sf(gain, _numbers(candidate))
         least = np.minimum(least, np.where(gain > 0, tail, 1.0))
     return NullLaw(tests, tuple(np.sort(least).tolist()))
-
-
-def best_chance(law: NullLaw, gains: Iterable[tuple[float, Candidate]]) -> float:
-    """Return the family-wise chance of the least likely of some gains; 1 without any.
-
-    Args:
-        law: of the library.
-        gains: in deviance, each with its candidate.
-    """
-    return min((law.chance(gain, c) for gain, c in gains), default=1.0)
 
 
 def _numbers(candidate: Candidate) -> int:

@@ -70,6 +70,7 @@ class Signatures:
     ) -> None:
         self.residuals, self.candidates = residuals, tuple(candidates)
         self.blocks: list[SignatureBlock] = []
+        usual: list[float] = []
         queue: dict[tuple[str, ...], list[tuple[int, Candidate, Array, float]]] = {}
         at = 0
         for i, candidate in enumerate(self.candidates):
@@ -80,9 +81,11 @@ class Signatures:
                     values[[m for m in factors if m != k]] = 0.0
                     entry = (at + j, candidate, values, start[k])
                     queue.setdefault(candidate.ports, []).append(entry)
+                    usual.append(start[k])
                 columns = tuple(range(at, at + len(factors)))
                 self.blocks.append(SignatureBlock(i, columns, start, factors))
                 at += len(factors)
+        self.usual = np.array(usual)  # (M,) sizes of the numbers that the columns stand for
         p = self._p = residuals.slopes.shape[1]
         self._all_columns = np.zeros((residuals.length, p + at), np.float32)
         self._all_columns[:, :p] = residuals.slopes

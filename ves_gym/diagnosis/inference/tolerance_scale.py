@@ -1,28 +1,24 @@
-"""`selected_with_tolerances`: how far off a description is, weighed against what it may lack.
+"""The common scale of a description's errors, told by the data.
 
-A description says how exactly its numbers are known, and may be wrong in that. Errors ten
-times as large as stated look like effects that nobody hid: a rotor that is 8 % heavier, a
-sensor's gain. One size of all tolerances is therefore an unknown, too. Answers under wider ones
-are compared with that under those stated by their evidence (Laplace: the deviance, the price of
-the numbers named and of the choice of each name from the library, and the log-determinant by
-which wider priors are less probable). A single error far off stays a name, since all others
-would have to be wide for nothing.
+A description says how exactly its numbers are known, and may be wrong in that. Errors ten times
+as large as stated look like effects that nobody hid: a rotor that is 8 % heavier, a sensor's
+gain. So one scale of all tolerances is an unknown, with a prior about 1 (`constants.py`), and
+answers under two scales are compared by their evidence. A single error far off stays a name,
+since all others would have to be wide for nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
-from ves_gym.diagnosis.inference.fit import Fit, fit
-from ves_gym.diagnosis.inference.model_selection import Selection, cost
-from ves_gym.diagnosis.inference.signatures import Signatures
+from ves_gym.diagnosis.constants import SCALE_MOST, SCALE_SPREAD
+from ves_gym.diagnosis.inference.fit import Fit
+from ves_gym.diagnosis.inference.variance_groups import products, scaled, solve
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 
-FACTORS = (3.0, 10.0)  # of the tolerances stated
-MARGIN = 10.0  # of evidence (twice its logarithm) in favour of what is stated
 _OFF = 3.0  # stated standard deviations from which an error is told
 _TOLD = 4  # errors in a sentence
 
@@ -36,71 +32,33 @@ class ToleranceExcess:
     sigma: float  # the same in stated standard deviations
 
 
-@dataclass(frozen=True)
-class ToleranceFit:
-    """The answer under the most probable size of the tolerances."""
-
-    selection: Selection
-    residuals: WhitenedResiduals
-    signatures: Signatures
-    factor: float  # of the tolerances stated
-    gained: float  # twice the log of the evidence for it, over that for those stated
-
-
-def selected_with_tolerances(
-    residuals: WhitenedResiduals,
-    signatures: Signatures,
-    select: Callable[[WhitenedResiduals, Signatures], Selection],
-    doubtful: Callable[[Selection], bool],
-) -> ToleranceFit:
-    """Return the most probable answer over sizes of the tolerances.
-
-    Args:
-        residuals: with the tolerances stated.
-        signatures: of the library on them.
-        select: names effects.
-        doubtful: whether an answer says that anything is missing; else the tolerances stated
-            suffice.
-    """
-    first = select(residuals, signatures)
-    library = len(signatures.candidates)
-    stated = unlikeliness(first.fit, residuals, library)
-    best = ToleranceFit(first, residuals, signatures, 1.0, 0.0)
-    if not doubtful(first):
-        return best
-    names = len(first.fit.candidates)
-    prices = cost(first.fit, residuals) - first.fit.deviance + _choice(names, library)
-    for factor in FACTORS:
-        wide = residuals.with_tolerances(factor)
-        same = fit(wide, first.fit.candidates, first.fit.values)
-        near = min(unlikeliness(k, wide, library) for k in (same, fit(wide, (), ())))
-        if near - prices > stated - max(best.gained, MARGIN):
-            continue
-        widened = signatures.with_tolerances(wide)
-        answer = select(wide, widened)
-        gained = stated - unlikeliness(answer.fit, wide, library)
-        if gained > max(best.gained, MARGIN):
-            best = ToleranceFit(answer, wide, widened, factor, gained)
-    return best
-
-
-def unlikeliness(f: Fit, residuals: WhitenedResiduals, library: int = 1) -> float:
-    """Return minus twice the log evidence of a fit, up to a constant.
+def likeliest_scale(f: Fit, residuals: WhitenedResiduals) -> float:
+    """Return the most probable scale of the tolerances beside a fit, 1 to `SCALE_MOST`.
 
     Args:
         f: fit.
-        residuals: that it fits.
-        library: candidates that each of its names was chosen from.
+        residuals: that it fits, with the tolerances stated.
     """
-    weight = 1 / np.maximum(f.size, 1.0)
-    curvature = np.einsum("g,gij->ij", weight, residuals.gram)
-    determinant = np.linalg.slogdet(np.eye(len(curvature)) + curvature)[1]
-    return cost(f, residuals) + _choice(len(f.candidates), library) + float(determinant)
+    inner = products(residuals, f.residual, f.tangents)
+    fixed = len(residuals.nuisances) + len(f.forms)
+    scale = np.ones(inner.xz.shape[1])
+    tolerances = [i for i, k in enumerate(residuals.nuisances) if k.scales]
+
+    def unlikeliness(log_scale: float) -> float:
+        scale[tolerances] = np.exp(log_scale)
+        solution = solve(scaled(inner, scale), fixed)
+        determinant = np.linalg.slogdet(solution.covariance)[1]
+        return solution.deviance - float(determinant) + scale_price(float(np.exp(log_scale)))
+
+    found = scipy.optimize.minimize_scalar(
+        unlikeliness, bounds=(0.0, np.log(SCALE_MOST)), method="bounded", options={"xatol": 0.1}
+    )
+    return float(np.exp(found.x)) if found.fun < unlikeliness(0.0) else 1.0
 
 
-def _choice(names: int, library: int) -> float:
-    """Return what names cost that any of a library could be: minus twice the log odds."""
-    return 2 * names * float(np.log(max(library, 1)))
+def scale_price(scale: float) -> float:
+    """Return -2 log of the prior of a scale, over that of 1."""
+    return float((np.log(scale) / np.log(SCALE_SPREAD)) ** 2)
 
 
 def errors_told(
@@ -127,7 +85,7 @@ def sentence(factor: float, off: tuple[ToleranceExcess, ...]) -> str:
         return ""
     listing = ", ".join(f"{e.name} {e.size:+.2g}" for e in off[:_TOLD])
     return (
-        f" The description's errors are about {factor:g} times as large as it says"
+        f" The description's errors are about {factor:.2g} times as large as it says"
         + (f" ({listing})" if listing else "")
         + "."
     )

@@ -17,7 +17,7 @@ squares (Carroll et al., Measurement Error in Nonlinear Models, 2006, ch. 7: cor
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -94,6 +94,18 @@ def products(residuals: WhitenedResiduals, z: Array, X: Array) -> InnerProducts:
         for both in (xx, noise_xx):
             both[k, :p, p:] = both[k, p:, :p].T
     return InnerProducts(n, zz, xz, xx, noise, noise_xz, noise_xx, *limits_of(groups))
+
+
+def scaled(inner: InnerProducts, scale: Array) -> InnerProducts:
+    """Return products of the columns times numbers (c,)."""
+    square = np.outer(scale, scale)
+    return replace(
+        inner,
+        xz=inner.xz * scale,
+        xx=inner.xx * square,
+        noise_xz=None if inner.noise_xz is None else inner.noise_xz * scale,
+        noise_xx=None if inner.noise_xx is None else inner.noise_xx * square,
+    )
 
 
 def limits_of(groups: Sequence[VarianceGroup]) -> tuple[Array, Array]:

@@ -37,7 +37,6 @@ _POOL = 6  # neighbouring frequencies on either side that are taken together
 _EDGES = (0.0, 0.1, 0.3, 1.0)  # of the ranges of frequencies, in parts of the band
 
 
-
 @dataclass(frozen=True)
 class Wander:
     """Noise that wanders beside the noise that shows above the motion.
@@ -187,9 +186,8 @@ class WhitenedResiduals:
         return out
 
     def with_tolerances(self, factor: float) -> WhitenedResiduals:
-        """Return the same residuals with tolerances of the machine a factor as large."""
-        scale = np.ones(len(self.nuisances))
-        scale[: self.shared] = factor
+        """Return the same residuals with tolerances a factor as large."""
+        scale = np.where([k.scales for k in self.nuisances], factor, 1.0)
         out = copy.copy(self)
         out.nuisances = [
             replace(k, std=k.std * s) for k, s in zip(self.nuisances, scale, strict=True)

@@ -43,6 +43,7 @@ class Nuisance:
     model: Any  # the description with it, `step` large
     step: float
     std: float  # its usual size, in the unit of `step`
+    scales: bool = True  # with the common scale of a description's errors
 
 
 class Machine(Protocol):

@@ -67,11 +67,15 @@ def clock_errors(
         if not any(k in run for k in signals):
             continue
         if name != "robot":  # whose clock the commands have
-            yield f"time of the {name}", ClockError(run.name, signals, offset=1e-3), (
-                tolerance.offset / 1e-3
+            yield (
+                f"time of the {name}",
+                ClockError(run.name, signals, offset=1e-3),
+                (tolerance.offset / 1e-3),
             )
-        yield f"clock rate of the {name}", ClockError(run.name, signals, rate=1e-4), (
-            tolerance.rate / 1e-4
+        yield (
+            f"clock rate of the {name}",
+            ClockError(run.name, signals, rate=1e-4),
+            (tolerance.rate / 1e-4),
         )
 
 

@@ -4,7 +4,7 @@ The laws of the library know the speed alone. Real contacts give way elastically
 bristles (Canudas de Wit et al., IEEE Trans. Automatic Control 40(3), 1995): the torque F then
 follows its law over the distance travelled, dF/dt = (law - F) |v| / length, however slowly. How
 a friction does this is no other effect, so a fit may have some of it with every friction it
-tries: over two distances, which make others together.
+tries: over three distances, which make others together.
 """
 
 from __future__ import annotations
@@ -59,7 +59,12 @@ def _sooner(effect: Effect) -> Presliding:
     return Presliding(effect, length=3e-4)
 
 
-FORMS = (Presliding, _sooner)  # in which a friction may be in part
+def _later(effect: Effect) -> Presliding:
+    """Return a friction that builds up over more: an elastic gear, or a soft seal."""
+    return Presliding(effect, length=4e-3)
+
+
+FORMS = (Presliding, _sooner, _later)  # in which a friction may be in part
 
 
 def remembered_friction(run: Run, effects: Iterable[Effect]) -> Array | float:

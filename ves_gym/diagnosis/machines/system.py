@@ -222,7 +222,7 @@ class SystemMachine:
         return SystemVariant(system, paths, grown)
 
     def passing(self, model: SystemVariant) -> SystemVariant:
-        """Return a model without what it adds to the torques at joints, and with all clocks right."""
+        """Return a model without torques that it adds at joints, and with all clocks right."""
         if model.clock is not None:
             model = dataclasses.replace(model, clock=None)
         moving = tuple(e for e in model.system.effects if not isinstance(e, _AT_REST))
@@ -315,6 +315,7 @@ class SystemMachine:
                 SystemVariant(system, (path,)),
                 1.0,
                 size,
+                scales=False,
             )
             for path, size in courses(run, sensor.drift[0], float(sensor.drift_time[0]))
         )
@@ -331,6 +332,7 @@ class SystemMachine:
                 SystemVariant(self.system, starts=(InnerStart(run.name, i),)),
                 1.0,
                 float(size),
+                scales=False,
             )
             for i, size in enumerate(sizes)
         )
