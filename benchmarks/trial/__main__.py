@@ -79,6 +79,13 @@ def check(args: argparse.Namespace) -> None:
         print(f"{name}: " + ("as stored" if not told else "\n  ".join(["", *told])), flush=True)
 
 
+def record(args: argparse.Namespace) -> None:
+    """Store the answers of now to cases of the sets whose secrets are stored."""
+    for name in args.names:
+        frozen.record(name)
+        print(name, flush=True)
+
+
 def agreement(args: argparse.Namespace) -> None:
     """Print differences from `ves-gym simulate` in units of noise, machine by machine."""
     for arm in machines.SERVOS:
@@ -99,14 +106,15 @@ def main() -> None:
         ("score", score),
         ("limit", limit),
         ("check", check),
+        ("record", record),
         ("nominal", agreement),
     ):
         command = commands.add_parser(name, help=(action.__doc__ or "").splitlines()[0])
         command.set_defaults(action=action)
         if name == "nominal":
             continue
-        if name == "check":
-            command.add_argument("names", nargs="*", metavar="CASE", help="17-012 (all)")
+        if name in ("check", "record"):
+            command.add_argument("names", nargs="*", metavar="CASE", help="17-012 (check: all)")
             continue
         command.add_argument("out", type=Path, metavar="DIR", help="folder of the cases")
         if name == "score":
