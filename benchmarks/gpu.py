@@ -64,11 +64,11 @@ def ours(name: str, system: System, n: int) -> Callable[[], None]:
     backend = engine(name, system, n)
     simulations = backend.simulations
     u = simulations.array(np.zeros((backend._nu, n)))
-    backend.step(np.zeros((n, 3)), None, None, 1, None)  # hands the parameters over
+    backend.step_sequence(np.zeros((n, 2, 3)), None)  # hands the parameters over
 
     def work() -> None:
         for _ in range(PERIODS):
-            backend.advance(u, system.substeps, system.substeps)
+            backend.advance(u, system.substeps)
         simulations.wp.synchronize_device(simulations.device)
 
     return work

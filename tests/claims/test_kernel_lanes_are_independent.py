@@ -223,7 +223,7 @@ def test_simulations_not_named_stay_where_they_are(name):
         if sim.system.mode == "emulated":
             engine.step_on_platform(nodes, np.full((11, k + 1, 6), 0.1), some)
         else:
-            engine.step(command, None, None, k, some)
+            engine.step_sequence(np.broadcast_to(command[:, None], nodes.shape), some)
         engine.step_sequence(nodes, some)
     for i in range(11):
         wanted = twin.state if i in ids else before

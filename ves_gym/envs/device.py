@@ -287,7 +287,7 @@ class DeviceRows:
         out.append(run(functions["follow"], *follow))
         system = self.system.actual
         state = [x, nodes, self.simulations.p, nothing, everyone]
-        inputs = [*state, self.simulations.fault, system.substeps, 1, system.physics_dt]
+        inputs = [*state, self.simulations.fault, system.substeps, system.physics_dt]
         advance = stepper(system).gpu_steps(self.real, record=False)
         out.append(launch(advance, self.n, inputs, self.device, record=True))
         seen = [z, zd, x[:6], *(x[k] for k in self._modes), described, rows["scene_rows"]]

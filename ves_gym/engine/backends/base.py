@@ -66,24 +66,6 @@ class Backend(Protocol):
     def assign_laws(self, ids: Index, rows: EffectRows) -> None:
         """Give simulations torque laws with parameters of their own; bodies stay."""
 
-    def step(
-        self,
-        command: Array,
-        until: Array | None,
-        wrench: Array | None,
-        substeps: int,
-        ids: Index | None,
-    ) -> None:
-        """Advance some physics steps.
-
-        Args:
-            command: (n, joints) torque or acceleration, held.
-            until: (n, joints) that the command runs to instead, linearly, or None.
-            wrench: (n, 6) generalised force on Y, or None.
-            substeps: physics steps.
-            ids: which simulations, None for all.
-        """
-
     def step_sequence(self, commands: Array, ids: Index | None) -> None:
         """Advance k physics steps under commands (n, k + 1, joints), linear over each."""
 

@@ -98,14 +98,13 @@ class GpuKernelBackend(CompiledBackend):
         self.simulations.x.assign(np.ascontiguousarray(x.T).astype(self.real))
 
     def advance(
-        self, u: Any, steps: int, stride: int, ids: Index | None = None, record: bool = False
+        self, u: Any, steps: int, ids: Index | None = None, record: bool = False
     ) -> Any:
         """Take physics steps, all of them in one launch.
 
         Args:
             u: ((nodes nu), n) on the device; see `scalar.advance_text`.
             steps: how many.
-            stride: steps from node to node.
             ids: simulations that move, None for all.
             record: return what is observed.
 
@@ -122,19 +121,17 @@ class GpuKernelBackend(CompiledBackend):
             shape = ((steps + 1) * self._ny, self.n)
             out = wp.empty(shape, dtype=sims.number, device=sims.device)
         kernel = stepper(self._system).gpu_steps(self.real, record)
-        parts = [sims.x, u, sims.p, out, active, sims.fault, steps, stride, self.dt]
+        parts = [sims.x, u, sims.p, out, active, sims.fault, steps, self.dt]
         launch(kernel, self.n, parts, sims.device)
         return out
 
-    def _run(
-        self, nodes: Array, steps: int, stride: int, ids: Index | None, record: bool = False
-    ) -> Array:
+    def _run(self, nodes: Array, steps: int, ids: Index | None, record: bool = False) -> Array:
         """Advance; nodes (n, k, nu) of the commands. Outputs (n, steps + 1, ny), or none."""
         if not self._loaded:
             self.simulations.set_parameters(self._p)
             self._loaded = True
         u = self.simulations.array(np.moveaxis(nodes, 0, 2).reshape(-1, self.n))
-        outputs = self.advance(u, steps, stride, ids, record).numpy()
+        outputs = self.advance(u, steps, ids, record).numpy()
         self._ticks[slice(None) if ids is None else ids] += steps
         return np.array(np.moveaxis(outputs.reshape(-1, self._ny, self.n), 2, 0), np.float64)
 
@@ -162,40 +159,20 @@ class GpuKernelBackend(CompiledBackend):
         super().assign(ids, systems)
         self._loaded = False
 
-    def step(
-        self,
-        command: Array,
-        until: Array | None,
-        wrench: Array | None,
-        substeps: int,
-        ids: Index | None,
-    ) -> None:
-        if wrench is not None:  # zero otherwise
-            self._u[:, :6] = wrench
-        self._u[:, 6:] = command
-        nodes = self._u[:, None]
-        if until is not None:
-            nodes = np.repeat(nodes, 2, axis=1)
-            nodes[:, 1, 6:] = until
-        self._run(nodes, substeps, substeps, ids)
-        self._u = nodes[:, -1].copy()
-        if wrench is not None:
-            self._u[:, :6] = 0.0  # it acts in this period only
-
     def step_sequence(self, commands: Array, ids: Index | None) -> None:
         nodes = np.concatenate([np.zeros((*commands.shape[:2], 6)), commands], axis=-1)
-        self._run(nodes, commands.shape[1] - 1, 1, ids)
+        self._run(nodes, commands.shape[1] - 1, ids)
         self._u = nodes[:, -1].copy()
 
     def step_on_platform(self, commands: Array, base: Array, ids: Index | None) -> Array:
         nodes = np.concatenate([base, commands], axis=-1)
-        outputs = self._run(nodes, commands.shape[1] - 1, 1, ids, record=True)
+        outputs = self._run(nodes, commands.shape[1] - 1, ids, record=True)
         self._u = nodes[:, -1].copy()
         return np.ascontiguousarray(outputs[..., -6:])
 
     def evaluate(self, command: Array) -> tuple[Array, Array]:
         self._u[:, 6:] = command
-        outputs = self._run(self._u[:, None], 0, 1, None, record=True)
+        outputs = self._run(self._u[:, None], 0, None, record=True)
         return self._accelerations(outputs[:, 0])
 
     def faults(self) -> Mask:

@@ -77,7 +77,6 @@ class KernelBackend(CompiledBackend):
         self._p = aligned(self._blocks, len(values), LANES)
         self._p[:] = values[:, None]
         self._u = aligned(self._blocks, self._nu, LANES)
-        self._end = aligned(self._blocks, self.joints, LANES)
         self._holds: dict[int, list[Piece]] = {}  # steps under a command that holds
         self._ramps: dict[tuple[int, bool], _Ramp] = {}
         self._start, self._ticks = np.zeros(n), np.zeros(n, np.int64)
@@ -278,36 +277,13 @@ class KernelBackend(CompiledBackend):
     def _row(self, i: int) -> Array:
         return self._p[i // LANES, :, i % LANES]
 
-    def step(
-        self,
-        command: Array,
-        until: Array | None,
-        wrench: Array | None,
-        substeps: int,
-        ids: Index | None,
-    ) -> None:
-        if wrench is not None:  # zero otherwise
-            fill(self._u[:, :6], wrench)
-        fill(self._u[:, 6:], command)
-        if until is None:
-            if substeps not in self._holds:
-                self._holds[substeps] = self.pieces(self._u, 1, substeps)
-            self._guarded(ids, self._holds[substeps], substeps)
-        else:
-            ramp, share = self._ramp(substeps), np.arange(substeps + 1) / substeps
-            u = ramp.u.reshape(self._blocks, substeps + 1, self._nu, LANES)
-            fill(self._end, until)
-            u[:] = self._u[:, None]
-            u[:, :, 6:] += share[:, None, None] * (self._end - self._u[:, 6:])[:, None]
-            self._guarded(ids, ramp.pieces, substeps)
-            self._u[:] = u[:, -1]
-        if wrench is not None:
-            self._u[:, :6] = 0.0  # it acts in this period only
-
     def step_sequence(self, commands: Array, ids: Index | None) -> None:
         k = commands.shape[1] - 1
         if not commands.strides[1]:  # one command, held
-            self.step(commands[:, 0], None, None, k, ids)
+            fill(self._u[:, 6:], commands[:, 0])
+            if k not in self._holds:
+                self._holds[k] = self.pieces(self._u, 1, k)
+            self._guarded(ids, self._holds[k], k)
             return
         base = np.zeros((self.n, k + 1, 6))
         nodes = np.concatenate([base, commands], axis=-1).reshape(self.n, -1)

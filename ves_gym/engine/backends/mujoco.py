@@ -220,7 +220,7 @@ class MujocoBackend:
         _BATCHES.add(self.batch)
         self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._time = self.batch.bind("time")
-        self._command, self._slope = self.batch.bind("act"), self.batch.bind("ctrl")
+        self._command = self.batch.bind("act")
         self._applied = self.batch.bind("qfrc_applied")
         self._force, self._qacc = self.batch.bind("actuator_force"), self.batch.bind("qacc")
         emulated = self.system.mode == "emulated"
@@ -324,25 +324,6 @@ class MujocoBackend:
 
     def internal_state(self) -> tuple[Array, Array]:
         return self._qpos[:, self._internal], self._qvel[:, self._internal]
-
-    def step(
-        self,
-        command: Array,
-        until: Array | None,
-        wrench: Array | None,
-        substeps: int,
-        ids: Index | None,
-    ) -> None:
-        rise = 0.0 if until is None else until - command
-        self._command[:, self._drives] = command
-        self._slope[:, self._drives] = rise / (substeps * self.model.opt.timestep)
-        if wrench is not None:
-            self._applied[:, TO_Y] = wrench
-        for _ in range(substeps if self._laws else 1):
-            self._push()
-            self.batch.step(ids, nstep=1 if self._laws else substeps)
-        if wrench is not None:  # it acts in this period only
-            self._applied[:, TO_Y] = 0.0
 
     def _push(self) -> None:
         """Set the torque of the effects' laws, held until the next physics step."""

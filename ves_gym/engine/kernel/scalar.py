@@ -171,10 +171,10 @@ def advance_text(
     """Body of a function that takes one simulation, number i, through many physics steps.
 
         void (int i, array x, array u, array p, array out, array active, array fault,
-              int steps, int stride, real h)
+              int steps, real h)
 
     x (nx, n), changed; p (np, n), or (np, 1) for all alike; u ((nodes nu), n) the commands
-    at nodes `stride` steps apart, linear between them, one node: held. out ((steps + 1) ny, n)
+    at the ends of the steps, linear between them, one node: held. out ((steps + 1) ny, n)
     is what is observed at the ends of the steps: the first under the new, the last under the
     old commands. active (n,) nonzero: this one moves. fault (n,) becomes 1 where a state is no
     longer meaningful.
@@ -229,11 +229,11 @@ for (int j = 0; j < nx; ++j) x0[j] = x.data[j * n + i];
 #pragma unroll 1
 for (int s = 0; s {last} steps; ++s) {{
 for (int j = 0; j < nx; ++j) at[j] = x0[j];
-const int node = (s < steps ? s : s > 0 ? s - 1 : 0) / stride;
+const int node = s == steps && s > 0 ? s - 1 : s;
 #pragma unroll 1
 for (int stage = 0; stage < stages; ++stage) {{
 const real ahead = stage == 0 ? zero : stage == 3 ? one : real(0.5);
-const real share = (real(s - node * stride) + ahead) / real(stride);
+const real share = real(s - node) + ahead;
 for (int j = 0; j < nu; ++j) {{
   const real first = u.data[((ramp ? node : 0) * nu + j) * n + i];
   c[j] = ramp ? first + share * (u.data[((node + 1) * nu + j) * n + i] - first) : first;

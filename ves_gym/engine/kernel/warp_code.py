@@ -56,30 +56,21 @@ def _advance(wp: Any, text: str, real: str) -> Any:
     types = {
         **dict.fromkeys(("x", "u", "p", "out"), table),
         **dict.fromkeys(("active", "fault"), flags),
-        **dict.fromkeys(("steps", "stride"), wp.int32),
+        "steps": wp.int32,
         "h": number,
     }
 
     # Warp reads the text of a kernel; the types are given below, one set for each precision
     def stub(
-        i: Any, x: Any, u: Any, p: Any, out: Any, active: Any, fault: Any, steps: Any,
-        stride: Any, h: Any,
+        i: Any, x: Any, u: Any, p: Any, out: Any, active: Any, fault: Any, steps: Any, h: Any
     ) -> None: ...  # fmt: skip
 
     run = _native(wp, stub, text, types)
 
     def advance(
-        x: Any,
-        u: Any,
-        p: Any,
-        out: Any,
-        active: Any,
-        fault: Any,
-        steps: Any,
-        stride: Any,
-        h: Any,
+        x: Any, u: Any, p: Any, out: Any, active: Any, fault: Any, steps: Any, h: Any
     ) -> None:
-        run(wp.tid(), x, u, p, out, active, fault, steps, stride, h)
+        run(wp.tid(), x, u, p, out, active, fault, steps, h)
 
     return _kernel(wp, advance, types)
 
