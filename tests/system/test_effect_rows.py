@@ -20,10 +20,7 @@ from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 EMULATOR = EmulatorSettings(payload_compensation=True)
-BASES = ("base/amplitude_damping", "base/damping", "base/stiffness", "base/virtual_mass")
-WHOLE = sorted(
-    k for k, c in EFFECTS.items() if k in BASES or not issubclass(c, (ArmEffect, BaseEffect))
-)
+WHOLE = sorted(k for k, c in EFFECTS.items() if not issubclass(c, (ArmEffect, BaseEffect)))
 
 
 def rows_of(kind, n=5, mode="emulated", emulator=EMULATOR):
@@ -81,37 +78,6 @@ def swung(sims):
             sim.step(sim.servo_command(target, np.zeros((sim.n, 3))))
         out.append(np.concatenate([sim.state.y, sim.state.q], axis=1))
     return out
-
-
-LOOSE = EmulatorSettings(payload_compensation=False)
-SETTINGS = {
-    "space": {"mode": "ideal"},
-    "laboratory": {"emulator": EMULATOR},
-    "uncompensated": {"emulator": LOOSE},
-}
-
-
-@pytest.mark.parametrize("settings", SETTINGS)
-@pytest.mark.parametrize("kind", BASES[:2])
-def test_vehicles_of_rows_are_those_of_their_systems(kind, settings):
-    """Bit for bit those of `assign`; on some of the simulations; and back to the template."""
-    rows = rows_of(kind, **SETTINGS[settings])
-    ids, n = np.array([8, 1, 2, 6, 4]), 9
-    ours, theirs, plain = (
-        Simulator(rows.template, n, backend="kernel", warn_at=None) for _ in range(3)
-    )
-    ours.assign_effects(rows, ids)
-    assert not rows._systems  # made when asked for
-    theirs.assign([rows.system(i) for i in range(len(rows))], ids)
-    a, b, c = swung([ours, theirs, plain])
-    assert a.tobytes() == b.tobytes()
-    assert len(np.unique(a[:, 0])) == n  # by their targets
-    others = np.setdiff1d(np.arange(n), ids)
-    assert a[others].tobytes() == c[others].tobytes()
-    assert (a[ids[1:]] != c[ids[1:]]).any(axis=1).all()  # row 0 is the template's own
-    ours.assign([rows.template] * n)
-    a, c = swung([ours, plain])
-    assert a.tobytes() == c.tobytes()
 
 
 def test_vehicles_that_cannot_be_are_refused():

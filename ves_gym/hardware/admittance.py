@@ -132,23 +132,6 @@ def require_admittance(base: BaseModel, form: str) -> None:
     _require_mass(M)
 
 
-def require_admittances(bases: BaseModel, form: str) -> None:
-    """Check that linear vehicles without internal modes can be emulated.
-
-    Args:
-        bases: M, D, K (k, 6, 6).
-        form, and errors: see `require_admittance`.
-    """
-    try:
-        np.linalg.cholesky(bases.M)
-        if form != "decoupled":
-            return
-    except np.linalg.LinAlgError:
-        pass
-    for M, D, K in zip(bases.M, bases.D, bases.K, strict=True):
-        require_admittance(BaseModel(M, D, K), form)
-
-
 def rigid_bodies(inertia: Array, M: Array, D: Array, K: Array) -> Nonlinear:
     """Return g(X, W) of satellites: Newton-Euler, plus constant M, D, K.
 

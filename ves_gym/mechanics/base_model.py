@@ -15,7 +15,6 @@ import numpy as np
 
 from ves_gym._util.params import (
     Array,
-    Mask,
     ParameterError,
     Vector,
     freeze_arrays,
@@ -278,29 +277,6 @@ def carried(coupling: Array, y: Array) -> Array:
     for k in range(6):  # sum by sum: every simulation of a batch rounds alike
         out += coupling[..., k, :] * y[..., k, None]
     return out
-
-
-def semidefinite(bases: BaseModel) -> Mask:
-    """(k,) bases whose M, D, K (k, 6, 6) and drag (k, 6) may be those of a vehicle.
-
-    Symmetric to rounding and positive semidefinite, within what `params.symmetric` admits.
-    """
-    assert bases.drag is not None
-    fits = np.asarray((bases.drag >= 0).all(axis=-1))
-    for part in (bases.M, bases.D, bases.K):
-        size = np.maximum(np.abs(part).max(axis=(-2, -1)), 1e-100)
-        fits &= np.abs(part - np.swapaxes(part, -1, -2)).max(axis=(-2, -1)) <= 1e-9 * size
-        fits &= _factored(part + 1e-12 * size[:, None, None] * np.eye(6))
-    return fits
-
-
-def _factored(matrices: Array) -> Mask:
-    """(k,) matrices that have a Cholesky factor; all are False where one has none."""
-    try:
-        np.linalg.cholesky(matrices)
-    except np.linalg.LinAlgError:
-        return np.zeros(len(matrices), bool)
-    return np.ones(len(matrices), bool)
 
 
 def elementwise_damping(M: Array, K: Array, ratio: float) -> Array:

@@ -4,17 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from ves_gym._util.params import Index, ParameterError
-from ves_gym.engine.backends.compiled import CompiledBackend
 from ves_gym.engine.batch_parameters import bodies_of, require_alike, share_base
-from ves_gym.hardware.admittance import require_admittances
-from ves_gym.mechanics.base_model import BaseModel, semidefinite
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.simulation.machines import Machines, Part, Source
-from ves_gym.simulation.stable_step import require_stable_step, steps_are_small
-from ves_gym.system.effect import BaseEffect, TorqueEffect
+from ves_gym.simulation.stable_step import require_stable_step
+from ves_gym.system.effect import TorqueEffect
 from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import System
 
@@ -86,30 +81,13 @@ def assign_effects(
         )
     sources: list[Source] = [(rows, row) for row in range(len(rows))]
     before = (k if isinstance(k, System) else k[0] for k in machines.sources(index))
-    at_once = rows.at_once and all(map(rows.replaces, {id(k): k for k in before}.values()))
-    bases = rows.bases() if at_once and rows.varied(BaseEffect) else None
-    if not at_once or (bases is not None and not isinstance(backend, CompiledBackend)):
+    if not (rows.at_once and all(map(rows.replaces, {id(k): k for k in before}.values()))):
         assign(machines, parts, [rows.system(row) for row in range(len(rows))], index, servo)
         machines.note(index, sources)
         return
-    installs = [part.prepare_effects(machines, index, rows, bases) for part in parts]
-    if bases is not None and isinstance(backend, CompiledBackend):
-        _require_bases(rows, bases, servo)
-        backend.assign_bases(index, bases)
+    installs = [part.prepare_effects(machines, index, rows) for part in parts]
     if rows.varied(TorqueEffect):
         backend.assign_laws(index, rows)
     for install in installs:
         install()
     machines.note(index, sources)
-
-
-def _require_bases(rows: EffectRows, bases: BaseModel, servo: JointServo) -> None:
-    """Refuse vehicles (k, ...) that cannot be, or are too fast for the physics step."""
-    system = rows.template
-    for row in np.flatnonzero(~semidefinite(bases)).tolist():
-        _ = rows.system(row).actual  # says which matrix, and what it should be
-    if system.mode == "emulated":
-        require_admittances(bases, system.emulator_settings.admittance_form)
-        return
-    for row in np.flatnonzero(~steps_are_small(system, servo, bases)).tolist():
-        require_stable_step(rows.system(row).actual, servo)

@@ -17,7 +17,7 @@ from ves_gym.engine.kernel.build import LANES
 from ves_gym.engine.kernel.compiled_function import put_rows
 from ves_gym.engine.kernel.maps import weight_function
 from ves_gym.hardware.admittance import Nonlinear
-from ves_gym.mechanics.base_model import BaseModel, carried
+from ves_gym.mechanics.base_model import carried
 from ves_gym.simulation.blocks.compiled_loop import CompiledLoop
 from ves_gym.simulation.blocks.platform import Safety
 from ves_gym.simulation.blocks.wiring import NamedArrays
@@ -133,21 +133,13 @@ class EmulationLoop(NotingPart):
         return install
 
     def prepare_effects(
-        self, machines: Machines, ids: Index, rows: EffectRows, bases: BaseModel | None
+        self, machines: Machines, ids: Index, rows: EffectRows
     ) -> Callable[[], None]:
         """See `Part`. Memory stays."""
-        p = None
-        if rows.varied(LaboratoryEffect):
-            p = rows.loop_parameters(rows.before(self.numbers.described(self.system.arm)))
-
-        def install() -> None:
-            changed = set() if p is None else self._put(ids, p)
-            if bases is not None:
-                self.numbers.put_bases(ids, self._rows(ids), bases)
-                changed |= BODIES
-            self._derive(self._rows(ids), changed)
-
-        return install
+        if not rows.varied(LaboratoryEffect):
+            return super().prepare_effects(machines, ids, rows)
+        p = rows.loop_parameters(rows.before(self.numbers.described(self.system.arm)))
+        return lambda: self._derive(self._rows(ids), self._put(ids, p))
 
     def _put(self, ids: Index, p: LoopParameters) -> set[str]:
         """Replace parameters of some simulations; names of those that have changed."""

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from ves_gym._util.params import Array, Index
-from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.simulation.machines import Machines, Part
 from ves_gym.simulation.state import State
 from ves_gym.system.deviations import Delays, advanced, fresh, friction
@@ -94,11 +93,11 @@ class JointDelays(Part):
         return lambda: self._assign(ids, [system.delays() for system in systems])
 
     def prepare_effects(
-        self, machines: Machines, ids: Index, rows: EffectRows, bases: BaseModel | None
+        self, machines: Machines, ids: Index, rows: EffectRows
     ) -> Callable[[], None]:
         """See `Part`."""
         if not rows.varied(DelayEffect):
-            return super().prepare_effects(machines, ids, rows, bases)
+            return super().prepare_effects(machines, ids, rows)
         return lambda: self._assign(ids, [rows.delays()])
 
     def _assign(self, ids: Index, delays: Sequence[Delays]) -> None:

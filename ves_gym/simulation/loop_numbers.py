@@ -14,9 +14,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, Index, ParameterError, Rows, object_rows
 from ves_gym.engine.batch_parameters import Bodies, ParameterRows, bodies_of
-from ves_gym.hardware.admittance import admittance_matrices
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.simulation.blocks.block import Block, Noted
 from ves_gym.simulation.blocks.sensing import ArmInertia
 from ves_gym.system.deviations import LoopParameters
@@ -69,7 +67,6 @@ class LoopNumbers:
         self.inertia = ArmInertia(described) if compensating else None
         self.bodies = self._row(system, "own system").repeated(n)
         self.systems = [system] * n
-        self._other_bases: set[int] = set()  # simulations with another than their system's
         self._start: LoopParameters | None = None  # before effects, of the last arm asked for
         self.p: dict[str, dict[str, Array]] = {}  # block -> its parameters
         self.sources: dict[str, set[str]] = {}  # block -> what its parameters follow from
@@ -126,23 +123,6 @@ class LoopNumbers:
         self.noisy = self.parameters.sensor.random()
         return changed
 
-    def put_bases(self, ids: Index, rows: Rows, bases: BaseModel) -> None:
-        """Replace the vehicles of some simulations.
-
-        Args:
-            ids: (m,) which simulations.
-            rows: the same.
-            bases: M, D, K (m, 6, 6) and drag (m, 6).
-        """
-        for name in ("M", "D", "K", "drag"):
-            getattr(self.bodies, name)[rows] = getattr(bases, name)
-        if self._sampled:
-            dt, form = self.system.control_dt, self.spec.admittance_form
-            for i, M, D, K in zip(ids.tolist(), bases.M, bases.D, bases.K, strict=True):
-                sampled = admittance_matrices(BaseModel(M, D, K), dt, form)
-                self.bodies.phi[i], self.bodies.gamma[i] = sampled
-        self._other_bases.update(ids.tolist())
-
     def assignment(self, ids: Index, systems: Sequence[System]) -> Assignment:
         """Check systems for some simulations; nothing is changed.
 
@@ -155,11 +135,7 @@ class LoopNumbers:
         """
         pairs = list(zip(ids.tolist(), systems, strict=True))
         each = [self.described(k.arm).mapped(np.copy).edited(k.effects) for k in systems]
-        others = [
-            (i, k)
-            for i, k in pairs
-            if i in self._other_bases or _all_bodies(k) != _all_bodies(self.systems[i])
-        ]
+        others = [(i, k) for i, k in pairs if _all_bodies(k) != _all_bodies(self.systems[i])]
         if self.given and any(k.vehicle is not self.system.vehicle for _, k in pairs):
             raise ParameterError(
                 "an `admittance` takes the place of every simulation's vehicle: assign systems"
@@ -178,7 +154,6 @@ class LoopNumbers:
             self.bodies.put(i, row)
         for i, system in assignment.systems:
             self.systems[i] = system
-            self._other_bases.discard(i)
 
     def _arrays(self) -> list[Any]:
         """All numbers, (n, ...) each."""
@@ -187,17 +162,15 @@ class LoopNumbers:
 
     def rows_of(self, ids: Index) -> dict[str, Array]:
         """Numbers and systems of simulations (k,)."""
-        own = object_rows([(self.systems[i], i in self._other_bases) for i in ids.tolist()])
         rows = {str(k): values[ids] for k, values in enumerate(self._arrays())}
-        return rows | {"system": own}
+        return rows | {"system": object_rows([self.systems[i] for i in ids.tolist()])}
 
     def put_rows(self, ids: Index, rows: Mapping[str, Array]) -> None:
         """Give simulations (k,) the numbers and systems of `rows_of`."""
         for k, values in enumerate(self._arrays()):
             values[ids] = rows[str(k)]
-        for i, (system, other) in zip(ids.tolist(), rows["system"], strict=True):
+        for i, system in zip(ids.tolist(), rows["system"].tolist(), strict=True):
             self.systems[i] = system
-            (self._other_bases.add if other else self._other_bases.discard)(i)
 
     def silence(self) -> None:
         """Take noise and drift out of every sensor."""

@@ -91,7 +91,7 @@ class Part:
         return _nothing
 
     def prepare_effects(
-        self, machines: Machines, ids: Index, rows: EffectRows, bases: BaseModel | None
+        self, machines: Machines, ids: Index, rows: EffectRows
     ) -> Callable[[], None]:
         """Check effects for some simulations; the result installs them.
 
@@ -99,7 +99,6 @@ class Part:
             machines: all of them.
             ids: (k,) which.
             rows: k rows.
-            bases: vehicles (k, ...) where effects change them.
         """
         return _nothing
 

@@ -7,13 +7,12 @@ free to move. A load in the hand makes everything slower, so the arm without it 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, Mask, ParameterError
-from ves_gym.mechanics.base_model import BaseModel
+from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.contact import Contact
 from ves_gym.mechanics.dynamics import drawn_configurations
 from ves_gym.mechanics.latch import response, tool_motion
@@ -21,7 +20,6 @@ from ves_gym.mechanics.linear_motion import LinearMotion
 from ves_gym.mechanics.servo import OWN_GAINS, JointServo
 from ves_gym.system.system import System
 
-_WORST = 9  # configurations of the fastest rates, that other bases are judged at
 _MOST = 10_000  # steps of a control period that are chosen: a thousandth of the usual speed
 _SURE = 2.0  # |pole| times step: RK4 is stable in the left half of a disc of 2.6 around 0
 
@@ -201,34 +199,3 @@ def _require_stable_loop(system: System, loop: _Loop) -> None:
         f"physics_dt must be <= {low:.3g} s for the fastest motion of {system.arm.name} with"
         f" its servos on {system.vehicle.kind}, {fastest:.4g}/s, got {system.physics_dt:g} s"
     )
-
-
-def steps_are_small(system: System, servo: JointServo | None, bases: BaseModel) -> Mask:
-    """(k,) vehicles on which a bound of all rates is slow enough for the physics step.
-
-    Where it is False, `require_stable_step` knows.
-
-    Args:
-        system: arm and steps.
-        servo: gains for every joint.
-        bases: M, D, K (k, 6, 6), positive semidefinite.
-    """
-    unsure = np.zeros(len(bases.M), bool)
-    if system.integrator != "rk4" or system.base.m or system.base.carried:
-        return unsure
-    loop = _Loop.of(replace(system, effects=()), servo)
-    out = ~unsure
-    try:
-        worst = np.argsort(loop.bound())[-_WORST:]
-        for M, D, K in zip(loop.M[worst], loop.D[worst], loop.K[worst], strict=True):
-            one = _Loop(*(np.tile(part, (len(unsure), 1, 1)) for part in (M, D, K)))
-            for part, nominal, theirs in (
-                (one.M, system.base.M, bases.M),
-                (one.D, system.base.D, bases.D),
-                (one.K, system.base.K, bases.K),
-            ):
-                part[:, :6, :6] += theirs - nominal
-            out &= one.bound() * system.physics_dt <= _SURE
-    except np.linalg.LinAlgError:
-        return unsure
-    return out

@@ -231,12 +231,7 @@ class ArmEffect(Effect):
 
 
 class BaseEffect(Effect):
-    """Difference of the vehicle, real or emulated, from its description.
-
-    Where simulations have values of their own, `base` is tried with all of them at once, as
-    `LaboratoryEffect.edit` is: M, D, K (6, 6, 1), drag (6, 1), parameters with the simulations'
-    axis last.
-    """
+    """Difference of the vehicle, real or emulated, from its description."""
 
     modes: ClassVar[tuple[str, ...]] = ("ideal", "emulated")
     port: ClassVar[str] = "admittance"

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.system.deviations import Delays, LoopParameters, axis_to_end
 from ves_gym.system.effect import (
     ArmEffect,
@@ -45,7 +44,9 @@ class EffectRows:
         values: Mapping[tuple[int, str], Array],
         at_once: bool = False,
     ) -> None:
-        self.template, self.values, self.at_once = system, values, at_once
+        self.template, self.values = system, values
+        # arms and vehicles are objects, one for each simulation
+        self.at_once = at_once and not self.varied(BODIES)
         self._size = len(next(iter(values.values())))
         self._systems: dict[int, System] = {}
 
@@ -145,31 +146,6 @@ class EffectRows:
                 effect.edit(out)
         return out
 
-    def bases(self) -> BaseModel:
-        """The vehicles that are really there: M, D, K (k, 6, 6) and drag (k, 6).
-
-        Raises:
-            TypeError: a satellite, internal modes.
-        """
-        nominal = self.template.base
-        drag = np.zeros(6) if nominal.drag is None else nominal.drag
-        M, D, K = (part[..., None] for part in (nominal.M, nominal.D, nominal.K))
-        base = BaseModel(M, D, K, nominal.body, drag[:, None], nominal.internal)
-        for i in range(len(self.template.effects)):
-            effect = self._turned(i)
-            if isinstance(effect, BaseEffect):
-                base = effect.base(base)
-        if base.body is not None or base.internal is not None:
-            raise TypeError("a satellite, or internal modes")
-        assert base.drag is not None
-        M, D, K, drag = (
-            np.ascontiguousarray(
-                np.moveaxis(np.broadcast_to(part, (*part.shape[:-1], len(self))), -1, 0)
-            )
-            for part in (base.M, base.D, base.K, base.drag)
-        )
-        return BaseModel(M, D, K, drag=drag)
-
     def delays(self) -> Delays:
         """Delays (k, ...) between joint controller and drives."""
         k, joints = len(self), self.template.arm.n
@@ -186,14 +162,12 @@ class EffectRows:
     def together(self, start: LoopParameters | None) -> bool:
         """Return True if these rows at once give the very bits that each gives by itself.
 
-        Not so where an effect changes the arm, a satellite or internal modes, is written for
-        the leading axis, asks `if` of a number, or makes a matrix of a fixed size.
+        Not so where an effect is written for the leading axis, asks `if` of a number, or makes
+        a matrix of a fixed size.
 
         Args:
             start: (1, ...) the emulation loop as described; None in space.
         """
-        if self.varied(ArmEffect):
-            return False
         systems = [self.system(row) for row in range(len(self))]
         try:
             if self.varied(LaboratoryEffect) and start is not None:
@@ -202,8 +176,6 @@ class EffectRows:
                 theirs = rows[0].mapped(stacked, *rows[1:])
                 if not all(map(_same, ours.parts(), theirs.parts())):
                     return False
-            if self.varied(BaseEffect) and not _same_bases(self.bases(), systems):
-                return False
             if self.varied(DelayEffect):
                 delays = [system.delays() for system in systems]
                 for field in dataclasses.fields(Delays):
@@ -222,11 +194,3 @@ def stacked(*parts: Array) -> Array:
 
 def _same(a: Array, b: Array) -> bool:
     return a.shape == b.shape and a.tobytes() == b.tobytes()
-
-
-def _same_bases(ours: BaseModel, systems: list[System]) -> bool:
-    def all_of(base: BaseModel) -> list[Array]:
-        return [base.M, base.D, base.K, np.zeros(6) if base.drag is None else base.drag]
-
-    theirs = zip(*(all_of(system.actual.base) for system in systems), strict=True)
-    return all(_same(a, np.array(b)) for a, b in zip(all_of(ours), theirs, strict=True))

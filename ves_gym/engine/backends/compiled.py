@@ -13,7 +13,6 @@ from ves_gym.engine.batch_parameters import ParameterRows, bodies_of
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
 from ves_gym.engine.kernel.maps import system_function
 from ves_gym.mechanics.attitude import conjugate, rotate, to_matrix
-from ves_gym.mechanics.base_model import BaseModel
 from ves_gym.mechanics.contact import FLOATING, payload_coordinates, payload_of
 from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import System
@@ -42,7 +41,6 @@ class CompiledBackend(ABC):
         by_controllers = ("kp", "kd", "jet", "motor", "tide", "frame", "payload", "touching")
         self._gains = np.array([name.startswith(by_controllers) for name in self.names])
         self._systems = [system] * n
-        self._own_bases: set[int] = set()  # simulations with another than their system's
         size = 6 + self.joints
         self._extras = 0 if self.emulated else system.base.m
         self._carried = 0 if self.emulated else len(system.base.carried)
@@ -184,33 +182,12 @@ class CompiledBackend(ABC):
         for i, system in pairs:
             which, bodies = f"system of simulation {i}", bodies_of(system)
             if bodies not in rows_of:
-                same = i not in self._own_bases and bodies == bodies_of(self._systems[i])
+                same = bodies == bodies_of(self._systems[i])
                 rows_of[bodies] = self._row(i) if same else self.rows.of(system, which)
             rows.append(self.rows.with_effects(rows_of[bodies], system, which))
         for (i, system), row in zip(pairs, rows, strict=True):
             self._row(i)[:] = np.where(self._gains, self._row(i), row)
             self._systems[i] = system
-            self._own_bases.discard(i)
-
-    def assign_bases(self, ids: Index, bases: BaseModel) -> None:
-        """Give simulations vehicles of their own; arms and laws stay.
-
-        Args:
-            ids: (k,) which.
-            bases: M, D, K (k, 6, 6) and drag (k, 6).
-        """
-        if self.emulated:  # the engine knows a platform only
-            return
-        assert bases.drag is not None
-        numbers = {f"drag{i + 1}": bases.drag[:, i] for i in range(6)}
-        for name, part in (("M", bases.M), ("D", bases.D), ("K", bases.K)):
-            for i, j in zip(*np.triu_indices(6), strict=True):
-                numbers[f"{name}{i + 1}{j + 1}"] = part[:, i, j]
-        places = [(self.rows.place(name, values), values) for name, values in numbers.items()]
-        for at, values in places:
-            if at is not None:
-                self._set_parameter(at, ids, values)
-        self._own_bases.update(ids.tolist())
 
     def assign_laws(self, ids: Index, rows: EffectRows) -> None:
         """See `Backend`."""

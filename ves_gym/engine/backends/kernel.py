@@ -254,9 +254,8 @@ class KernelBackend(CompiledBackend):
     def rows_of(self, ids: Index) -> dict[str, Array]:
         """State and numbers of simulations (k,), with which `begin_with` begins others."""
         block, lane = ids // LANES, ids % LANES
-        own = [(self._systems[i], i in self._own_bases) for i in ids.tolist()]
-        numbers = {"p": self._p[block, :, lane], "system": object_rows(own)}
-        return {"x": self._x[block, :, lane], **numbers}
+        systems = object_rows([self._systems[i] for i in ids.tolist()])
+        return {"x": self._x[block, :, lane], "p": self._p[block, :, lane], "system": systems}
 
     def begin_with(self, ids: Index, rows: Mapping[str, Array]) -> None:
         """Put simulations (k,) into states at time 0, with numbers of `rows_of` if given."""
@@ -264,9 +263,8 @@ class KernelBackend(CompiledBackend):
         if "p" not in rows:
             return
         self._p[ids // LANES, :, ids % LANES] = rows["p"]
-        for i, (system, own) in zip(ids.tolist(), rows["system"], strict=True):
+        for i, system in zip(ids.tolist(), rows["system"].tolist(), strict=True):
             self._systems[i] = system
-            (self._own_bases.add if own else self._own_bases.discard)(i)
 
     def _set_parameter(self, at: int, ids: Index, values: Array) -> None:
         self._p[ids // LANES, at, ids % LANES] = values
