@@ -7,12 +7,13 @@ import pytest
 
 from tests.arms import six_joint_arm
 from ves_gym.engine.kernel.maps import (
-    ModeMap,
-    SceneMap,
     coupling_matrices,
     motion_loads,
+    pushed_modes,
+    scene_function,
     weight_function,
 )
+from ves_gym.engine.kernel.numbers import parameters
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.dynamics import newton_euler
 from ves_gym.mechanics.flexure import expand
@@ -99,7 +100,7 @@ def test_modes_are_those_of_lapack(kind):
     Tolerance: rounding times the ratio of the largest to the smallest omega^2 that counts.
     """
     K, M, b = matrices(kind)
-    omega, pushed = ModeMap(K, 3, N)(M, b)
+    omega, pushed = pushed_modes(K, M, b)
     wanted, shapes = natural_modes(K, M)
     size = wanted.max() or 1.0
     np.testing.assert_allclose(np.sort(omega, axis=1) ** 2, wanted**2, atol=1e-13 * size**2)
@@ -136,7 +137,9 @@ def test_a_scene_of_an_arm_that_bends_takes_its_flexures():
     q, v = rng.normal(size=(2, 5, n))
     y, yd, measured = 0.1 * rng.normal(size=(3, 5, 6))
     u, ud = 1e-3 * rng.normal(size=(2, 5, p))
-    energies, tool, tool_measured = SceneMap(system, 5)(q, v, y, yd, measured, (u, ud))
+    z, zd = np.hstack([y, q]), np.hstack([yd, v])
+    out = scene_function(system)(z, zd, measured, u, ud, parameters(system)[1])
+    energies, tool, tool_measured = np.split(out, [2, 5], axis=1)
     expected = base_energy(system, q, y, yd, (u, ud))
     np.testing.assert_allclose(energies[:, 0], expected.total, rtol=1e-10)
     np.testing.assert_allclose(energies[:, 1], expected.strain, rtol=1e-10)

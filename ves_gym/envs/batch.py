@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError, content_hash
 from ves_gym.engine.backends.kernel import KernelBackend
-from ves_gym.engine.kernel.maps import SceneMap, TorqueMap
+from ves_gym.engine.kernel.maps import scene_function, torque_function
+from ves_gym.engine.kernel.numbers import parameters
 from ves_gym.envs.compiled import Shape, carry_rows, plain_command
 from ves_gym.envs.compiled_step import CompiledStep, release_still
 from ves_gym.envs.control import Gains
@@ -126,7 +127,8 @@ class Batch:
             )
         space = self.system.ideal()
         self._space = space  # effects have no part in it
-        self._scenes, self._torques = SceneMap(space, n), TorqueMap(space, n)
+        self._scene_of, self._torque_of = scene_function(space), torque_function(space)
+        self._numbers = parameters(space)[1]
         self._emulated = self.system.mode == "emulated"
         self._feedforward = motor and control.servo.feedforward
         self._per_range = 1 / linear_range(self.system.vehicle)
@@ -161,8 +163,7 @@ class Batch:
         self.drawn: dict[str, Array] = {r.label: np.zeros((n, r.size)) for r in task.randomize}
 
         if compiled and CompiledStep.possible(self.sim, task):
-            parts = self._scene, self._scenes, self._torques
-            self._compiled = CompiledStep(self.sim, task, *parts)
+            self._compiled = CompiledStep(self.sim, task, self._scene)
         # whether all that a beginning needs can be written where it belongs
         alike = not (self._emulated or task.randomize or task.interacts or task.base_control)
         alike = alike and self.sim.contact is None
@@ -351,7 +352,7 @@ class Batch:
         x = backend.states_of(np.zeros(k, np.intp), pose, rate)
         modes = self._compiled.modes
         hidden = None if modes is None else (x[:, modes[0]], x[:, modes[1]])
-        energies, tool, _ = self._scenes(q, v, y, yd, y, hidden)
+        energies, tool, _ = self._seen(pose, rate, y, hidden)
         s, e = self._blank(k)
         s.q, s.v, s.y, s.yd, s.y_seen, s.yd_seen, s.goal = q, v, y, yd, y, yd, goal
         s.tool, s.tool_seen, s.energies, e.peaks = tool, tool, energies, energies
@@ -487,7 +488,8 @@ class Batch:
         s = self.scene if s is None else s
         out = plain_command(self.task, s)
         if self._feedforward and self.task.control.level != "torque":
-            out = out + self._torques(s.ref)
+            motion = s.ref.reshape(len(s.ref), -1)
+            out = out + self._torque_of(motion, self._numbers)
         return out
 
     def measured(self) -> tuple[Array, Array, Mask]:
@@ -506,7 +508,8 @@ class Batch:
         modes = self.sim.base_modes
         if modes is not None:
             modes = modes[0][rows], modes[1][rows]
-        energies, tool, tool_seen = self._scenes(q, v, y, yd, y_seen, modes)
+        pose, rate = np.hstack([y, q]), np.hstack([yd, v])
+        energies, tool, tool_seen = self._seen(pose, rate, y_seen, modes)
         table_values = self.task.lookup(s.goal[rows], np.rint(time / self.dt).astype(np.intp))
         parts = {
             "time": time, "y": y, "yd": yd, "q": q, "v": v, "y_seen": y_seen,
@@ -528,6 +531,19 @@ class Batch:
                 setattr(s, name, values)
             else:
                 getattr(s, name)[ids] = values
+
+    def _seen(
+        self, z: Array, zd: Array, measured: Array, modes: tuple[Array, Array] | None
+    ) -> list[Array]:
+        """Energies of bases (k, 2) and places of tools (k, 3), at z and as measured.
+
+        Args:
+            z, zd: (k, 6 + joints) poses and angles, and their rates.
+            measured: (k, 6) poses of the bases.
+            modes: u and u' (k, m) of flexures and of the base's internal modes.
+        """
+        state = z, zd, measured, *(modes or ())
+        return np.split(self._scene_of(*state, self._numbers), [2, 5], axis=1)
 
     @cached_property
     def free_decay(self) -> FreeDecay:

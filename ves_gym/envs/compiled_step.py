@@ -19,11 +19,13 @@ from ves_gym.engine.kernel.compiled_function import (
     Piece,
     Program,
     aligned,
+    everywhere,
     fill,
     numbers,
     unlane,
 )
-from ves_gym.engine.kernel.maps import SceneMap, TorqueMap
+from ves_gym.engine.kernel.maps import scene_function, torque_function
+from ves_gym.engine.kernel.numbers import parameters
 from ves_gym.envs import compiled
 from ves_gym.envs.compiled import WIDEST, Shape, carry_rows, compiles, layout, width
 from ves_gym.envs.episode import Episodes, ended_energies, judge
@@ -65,7 +67,6 @@ class CompiledStep:
         sim: whose engine it steps.
         task: what the episodes ask.
         s: of its simulations, for the widths of its parts.
-        scenes, torques: maps for as many simulations.
 
     Raises:
         FormulaError: task or control say that they are formulas, and are not.
@@ -87,9 +88,7 @@ class CompiledStep:
         known = sim.emulation_loop is None or signals_of(sim) is not None
         return known and not acts and isinstance(sim.backend, KernelBackend) and compiles(task)
 
-    def __init__(
-        self, sim: Simulator, task: Task, s: Scene, scenes: SceneMap, torques: TorqueMap
-    ) -> None:
+    def __init__(self, sim: Simulator, task: Task, s: Scene) -> None:
         self.sim, self.task, self.system, self.n = sim, task, sim.system, sim.n
         backend, system = sim.backend, sim.system
         assert isinstance(backend, KernelBackend)
@@ -100,6 +99,8 @@ class CompiledStep:
         self.shape = shape = Shape(task, system, *sizes, terms, signals_of(sim))
         self._functions = functions = compiled.functions(shape, probe)
         blocks, n, m = backend.blocks, shape.joints, system.base.hidden
+        space = system.ideal()  # effects have no part in it
+        described = everywhere(parameters(space)[1])
         at, outputs = shape.reference, shape.outputs
         rows = lambda k: aligned(blocks, k, LANES)  # noqa: E731
         self._carry, self._next = rows(width(shape.carry)), rows(width(shape.carry))
@@ -125,7 +126,8 @@ class CompiledStep:
             functions["move"].piece(*moved),
         ]
         if shape.feedforward:
-            first.append(torques.piece([self._reference[:, at["ref"]]], extra))
+            motion = self._reference[:, at["ref"]]
+            first.append(torque_function(space).piece(motion, described, extra))
         followed = before, self._reference, extra, self._commands, tau, gains
         first.append(functions["follow"].piece(*followed))
         self._acts = sim.base_actuators
@@ -142,7 +144,8 @@ class CompiledStep:
         if m and not self._emulated:  # effects add theirs after the base's own
             modes = [part[:, :m] for part in backend.rows_of_modes()]
         closed = z, zd, x, self._carry, self._reference, tau, self._goal, self._inputs
-        last = [scenes.piece([z, zd, measured, *modes], self._scene_rows[:, :8])]
+        seen = z, zd, measured, *modes, described, self._scene_rows[:, :8]
+        last = [scene_function(space).piece(*seen)]
         self._cargo = sim.payload if task.interacts else None
         self._flight = rows(0)  # steps of free flight in a period
         if sim.contact is not None:

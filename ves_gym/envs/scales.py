@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.engine.kernel.maps import InertiaMap, ModeMap
+from ves_gym.engine.kernel.maps import pushed_modes, system_function
+from ves_gym.engine.kernel.numbers import parameters
 from ves_gym.envs.task import Task
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.modes import blocks_of, natural_modes, root
@@ -43,7 +44,9 @@ class BaseModes:
     """
 
     def __init__(self, system: System) -> None:
-        self.system, self._room = system, 0
+        self.system, (self._mass, D, self._stiffness) = system, system.base.locked().full()
+        # columns r of a root of D: the sum of (shape . r)^2 is shape . D shape
+        self._root = root(D).T
 
     def __call__(self, q: Array) -> ModeCouplings:
         """Return the modes at k configurations.
@@ -51,25 +54,17 @@ class BaseModes:
         Args:
             q: (k, joints) [rad].
         """
-        n = self.system.arm.n
-        if len(q) > self._room:
-            self._room = len(q)
-            self._inertia = InertiaMap(self.system, self._room)
-            self._mass, D, K = self.system.base.locked().full()
-            # columns r of a root of D: the sum of (shape . r)^2 is shape . D shape
-            self._root = root(D).T
-            self._modes = ModeMap(K, n + self._root.shape[1], self._room)
-        blocks = blocks_of(self._inertia(q), self._mass)
+        system, n = self.system, self.system.arm.n
+        H = system_function("inertia_matrix", system)(q, parameters(system)[1])
+        blocks = blocks_of(H.reshape(-1, 6 + n, 6 + n), self._mass)
         roots = np.broadcast_to(self._root, (len(q), *self._root.shape))
-        omega, pushes = self._modes(blocks.Mt, np.concatenate([blocks.Hbm, roots], axis=2))
+        vectors = np.concatenate([blocks.Hbm, roots], axis=2)
+        omega, pushes = pushed_modes(self._stiffness, blocks.Mt, vectors)
         omega = np.clip(omega, _RIGID, _STIFF)
         ratio = (pushes[..., n:] ** 2).sum(axis=-1) / (2 * omega)
         return ModeCouplings(
             pushes[..., :n], omega, np.clip(ratio, _DAMPINGS[0], _DAMPINGS[-1])
         )
-
-    def __reduce__(self) -> tuple[type[BaseModes], tuple[System]]:
-        return BaseModes, (self.system,)  # machine code is no part of a copy
 
 
 class straight_energy:  # a function with a table

@@ -228,15 +228,6 @@ class CompiledFunction:
             out[first : first + LANES] = np.moveaxis(y, 2, 0)[: len(part)]
         return out
 
-    def buffered(self, n: int, *shared: Array) -> Buffered:
-        """Return the function for at most n points, over and over, on rows that it keeps.
-
-        Args:
-            n: points at most.
-            shared: (k,) last arguments, the same for all points.
-        """
-        return Buffered(self, n, shared)
-
 
 class Stepper(CompiledFunction):
     """Physics steps of many simulations; raises where nothing compiles.
@@ -369,26 +360,6 @@ def _program() -> str:
     from ves_gym.engine.kernel.emit import PROGRAM
 
     return PROGRAM
-
-
-class Buffered:
-    """A function for at most n points on rows of its own (`CompiledFunction.buffered`)."""
-
-    def __init__(self, function: CompiledFunction, n: int, shared: Sequence[Array]) -> None:
-        blocks = -(-n // LANES)
-        inputs, outputs = function.sizes
-        self._x = [aligned(blocks, k, LANES) for k in inputs[: len(inputs) - len(shared)]]
-        self._y = [aligned(blocks, k, LANES) for k in outputs]
-        self._run = function.piece(*self._x, *map(everywhere, shared), *self._y)
-
-    def __call__(self, *x: Array) -> Array:
-        """(m, k) each -> (m, all results), m at most n."""
-        m = len(x[0])
-        for rows, values in zip(self._x, x, strict=True):
-            fill(rows, values)
-        self._run(0, -(-m // LANES))
-        parts = [unlane(k, m) for k in self._y]
-        return parts[0] if len(parts) == 1 else np.hstack(parts)
 
 
 def everywhere(values: Array) -> Array:

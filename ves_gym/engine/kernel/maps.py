@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import lru_cache, partial
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -11,15 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.engine.kernel.build import LANES
 from ves_gym.engine.kernel.compiled_function import (
     CompiledFunction,
-    Piece,
-    Program,
-    aligned,
-    everywhere,
-    fill,
-    unlane,
 )
 from ves_gym.engine.kernel.numbers import geometry, parameters, structure, symbolic_model
 from ves_gym.engine.kernel.symbolic import column, symbols
@@ -63,21 +56,6 @@ def coupling_matrices(system: System, q: Array) -> Array:
 def system_function(name: str, system: System) -> CompiledFunction:
     """Return a function of `trace` by its name, such as `contact`, for a system's structure."""
     return CompiledFunction(f"{name} {structure(system)}", _traced(name, system))
-
-
-class InertiaMap:
-    """H(q) of at most n configurations, over and over (`dynamics.inertia`)."""
-
-    def __init__(self, system: System, n: int) -> None:
-        self._size = 6 + system.arm.n
-        self._entries = system_function("inertia_matrix", system).buffered(
-            n, parameters(system)[1]
-        )
-
-    def __call__(self, q: Array) -> Array:
-        """(m, n joints) -> (m, 6 + n, 6 + n), m at most the number given."""
-        # in plain order: products of stacks round by the layout of their memory
-        return self._entries(q).reshape(-1, self._size, self._size)
 
 
 @lru_cache(maxsize=64)
@@ -219,59 +197,6 @@ def torque_function(system: System) -> CompiledFunction:
     return CompiledFunction(f"torque {structure(system)}", partial(_torque, system))
 
 
-class _SystemMap:
-    """A function of n simulations whose last argument is a system's parameters."""
-
-    def __init__(self, function: CompiledFunction, system: System, n: int) -> None:
-        self.function, self._p = function, parameters(system)[1]
-        self._values = function.buffered(n, self._p)
-
-    def piece(self, arguments: Sequence[Array], result: Array) -> Piece:
-        """The map on rows of the caller's.
-
-        Args:
-            arguments: (blocks, width, LANES) each, in order.
-            result: (blocks, height, LANES), written.
-        """
-        return self.function.piece(*arguments, everywhere(self._p), result)
-
-
-class SceneMap(_SystemMap):
-    """Energy of the base and place of the tool of n simulations (`scene_function`)."""
-
-    def __init__(self, system: System, n: int) -> None:
-        super().__init__(scene_function(system), system, n)
-
-    def __call__(
-        self,
-        q: Array,
-        v: Array,
-        y: Array,
-        yd: Array,
-        measured: Array,
-        modes: tuple[Array, Array] | None = None,
-    ) -> tuple[Array, Array, Array]:
-        """E of the base and its strain energy (n, 2) [J], tool in space (n, 3) [m].
-
-        The tool twice: with the base at its pose y, and at its `measured` pose (n, 6).
-        `modes`: u and u' (n, m) of flexures and of the base's internal modes.
-        """
-        z, zd = np.concatenate([y, q], axis=1), np.concatenate([yd, v], axis=1)
-        out = self._values(z, zd, measured, *(modes or ()))
-        return out[:, :2], out[:, 2:5], out[:, 5:]
-
-
-class TorqueMap(_SystemMap):
-    """Joint torque of n motions on a base that stands still (`torque_function`)."""
-
-    def __init__(self, system: System, n: int) -> None:
-        super().__init__(torque_function(system), system, n)
-
-    def __call__(self, motion: Array) -> Array:
-        """(n, 3, joints) angle, rate and acceleration -> (n, joints) [N m]."""
-        return self._values(motion.reshape(len(motion), -1))
-
-
 def _scene(system: System) -> casadi.Function:
     import casadi as ca
 
@@ -311,60 +236,33 @@ _SWEEPS = {8: 7, 12: 9}  # up to so many axes
 _MOST = max(_SWEEPS)  # axes: code grows by their cube
 
 
-class ModeMap:
-    """Modes of K x = omega^2 M x and how vectors push them, for many M, over and over.
+def pushed_modes(K: Array, M: Array, b: Array) -> tuple[Array, Array]:
+    """Return the modes of K x = omega^2 M x for many M, and how vectors push them.
 
-    Gives what `mechanics.modes.natural_modes` gives, but for the order of the modes and the
+    They are those of `mechanics.modes.natural_modes`, but for the order of the modes and the
     signs of their shapes; by that function where k is above 12.
 
     Args:
         K: (k, k) stiffness, symmetric.
-        columns: vectors per system.
-        n: systems at most.
+        M: (m, k, k) mass, symmetric positive definite.
+        b: (m, k, columns) vectors.
+
+    Returns:
+        omega (m, k) [rad/s], and shapes^T b (m, k, columns), shapes^T M shapes = 1.
     """
-
-    def __init__(self, K: Array, columns: int, n: int) -> None:
-        self.K, k = K, len(K)
-        self._lower = np.tril_indices(k)
-        entries = len(self._lower[0])
-        self._diagonal = np.cumsum(np.arange(1, k + 1)) - 1  # among the lower entries
-        self._run: Program | None = None
-        if k > _MOST:
-            return
-        sizes = entries, k * columns, entries + k * columns, entries + k * columns
-        self._M, self._b, source, target = (aligned(-(-n // LANES), m, LANES) for m in sizes)
-        key = f"{k} {columns}"
-        reduce = CompiledFunction.of(
-            f"reduce {key}", partial(_reduction, k), entries, entries, sizes[1]
-        )
-        sweep = CompiledFunction.of(f"sweep {key}", partial(_sweep, k), sizes[2])
-        stiffness = everywhere(K[self._lower])
-        pieces = [reduce.piece(self._M, stiffness, self._b, source)]
-        for _ in range(next(count for most, count in _SWEEPS.items() if k <= most)):
-            pieces.append(sweep.piece(source, target))
-            source, target = target, source
-        self._out, self._run = source, Program(pieces)
-
-    def __call__(self, M: Array, b: Array) -> tuple[Array, Array]:
-        """Return frequencies and pushes of m systems, m at most the number given.
-
-        Args:
-            M: (m, k, k) mass, symmetric positive definite.
-            b: (m, k, columns) vectors.
-
-        Returns:
-            omega (m, k) [rad/s], and shapes^T b (m, k, columns), shapes^T M shapes = 1.
-        """
-        if self._run is None:
-            omega, shapes = natural_modes(self.K, M)
-            return omega, np.swapaxes(shapes, -1, -2) @ b
-        m, size = len(M), b.shape[1] * b.shape[2]
-        fill(self._M, M[:, *self._lower])
-        fill(self._b, b.reshape(m, size))
-        self._run(0, -(-m // LANES))  # the blocks that hold them
-        out = unlane(self._out, m)
-        omega = np.sqrt(np.maximum(out[:, self._diagonal], 0.0))
-        return omega, out[:, -size:].reshape(b.shape)
+    k, lower, vectors = len(K), np.tril_indices(len(K)), b[0].size
+    if k > _MOST:
+        omega, shapes = natural_modes(K, M)
+        return omega, np.swapaxes(shapes, -1, -2) @ b
+    key, entries = f"{k} {b.shape[2]}", len(lower[0])
+    widths = entries, entries, vectors
+    reduction = CompiledFunction.of(f"reduce {key}", partial(_reduction, k), *widths)
+    sweep = CompiledFunction.of(f"sweep {key}", partial(_sweep, k), entries + vectors)
+    rows = reduction(M[:, *lower], K[lower], b.reshape(len(b), vectors))
+    for _ in range(next(count for most, count in _SWEEPS.items() if k <= most)):
+        rows = sweep(rows)
+    diagonal = np.cumsum(np.arange(1, k + 1)) - 1  # among the lower entries
+    return np.sqrt(np.maximum(rows[:, diagonal], 0.0)), rows[:, entries:].reshape(b.shape)
 
 
 def _reduction(k: int, M: Array, K: Array, b: Array) -> Array:
