@@ -20,7 +20,6 @@ class _GravityEffect(LaboratoryEffect):
     port = "gravity"
 
     def check(self, system: System) -> None:
-        """See `Effect`."""
         super().check(system)
         operation = system.emulator_settings.operation
         self.require(operation == "microgravity", f"operation microgravity, got {operation}")

@@ -51,7 +51,6 @@ class ArmTask(Task):
 
     @property
     def draws(self) -> int:  # type: ignore[override]
-        """See `Task`."""
         return self.rows * max(self.least, self.system.arm.n) + self.more
 
     @cached_property

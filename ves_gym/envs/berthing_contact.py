@@ -185,7 +185,6 @@ class BerthingContact(ArmTask):
         }
 
     def closes(self, s: Scene) -> Mask:
-        """See `Task`."""
         t = LatchTarget.of(s.payload)
         slow = np.linalg.norm(t.relative[:, :3], axis=1) <= self.catch
         closing: Mask = slow & (t.reached > 0) & (t.carried == 0)

@@ -91,7 +91,6 @@ class Lqr(ArmTask):
             )
 
     def half_widths(self) -> Vector:
-        """See `ArmTask`."""
         return (self.bend,)
 
     # -------------------------------------------------------------- closed form

@@ -141,7 +141,6 @@ class PayloadTransfer(ArmTask):
         }
 
     def closes(self, s: Scene) -> Mask:
-        """See `Task`."""
         t = LatchTarget.of(s.payload)
         slow = np.linalg.norm(t.relative[:, :3], axis=1) <= self.catch
         free: Mask = (t.carried == 0) & (s.memory[:, _BERTHED] == 0)

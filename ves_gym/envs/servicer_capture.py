@@ -149,7 +149,6 @@ class ServicerCapture(ArmTask):
 
     @property
     def tumbles(self) -> bool:
-        """See `Task`."""
         return self.tumbled > LEAVE
 
     def __post_init__(self) -> None:
@@ -256,7 +255,6 @@ class ServicerCapture(ArmTask):
         }
 
     def closes(self, s: Scene) -> Mask:
-        """See `Task`."""
         t = LatchTarget.of(s.payload)
         slow = np.linalg.norm(t.relative[:, :3], axis=1) <= self.catch
         slow = slow & (np.linalg.norm(t.relative[:, 3:], axis=1) <= self.catch_turn)

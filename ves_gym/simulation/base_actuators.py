@@ -113,7 +113,6 @@ class BaseActuators(Part):
             self._point()
 
     def after(self, machines: Machines, period: ControlPeriod) -> None:
-        """See `Part`."""
         if period.ends:
             self.commanded[:] = False
 

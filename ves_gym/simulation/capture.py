@@ -194,7 +194,6 @@ class PayloadHandler(NotingPart):
             self._contact.put(ids, self._rows(ids), self.com[ids])
 
     def after(self, machines: Machines, period: ControlPeriod) -> None:
-        """See `Part`."""
         self.advance(period.steps * machines.system.physics_dt, period.running)
 
     def change(self, ids: Index, **values: npt.ArrayLike) -> None:
@@ -253,7 +252,6 @@ class PayloadHandler(NotingPart):
         return target(self._tool(ids), self.machines.system.arm.tool_rotation, body)
 
     def set_state(self, state: Mapping[str, Array]) -> None:
-        """See `Part`."""
         changed = np.flatnonzero(self.carried | state["carried"])
         super().set_state(state)
         self._refit(changed)

@@ -195,14 +195,12 @@ class EmulationLoop(NotingPart):
             self.zero(ids)
 
     def rows_of(self, ids: Index) -> dict[str, Array]:
-        """See `Part`."""
         assert self._code is not None
         block, lane = ids // LANES, ids % LANES
         compiled = self._code.lanes[block, :, lane], self._code.parameters[block, :, lane]
         return dict(zip(("memory", "p"), compiled, strict=True)) | self.numbers.rows_of(ids)
 
     def begin_with(self, ids: Index, rows: Mapping[str, Array]) -> None:
-        """See `Part`."""
         assert self._code is not None
         put_rows(self._code.lanes, ids, rows["memory"])
         put_rows(self._code.parameters, ids, rows["p"])
@@ -230,12 +228,10 @@ class EmulationLoop(NotingPart):
         return out
 
     def get_state(self) -> dict[str, Array]:
-        """See `Part`."""
         table = {} if self.table is None else {"table": self.table.copy()}
         return super().get_state() | self.memory.copied(self._carried) | table
 
     def set_state(self, state: Mapping[str, Array]) -> None:
-        """See `Part`."""
         super().set_state(state)
         self.use_table(state.get("table"))
         self.memory.take_over(state, self._carried)
@@ -243,7 +239,6 @@ class EmulationLoop(NotingPart):
     # ------------------------------------------------------------------- tick
 
     def before(self, machines: Machines, period: ControlPeriod) -> None:
-        """See `Part`."""
         _, z, zd = machines.backend.read()
         q, _ = machines.measured_of(z[:, 6:], zd[:, 6:])
         gains = machines.kp, machines.kd
@@ -251,7 +246,6 @@ class EmulationLoop(NotingPart):
         period.acceleration = self.command(q, *gains, z[:, :6], zd[:, :6], platform)
 
     def after(self, machines: Machines, period: ControlPeriod) -> None:
-        """See `Part`."""
         assert period.wrench is not None
         _, z, zd = machines.backend.read()
         self.sense(period.wrench, machines.measured_of(z[:, 6:], zd[:, 6:])[0])

@@ -27,11 +27,9 @@ class GravityGradient(Part):
         self.machines, self.orbit = machines, orbit
 
     def before(self, machines: Machines, period: ControlPeriod) -> None:
-        """See `Part`."""
         self._tell(period.steps / 2 * machines.system.physics_dt)
 
     def before_evaluation(self, machines: Machines) -> None:
-        """See `Part`."""
         self._tell(0.0)
 
     def _tell(self, ahead: float) -> None:

@@ -89,13 +89,11 @@ class JointDelays(Part):
     def prepare(
         self, machines: Machines, ids: Index, systems: Sequence[System]
     ) -> Callable[[], None]:
-        """See `Part`."""
         return lambda: self._assign(ids, [system.delays() for system in systems])
 
     def prepare_effects(
         self, machines: Machines, ids: Index, rows: EffectRows
     ) -> Callable[[], None]:
-        """See `Part`."""
         if not rows.varied(DelayEffect):
             return super().prepare_effects(machines, ids, rows)
         return lambda: self._assign(ids, [rows.delays()])

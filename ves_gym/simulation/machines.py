@@ -302,12 +302,10 @@ class Machines(Part):
         self.backend.set_gains(ids, kp, kd)
 
     def rows_of(self, ids: Index) -> dict[str, Array]:
-        """See `Part`."""
         sources = [self._sources.get(i, self.system) for i in ids.tolist()]
         return {"kp": self.kp[ids], "kd": self.kd[ids], "source": object_rows(sources)}
 
     def begin_with(self, ids: Index, rows: Mapping[str, Array]) -> None:
-        """See `Part`."""
         self.diverged[ids] = False
         if rows:
             self.kp[ids], self.kd[ids] = rows["kp"], rows["kd"]
@@ -315,11 +313,9 @@ class Machines(Part):
         self.changed()
 
     def get_state(self) -> dict[str, Array]:
-        """See `Part`."""
         return super().get_state() | {"steps": np.full(self.n, float(self.steps))}
 
     def set_state(self, state: Mapping[str, Array]) -> None:
-        """See `Part`."""
         super().set_state(state)
         self.steps = int(state["steps"][0])
         if self.system.drive == "motor":
@@ -358,7 +354,6 @@ class Charts(Part):
         self.begin_with(ids, {})
 
     def begin_with(self, ids: Index, rows: Mapping[str, Array]) -> None:
-        """See `Part`."""
         self.place[ids], self.turn[ids], self.elsewhere[ids] = 0.0, attitude.IDENTITY, False
 
     def before(self, machines: Machines, period: ControlPeriod) -> None:

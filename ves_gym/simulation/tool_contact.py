@@ -62,7 +62,6 @@ class ToolContact(Part):
         self.engine.set_frame(ids, charts.place[ids], charts.turn[ids])
 
     def before(self, machines: Machines, period: ControlPeriod) -> None:
-        """See `Part`."""
         if period.recentred is not None:
             self.reset(machines, period.recentred, machines.state)
 

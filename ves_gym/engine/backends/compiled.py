@@ -79,31 +79,25 @@ class CompiledBackend(ABC):
             self._put(ids, slice(start, start + values.shape[1]), values)
 
     def read(self) -> tuple[Array, Array, Array]:
-        """See `Backend`."""
         x, size, order = self._states(), 6 + self.joints, self._order
         time = self._start + self._ticks * self.dt
         return time, x[:, :size], x[:, order : order + size]
 
     def internal_state(self) -> tuple[Array, Array]:
-        """See `Backend`."""
         x, first, order = self._states(), 6 + self.joints, self._order
         end = order - self.floating
         return x[:, first:end], x[:, order + first : order + end]
 
     def set_gear_state(self, d: Array, rate: Array) -> None:
-        """See `Backend`."""
         self._put_both(np.arange(self.n), 6 + self.joints, d, rate)
 
     def set_carried(self, ids: Index, at: Array, rate: Array) -> None:
-        """See `Backend`."""
         self._put_both(ids, 6 + self.joints + self._gears, at, rate)
 
     def set_base(self, ids: Index, y: Array, yd: Array) -> None:
-        """See `Backend`."""
         self._put_both(ids, 0, y, yd)
 
     def set_rates(self, ids: Index, zd: Array, gears: Array) -> None:
-        """See `Backend`."""
         rates = np.hstack([zd, gears])
         self._put(ids, slice(self._order, self._order + rates.shape[1]), rates)
 
@@ -137,13 +131,11 @@ class CompiledBackend(ABC):
         return np.hstack(parts)
 
     def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
-        """See `Backend`."""
         for name, values in (("kp", kp), ("kd", kd)):
             for i in range(self.joints):
                 self._set_parameter(self.names.index(f"{name}{i + 1}"), ids, values[:, i])
 
     def set_last_link(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
-        """See `Backend`."""
         self.set_mass(f"link{self.joints}", ids, mass, com, inertia)
 
     def set_mass(self, body: str, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
@@ -156,7 +148,6 @@ class CompiledBackend(ABC):
             self._set_parameter(self.names.index(name), ids, values)
 
     def set_actuators(self, ids: Index, wrench: Array | None, torque: Array | None) -> None:
-        """See `Backend`."""
         for name, values in (("jet{}", wrench), ("motorcarried{}", torque)):
             for i in range(0 if values is None else values.shape[1]):
                 at = self.names.index(name.format(i + 1))
@@ -175,7 +166,6 @@ class CompiledBackend(ABC):
                 self._set_parameter(first + i, ids, values[:, i])
 
     def assign(self, ids: Index, systems: Sequence[System]) -> None:
-        """See `Backend`."""
         pairs = list(zip(ids.tolist(), systems, strict=True))
         rows_of: dict[tuple[int, int], Array] = {}  # rows of the arms and vehicles seen
         rows = []
@@ -190,22 +180,18 @@ class CompiledBackend(ABC):
             self._systems[i] = system
 
     def assign_laws(self, ids: Index, rows: EffectRows) -> None:
-        """See `Backend`."""
         for name, values in rows.laws().items():
             at = self.rows.place(name, values)
             if at is not None:
                 self._set_parameter(at, ids, values)
 
     def faults(self) -> Mask:
-        """See `Backend`."""
         return self._fault.copy()
 
     def get_state(self) -> dict[str, Array]:
-        """See `Backend`."""
         return {name.strip("_"): getattr(self, name).copy() for name in self.state_names}
 
     def set_state(self, state: Mapping[str, Array]) -> None:
-        """See `Backend`."""
         for name in self.state_names:
             getattr(self, name)[:] = state[name.strip("_")]
 
