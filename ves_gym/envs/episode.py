@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError
 from ves_gym.envs.task import Scene, Start, Task
+from ves_gym.simulation.simulator import Simulator
+from ves_gym.system.system import System
 
 AT_ONCE = 64  # beginnings: a call costs as much as ten of them
 _LEAST = 1e-9  # of a goal's reward, that a failure always shows
@@ -35,6 +37,22 @@ class Episodes:
     def rows(self, ids: Index) -> Episodes:
         """A copy of some simulations, of (k,) indices."""
         return Episodes(**{f.name: getattr(self, f.name)[ids] for f in fields(self)})
+
+
+class EpisodeBatch(Protocol):
+    """n episodes in lockstep (`Batch`), for those that watch them."""
+
+    n: int
+    task: Task
+    system: System
+    sim: Simulator
+    drawn: dict[str, Array]
+
+    @property
+    def scene(self) -> Scene: ...
+
+    @property
+    def episodes(self) -> Episodes: ...
 
 
 class Verdict(NamedTuple):

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array
+from ves_gym.envs.episode import EpisodeBatch
 from ves_gym.envs.task import Field
-
-if TYPE_CHECKING:
-    from ves_gym.envs.batch import Batch
 
 
 class Privileged:
@@ -27,7 +24,7 @@ class Privileged:
         batch: whose episodes.
     """
 
-    def __init__(self, batch: Batch) -> None:
+    def __init__(self, batch: EpisodeBatch) -> None:
         self.batch = batch
 
     @cached_property

@@ -15,18 +15,18 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, Index, Mask
+from ves_gym.envs.episode import EpisodeBatch
 from ves_gym.envs.task import Task
 from ves_gym.simulation.playback import base_wrench
 from ves_gym.system.runlog import RunLog
 
 if TYPE_CHECKING:
-    from ves_gym.envs.batch import Batch
     from ves_gym.rendering.live import Key
 
 Rows = tuple[list[Array], npt.NDArray[np.intp]]
 
 
-def wrench_on_base(batch: Batch, acceleration: Array | None = None) -> Array:
+def wrench_on_base(batch: EpisodeBatch, acceleration: Array | None = None) -> Array:
     """(n, 6) wrench of the arm on the base in platform axes, without weight [N, N m].
 
     In the laboratory what is measured less the gravity estimate; in space the truth, from
@@ -49,7 +49,9 @@ class Recorder:
         folder: where those that diverge are written; made if it is not there. None: nowhere.
     """
 
-    def __init__(self, batch: Batch, folder: str | os.PathLike[str] | None = None) -> None:
+    def __init__(
+        self, batch: EpisodeBatch, folder: str | os.PathLike[str] | None = None
+    ) -> None:
         self.batch, self.folder = batch, None if folder is None else Path(folder)
         if self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -237,19 +239,21 @@ class Renderer:
         """True while the window is there."""
         return self.live.open
 
-    def frame(self, batch: Batch, text: tuple[str, ...] = ()) -> npt.NDArray[np.uint8] | None:
+    def frame(
+        self, batch: EpisodeBatch, text: tuple[str, ...] = ()
+    ) -> npt.NDArray[np.uint8] | None:
         """The picture (height, width, 3) of the present state; None: it is in the window."""
         if self.mode == "rgb_array":
             return self.live.picture(self._samples(batch, text)[0])
         self.show(batch, text)
         return None
 
-    def frames(self, batch: Batch) -> tuple[npt.NDArray[np.uint8], ...]:
+    def frames(self, batch: EpisodeBatch) -> tuple[npt.NDArray[np.uint8], ...]:
         """Pictures (height, width, 3) of every simulation's present state."""
         samples = self._samples(batch, (), batch.n)
         return tuple(self.live.picture(sample) for sample in samples)
 
-    def show(self, batch: Batch, text: tuple[str, ...] = ()) -> list[Key]:
+    def show(self, batch: EpisodeBatch, text: tuple[str, ...] = ()) -> list[Key]:
         """Bring the window up to date, a control period after the last time.
 
         Returns:
@@ -261,7 +265,7 @@ class Renderer:
         return keys
 
     def _samples(
-        self, batch: Batch, text: tuple[str, ...], count: int = 1
+        self, batch: EpisodeBatch, text: tuple[str, ...], count: int = 1
     ) -> list[dict[str, Any]]:
         """Samples of the first simulations, `count` of them."""
         s, e = batch.scene, batch.episodes
