@@ -51,11 +51,7 @@ from ves_gym.system.system import System
 
 
 def coupling_map(
-    at: Context,
-    *,
-    pair: tuple[int, int] | None = None,
-    q: Array | None = None,
-    **how: Any,
+    at: Context, *, pair: tuple[int, int] | None = None, q: Array | None = None, **how: Any
 ) -> Answer:
     """Sweep, write arrays and pictures."""
     system, folder = at.case.system, at.folder("out/map")

@@ -12,17 +12,7 @@ import numpy as np
 from ves_gym._util.one_line import on_one_line
 from ves_gym._util.own import import_own
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.cli.flags import (
-    Answer,
-    Context,
-    Flag,
-    integer,
-    integers,
-    path,
-    read,
-    say,
-    text,
-)
+from ves_gym.cli.flags import Answer, Context, Flag, integer, integers, path, read, say, text
 
 
 def make(

@@ -36,10 +36,7 @@ COMMANDS = {  # name -> its module, loaded when it is asked for, and what it doe
     "policy": ("learning", "policies as ONNX for other engines, and their model cards"),
     "leaderboard": ("leaderboard", "entries that anybody can repeat, checked, and the board"),
     "sweep": ("sweeps", "many units of work, here or on a cluster; goes on where it stopped"),
-    "matrix": (
-        "sweeps",
-        "methods x machines x tasks x seeds: a page with intervals; goes on",
-    ),
+    "matrix": ("sweeps", "methods x machines x tasks x seeds: a page with intervals; goes on"),
     "search": ("sweeps", "the settings of a sweep that do best, found with Optuna"),
     "merge": ("sweeps", "one table of the results of sweeps"),
     "pped": ("checks", "joint gains that take vibration out of the base (thesis 4.3)"),

@@ -76,12 +76,7 @@ class Teleop:
     """
 
     def __init__(
-        self,
-        system: System,
-        *,
-        start: npt.ArrayLike = 0.0,
-        seed: int = 0,
-        record: bool = False,
+        self, system: System, *, start: npt.ArrayLike = 0.0, seed: int = 0, record: bool = False
     ) -> None:
         arm = system.arm
         if arm.n > len(UP):

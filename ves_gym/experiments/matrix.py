@@ -233,11 +233,7 @@ def _who(
 # ------------------------------------------------------------------------- running
 
 
-def run_matrix(
-    matrix: Matrix,
-    folder: str | os.PathLike[str],
-    **options: Any,
-) -> Report:
+def run_matrix(matrix: Matrix, folder: str | os.PathLike[str], **options: Any) -> Report:
     """Do the units of a matrix that have no result yet, what needs no training first.
 
     Args:

@@ -21,12 +21,7 @@ from typing import Any
 from pebble import ProcessExpired
 
 from ves_gym._util.optional import require
-from ves_gym._util.params import (
-    ParameterError,
-    canonical_json,
-    write_bytes,
-    write_text,
-)
+from ves_gym._util.params import ParameterError, canonical_json, write_bytes, write_text
 from ves_gym._util.process_pool import Workers
 from ves_gym.experiments.spec import Spec, read_spec, units_of
 from ves_gym.experiments.units import Unit, read_result, run_unit

@@ -25,12 +25,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from ves_gym._util.params import (
-    ParameterError,
-    canonical_json,
-    content_hash,
-    read_table,
-)
+from ves_gym._util.params import ParameterError, canonical_json, content_hash, read_table
 from ves_gym._util.threads import on_one_thread
 from ves_gym._util.version import __version__
 from ves_gym.baselines.config import TrainConfig, config_from_plain

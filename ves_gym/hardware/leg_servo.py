@@ -37,13 +37,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from ves_gym._util.params import (
-    Array,
-    ParameterError,
-    require_choice,
-    require_positive,
-    unit,
-)
+from ves_gym._util.params import Array, ParameterError, require_choice, require_positive, unit
 from ves_gym.hardware.stewart import Stewart
 
 Complex = npt.NDArray[np.complex128]
@@ -252,11 +246,7 @@ class Leg:
         return x
 
     def sample(
-        self,
-        x: Array,
-        command: Array,
-        gain: Array | float = 1.0,
-        brake: Array | float = 1.0,
+        self, x: Array, command: Array, gain: Array | float = 1.0, brake: Array | float = 1.0
     ) -> Array:
         """Run the controller once; changes its part of x.
 

@@ -330,10 +330,7 @@ def _blueprint(scenes: Mapping[str, RecordingScene]) -> Any:
     around = [scene.surroundings for scene in scenes.values()]
     near, overview = (
         rrb.Spatial3DView(name=title, contents=contents, eye_controls=_eye(np.vstack(points)))
-        for title, points in (
-            ("arms", arms),
-            ("whole", [*arms, *around]),
-        )
+        for title, points in (("arms", arms), ("whole", [*arms, *around]))
     )
     space = rrb.Vertical(near, overview, row_shares=[3, 2]) if any(map(len, around)) else near
     layout = rrb.Horizontal(space, rrb.Vertical(*plots), column_shares=[3, 2])

@@ -61,11 +61,7 @@ def _require_possible(
 
 
 def assign_effects(
-    machines: Machines,
-    parts: Sequence[Part],
-    rows: EffectRows,
-    index: Index,
-    servo: JointServo,
+    machines: Machines, parts: Sequence[Part], rows: EffectRows, index: Index, servo: JointServo
 ) -> None:
     """Give the simulations of `index` (k,) effects, see `Simulator.assign_effects`.
 

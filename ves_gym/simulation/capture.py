@@ -13,12 +13,7 @@ from ves_gym._util.params import Array, Index, Mask, ParameterError
 from ves_gym.engine.kernel.compiled_function import CompiledFunction, Piece, lanes, unlane
 from ves_gym.engine.kernel.maps import system_function
 from ves_gym.engine.kernel.numbers import parameters
-from ves_gym.mechanics.attitude import (
-    conjugate,
-    from_angles,
-    from_matrix,
-    rotate,
-)
+from ves_gym.mechanics.attitude import conjugate, from_angles, from_matrix, rotate
 from ves_gym.mechanics.kinematics import ToolState
 from ves_gym.mechanics.latch import (
     BODY,

@@ -87,11 +87,7 @@ class LoopParts:
     """
 
     def __init__(
-        self,
-        system: System,
-        needs: Needs,
-        inertia: ArmInertia | None,
-        custom: Nonlinear | None,
+        self, system: System, needs: Needs, inertia: ArmInertia | None, custom: Nonlinear | None
     ) -> None:
         spec, arm = system.emulator_settings, system.arm
         clock = system.control_dt, system.physics_dt

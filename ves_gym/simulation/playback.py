@@ -276,12 +276,7 @@ def _latch(sim: Simulator, kind: str, command: Array) -> list[Capture]:
 
 
 def weigh_poses(
-    system: System,
-    q: npt.ArrayLike,
-    y: npt.ArrayLike,
-    *,
-    seconds: float = 1.0,
-    seed: int = 0,
+    system: System, q: npt.ArrayLike, y: npt.ArrayLike, *, seconds: float = 1.0, seed: int = 0
 ) -> RunLog:
     """Hold arm and platform still in each of m poses and record the force sensor.
 

@@ -15,12 +15,7 @@ from ves_gym.mechanics.servo import JointServo
 from ves_gym.simulation.capture import Capture
 from ves_gym.simulation.energy_account import EnergyAccount
 from ves_gym.simulation.state import Event
-from ves_gym.system.disturbance import (
-    Disturbance,
-    Watched,
-    disturbance,
-    mount_acceleration,
-)
+from ves_gym.system.disturbance import Disturbance, Watched, disturbance, mount_acceleration
 from ves_gym.system.energy import TAIL, Energies, energies
 from ves_gym.system.frequency_weight import FAST, FrequencyWeight
 from ves_gym.system.runlog import RunLog
@@ -151,11 +146,7 @@ class Recording:
         return self.u[i][..., part, :], self.ud[i][..., part, :]
 
     def energies(
-        self,
-        which: Sequence[int] | None = None,
-        *,
-        tail: float = TAIL,
-        as_it_is: bool = False,
+        self, which: Sequence[int] | None = None, *, tail: float = TAIL, as_it_is: bool = False
     ) -> list[Energies]:
         """Return the energy measures of runs.
 
@@ -238,12 +229,7 @@ class Recording:
         end = self._until_stop(i, of.t)
         return Steps(of.t[:end], of.q[i, :end], of.v[i, :end], of.y[i, :end])
 
-    def limit_check(
-        self,
-        i: int,
-        *,
-        v_max: Sequence[float] | None = None,
-    ) -> LimitCheck:
+    def limit_check(self, i: int, *, v_max: Sequence[float] | None = None) -> LimitCheck:
         """Check the joints of run i as they moved, up to its safety stop if it had one.
 
         A torque is what the drives are told, which the simulator keeps within their limits.

@@ -113,11 +113,7 @@ class Scope:
 
 
 def placed(
-    cls: EffectClass,
-    slot: str,
-    numbers: Sequence[Number],
-    fields: Fields,
-    sparse: bool = False,
+    cls: EffectClass, slot: str, numbers: Sequence[Number], fields: Fields, sparse: bool = False
 ) -> Candidate:
     """Return an effect in one place; the rest is as its class says.
 

@@ -17,13 +17,7 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.kinematics import joint_positions
 from ves_gym.mechanics.spatial import matvec, rotation, twist, twist_rate
-from ves_gym.system.energy import (
-    TAIL,
-    Internal,
-    Measures,
-    base_energy,
-    internal_motion,
-)
+from ves_gym.system.energy import TAIL, Internal, Measures, base_energy, internal_motion
 from ves_gym.system.frequency_weight import FAST, FrequencyWeight
 from ves_gym.system.system import System
 

@@ -39,10 +39,7 @@ class EffectRows:
     """
 
     def __init__(
-        self,
-        system: System,
-        values: Mapping[tuple[int, str], Array],
-        at_once: bool = False,
+        self, system: System, values: Mapping[tuple[int, str], Array], at_once: bool = False
     ) -> None:
         self.template, self.values = system, values
         # arms and vehicles are objects, one for each simulation

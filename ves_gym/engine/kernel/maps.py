@@ -11,9 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.engine.kernel.compiled_function import (
-    CompiledFunction,
-)
+from ves_gym.engine.kernel.compiled_function import CompiledFunction
 from ves_gym.engine.kernel.numbers import geometry, parameters, structure, symbolic_model
 from ves_gym.engine.kernel.symbolic import column, symbols
 from ves_gym.mechanics.arm import Arm

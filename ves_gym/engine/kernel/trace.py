@@ -323,10 +323,7 @@ def inertia_matrix(system: System) -> casadi.Function:
     q = symbols("q", (model.n,))
     base, across, joints = inertia_parts(model.alone, q)
     H = np.concatenate(
-        [
-            np.concatenate([base, across.T], axis=1),
-            np.concatenate([across, joints], axis=1),
-        ]
+        [np.concatenate([base, across.T], axis=1), np.concatenate([across, joints], axis=1)]
     )
     return _function("inertia", q, p, H)
 

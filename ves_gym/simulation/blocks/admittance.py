@@ -163,12 +163,7 @@ class CoupledAdmittance(_Admittance):
         return {"X": X, "coupled": coupled}, {"payload": np.zeros((len(X), 6))}
 
     def coupled_system(
-        self,
-        p: Values,
-        X: Array,
-        coupled: Array,
-        force: Array,
-        u: Values,
+        self, p: Values, X: Array, coupled: Array, force: Array, u: Values
     ) -> tuple[Array, Array, Array, Array, Array]:
         """Return M, D, K, state and force of vehicle and servo-held joints as one system.
 

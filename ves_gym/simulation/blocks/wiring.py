@@ -95,11 +95,7 @@ class Wiring:
         return self.carried(shape) | {k: signal_of(k).sized(shape) for k in names}
 
     def run(
-        self,
-        blocks: Sequence[Block],
-        p: Parameters,
-        x: Values,
-        external: Values,
+        self, blocks: Sequence[Block], p: Parameters, x: Values, external: Values
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         """Run a part of the loop.
 
