@@ -189,7 +189,18 @@ class PayloadHandler(NotingPart):
             self._contact.put(ids, self._rows(ids), self.com[ids])
 
     def after(self, machines: Machines, period: ControlPeriod) -> None:
-        self.advance(period.steps * machines.system.physics_dt, period.running)
+        """Let free payloads fly on: straight, and turning as torque-free bodies do."""
+        if self._contact is not None:
+            rows = np.flatnonzero(self._moves(period.running))
+            if len(rows):
+                moved = self._contact.bodies(rows, self.com)
+                for name, part in zip(BODY, moved, strict=True):
+                    getattr(self, name)[rows] = part
+            return
+        steps = self.steps(period.steps * machines.system.physics_dt, period.running)
+        if steps.size:
+            self.store(fly(self.rows(BODY), self.com, self.inertia, steps))
+            self.written = True
 
     def change(self, ids: Index, **values: npt.ArrayLike) -> None:
         """Set numbers of free payloads: an episode's mass, say, or where they start.
@@ -252,25 +263,6 @@ class PayloadHandler(NotingPart):
         self._refit(changed)
         self._describe()  # the engine's state has where they are
         self._note_motion(np.arange(self.machines.n))
-
-    def advance(self, time: float, ids: Index | None) -> None:
-        """Let free payloads fly on: straight, and turning as torque-free bodies do.
-
-        Args:
-            time: [s].
-            ids: which simulations run, None for all.
-        """
-        if self._contact is not None:
-            rows = np.flatnonzero(self._moves(ids))
-            if len(rows):
-                moved = self._contact.bodies(rows, self.com)
-                for name, part in zip(BODY, moved, strict=True):
-                    getattr(self, name)[rows] = part
-            return
-        steps = self.steps(time, ids)
-        if steps.size:
-            self.store(fly(self.rows(BODY), self.com, self.inertia, steps))
-            self.written = True
 
     def store(self, bodies: Array) -> None:
         """Take over free payloads (n, `BODY`) that have moved."""

@@ -239,50 +239,39 @@ class EmulationLoop(NotingPart):
     # ------------------------------------------------------------------- tick
 
     def before(self, machines: Machines, period: ControlPeriod) -> None:
+        """From the present readings to what the engine's platform is given next."""
         _, z, zd = machines.backend.read()
-        q, _ = machines.measured_of(z[:, 6:], zd[:, 6:])
-        gains = machines.kp, machines.kd
-        platform = None if period.platform is None else np.split(period.platform, 2, axis=-1)
-        period.acceleration = self.command(q, *gains, z[:, :6], zd[:, :6], platform)
-
-    def after(self, machines: Machines, period: ControlPeriod) -> None:
-        assert period.wrench is not None
-        _, z, zd = machines.backend.read()
-        self.sense(period.wrench, machines.measured_of(z[:, 6:], zd[:, 6:])[0])
-
-    def command(
-        self,
-        q: Array,
-        kp: Array,
-        kd: Array,
-        y_engine: Array,
-        yd_engine: Array,
-        platform: Sequence[Array] | None = None,
-    ) -> Array:
-        """From the present readings to what the engine's platform is given next.
-
-        Args:
-            q: (n, joints) measured joint angles [rad].
-            kp, kd: (n, joints) gains of the joint servo.
-            y_engine, yd_engine: (n, 6) pose and rate of the engine's platform.
-            platform: pose and rate (n, 6) to follow, under position control only.
-
-        Returns:
-            (n, k + 1, 6) acceleration Y'' at the period's nodes.
-        """
-        external = {"q": q, "kp": kp, "kd": kd, "y_engine": y_engine, "yd_engine": yd_engine}
+        external = {
+            "q": machines.measured_of(z[:, 6:], zd[:, 6:])[0],
+            "kp": machines.kp,
+            "kd": machines.kd,
+            "y_engine": z[:, :6],
+            "yd_engine": zd[:, :6],
+        }
         if self.spec.operation == "position":
             sent = self.memory["command_sent"][:, :6]
-            where = (sent, np.zeros_like(sent)) if platform is None else platform
-            external["motion"] = np.concatenate(where, axis=-1)
+            still = np.concatenate([sent, np.zeros_like(sent)], axis=-1)
+            external["motion"] = still if period.platform is None else period.platform
         if self.estimate is None:
             external["weight"] = np.zeros((self.n, 6))
         before = self.frozen
-        acceleration = self._run("before", external, "acceleration")
+        period.acceleration = self._run("before", external, "acceleration")
         new = self.frozen & ~before
         if new.any():
             self._report(np.flatnonzero(new), self.memory["reading"])
-        return acceleration
+
+    def after(self, machines: Machines, period: ControlPeriod) -> None:
+        """Take in the period's true wrench; read the sensors."""
+        assert period.wrench is not None
+        _, z, zd = machines.backend.read()
+        self.time = self.time + self.dt
+        q = machines.measured_of(z[:, 6:], zd[:, 6:])[0]
+        external = {"wrench": period.wrench, "draws": self.draws(), "q": q}
+        if self.table is not None:
+            external["table"] = self.table[:, 0]
+            if self.table.shape[1] > 1:
+                self.table = self.table[:, 1:]
+        self._run("after", external, "reading")
 
     def _report(self, ids: Index, reading: Array) -> None:
         """Note why platforms `ids` were frozen, at readings (n, 6): a stop leaves the pose."""
@@ -292,21 +281,6 @@ class EmulationLoop(NotingPart):
             sent, command = (memory[k][i] for k in ("command_sent", "command"))
             reason = safety.reason(sent, command, reading[i])
             self.note(Event(i, float(self.time[i]), reason))
-
-    def sense(self, wrench: Array, q: Array) -> None:
-        """Take in one period's true wrench; read the sensors.
-
-        Args:
-            wrench: (n, k + 1, 6) at the period's nodes [N, N m].
-            q: (n, joints) measured angles [rad].
-        """
-        self.time = self.time + self.dt
-        external = {"wrench": wrench, "draws": self.draws(), "q": q}
-        if self.table is not None:
-            external["table"] = self.table[:, 0]
-            if self.table.shape[1] > 1:
-                self.table = self.table[:, 1:]
-        self._run("after", external, "reading")
 
     def draws(self) -> Array:
         """(n, 18) standard normal numbers that the sensors take in a period."""
