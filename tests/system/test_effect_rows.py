@@ -14,13 +14,13 @@ from ves_gym.mechanics.link import diagonal
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import ArmEffect, BaseEffect, LaboratoryEffect, parameter, register
-from ves_gym.system.effect_rows import EffectRows
+from ves_gym.system.effect import LaboratoryEffect, parameter, register
+from ves_gym.system.effect_rows import ONE_BY_ONE, EffectRows
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
 EMULATOR = EmulatorSettings(payload_compensation=True)
-WHOLE = sorted(k for k, c in EFFECTS.items() if not issubclass(c, (ArmEffect, BaseEffect)))
+WHOLE = sorted(k for k, c in EFFECTS.items() if not issubclass(c, ONE_BY_ONE))
 
 
 def rows_of(kind, n=5, mode="emulated", emulator=EMULATOR):

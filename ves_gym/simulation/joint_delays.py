@@ -16,7 +16,6 @@ from ves_gym.simulation.machines import Machines, Part
 from ves_gym.simulation.state import State
 from ves_gym.system.deviations import Delays, advanced, fresh, friction
 from ves_gym.system.effect import DelayEffect
-from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import System
 
 _WHOLE = 1e-9  # of a physics step: a delay as near as that to whole steps is whole
@@ -91,19 +90,10 @@ class JointDelays(Part):
     ) -> Callable[[], None]:
         return lambda: self._assign(ids, [system.delays() for system in systems])
 
-    def prepare_effects(
-        self, machines: Machines, ids: Index, rows: EffectRows
-    ) -> Callable[[], None]:
-        if not rows.varied(DelayEffect):
-            return super().prepare_effects(machines, ids, rows)
-        return lambda: self._assign(ids, [rows.delays()])
-
     def _assign(self, ids: Index, delays: Sequence[Delays]) -> None:
-        """Give simulations delays of their own, of all ids one after the other."""
-        at = 0
-        for part in delays:
-            self.delays.put(ids[at : at + len(part.command)], part)
-            at += len(part.command)
+        """Give simulations delays of their own, (1, ...) for each of ids."""
+        for k, part in enumerate(delays):
+            self.delays.put(ids[k : k + 1], part)
         first = not self.command_history.shape[1], not self.measurement_history.shape[1]
         self._fit()
         if first[0]:

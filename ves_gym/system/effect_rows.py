@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.system.deviations import Delays, LoopParameters, axis_to_end
+from ves_gym.system.deviations import LoopParameters, axis_to_end
 from ves_gym.system.effect import (
     ArmEffect,
     BaseEffect,
@@ -26,6 +26,8 @@ from ves_gym.system.effect import (
 from ves_gym.system.system import System
 
 BODIES = (ArmEffect, BaseEffect)  # whose arms and vehicles are objects of their own
+# with delays a period runs in NumPy, and a reset costs little beside it
+ONE_BY_ONE = (*BODIES, DelayEffect)
 
 
 class EffectRows:
@@ -42,8 +44,7 @@ class EffectRows:
         self, system: System, values: Mapping[tuple[int, str], Array], at_once: bool = False
     ) -> None:
         self.template, self.values = system, values
-        # arms and vehicles are objects, one for each simulation
-        self.at_once = at_once and not self.varied(BODIES)
+        self.at_once = at_once and not self.varied(ONE_BY_ONE)
         self._size = len(next(iter(values.values())))
         self._systems: dict[int, System] = {}
 
@@ -143,19 +144,6 @@ class EffectRows:
                 effect.edit(out)
         return out
 
-    def delays(self) -> Delays:
-        """Delays (k, ...) between joint controller and drives."""
-        k, joints = len(self), self.template.arm.n
-        none = np.moveaxis(Delays.none(k, joints).friction, 0, -1)
-        out = Delays(np.zeros(k), np.zeros(k), np.zeros((joints, k)), none)
-        for i in range(len(self.template.effects)):
-            effect = self._turned(i)
-            if isinstance(effect, DelayEffect):
-                effect.wire(out)
-        command, measurement = (np.broadcast_to(x, k) for x in (out.command, out.measurement))
-        friction = np.moveaxis(np.broadcast_to(out.friction, none.shape), -1, 0)
-        return Delays(command, measurement, np.broadcast_to(out.lag, (joints, k)).T, friction)
-
     def together(self, start: LoopParameters | None) -> bool:
         """Return True if these rows at once give the very bits that each gives by itself.
 
@@ -173,12 +161,6 @@ class EffectRows:
                 theirs = rows[0].mapped(stacked, *rows[1:])
                 if not all(map(_same, ours.parts(), theirs.parts())):
                     return False
-            if self.varied(DelayEffect):
-                delays = [system.delays() for system in systems]
-                for field in dataclasses.fields(Delays):
-                    alone = np.concatenate([getattr(d, field.name) for d in delays])
-                    if not _same(getattr(self.delays(), field.name), alone):
-                        return False
         except (ValueError, IndexError, TypeError):
             return False
         return True
