@@ -10,8 +10,7 @@ import os
 import platform
 import re
 import tempfile
-import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,7 +31,6 @@ from ves_gym.rendering.opengl import (
 
 OK, FAIL, NOTE = "ok", "fail", "note"
 _PATIENCE = 90.0  # s for a child process
-_ROOT = Path(__file__).parents[2]
 _VECTORS = ("sse4_2", "avx", "avx2", "fma", "avx512f", "asimd", "sve")
 
 
@@ -86,31 +84,18 @@ def _checks(out: Path) -> Iterator[tuple[float, Check]]:
 
 
 def requirements() -> tuple[list[Requirement], dict[str, list[Requirement]], str]:
-    """Core requirements, those of each extra, and the Python versions: what is declared.
-
-    From pyproject.toml beside a source tree, else from the installed package.
-    """
-    project = _ROOT / "pyproject.toml"
-    if project.is_file():
-        table = tomllib.loads(project.read_text(encoding="utf-8"))["project"]
-        core, python = _parsed(table["dependencies"]), str(table["requires-python"])
-        extras = {k: _parsed(texts) for k, texts in table["optional-dependencies"].items()}
-    else:
-        metadata = importlib.metadata.metadata("ves-gym")
-        python = str(metadata["Requires-Python"])
-        every = _parsed(importlib.metadata.requires("ves-gym") or [])
-        core = [r for r in every if "extra" not in str(r.marker)]
-        names = metadata.get_all("Provides-Extra") or []
-        extras = {
-            k: [r for r in every if r not in core and f'extra == "{k}"' in str(r.marker)]
-            for k in names
-        }
+    """Core requirements, those of each extra, and the Python versions: what is declared."""
+    about = importlib.metadata.metadata("ves-gym")
+    texts = importlib.metadata.requires("ves-gym") or ()
+    every = [Requirement(text) for text in texts if not text.startswith("ves-gym")]
+    core = [r for r in every if "extra" not in str(r.marker)]
+    extras = {
+        k: [r for r in every if r not in core and f'extra == "{k}"' in str(r.marker)]
+        for k in about.get_all("Provides-Extra") or ()
+    }
     internal = ("all", "build", "dev")  # of other extras, or for those who change the package
-    return core, {k: v for k, v in extras.items() if v and k not in internal}, python
-
-
-def _parsed(texts: Iterable[str]) -> list[Requirement]:
-    return [Requirement(text) for text in texts if not text.startswith("ves-gym")]
+    known = {k: v for k, v in extras.items() if v and k not in internal}
+    return core, known, str(about["Requires-Python"])
 
 
 def check_version(needed: Requirement, extra: str = "") -> Check:
