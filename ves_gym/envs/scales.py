@@ -45,6 +45,8 @@ class BaseModes:
 
     def __init__(self, system: System) -> None:
         self.system, (self._mass, D, self._stiffness) = system, system.base.locked().full()
+        self._inertia = system_function("inertia_matrix", system)
+        self._numbers = parameters(system)[1]
         # columns r of a root of D: the sum of (shape . r)^2 is shape . D shape
         self._root = root(D).T
 
@@ -54,9 +56,9 @@ class BaseModes:
         Args:
             q: (k, joints) [rad].
         """
-        system, n = self.system, self.system.arm.n
-        H = system_function("inertia_matrix", system)(q, parameters(system)[1])
-        blocks = blocks_of(H.reshape(-1, 6 + n, 6 + n), self._mass)
+        n = self.system.arm.n
+        H = self._inertia(q, self._numbers).reshape(-1, 6 + n, 6 + n)
+        blocks = blocks_of(H, self._mass)
         roots = np.broadcast_to(self._root, (len(q), *self._root.shape))
         vectors = np.concatenate([blocks.Hbm, roots], axis=2)
         omega, pushes = pushed_modes(self._stiffness, blocks.Mt, vectors)
@@ -65,6 +67,9 @@ class BaseModes:
         return ModeCouplings(
             pushes[..., :n], omega, np.clip(ratio, _DAMPINGS[0], _DAMPINGS[-1])
         )
+
+    def __reduce__(self) -> tuple[type[BaseModes], tuple[System]]:
+        return BaseModes, (self.system,)  # machine code is no part of a copy
 
 
 class straight_energy:  # a function with a table

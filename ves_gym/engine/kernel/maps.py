@@ -248,19 +248,29 @@ def pushed_modes(K: Array, M: Array, b: Array) -> tuple[Array, Array]:
     Returns:
         omega (m, k) [rad/s], and shapes^T b (m, k, columns), shapes^T M shapes = 1.
     """
-    k, lower, vectors = len(K), np.tril_indices(len(K)), b[0].size
+    k, lower = len(K), np.tril_indices(len(K))
     if k > _MOST:
         omega, shapes = natural_modes(K, M)
         return omega, np.swapaxes(shapes, -1, -2) @ b
-    key, entries = f"{k} {b.shape[2]}", len(lower[0])
-    widths = entries, entries, vectors
-    reduction = CompiledFunction.of(f"reduce {key}", partial(_reduction, k), *widths)
-    sweep = CompiledFunction.of(f"sweep {key}", partial(_sweep, k), entries + vectors)
-    rows = reduction(M[:, *lower], K[lower], b.reshape(len(b), vectors))
+    reduction, sweep = _mode_functions(k, b.shape[2])
+    rows = reduction(M[:, *lower], K[lower], b.reshape(len(b), -1))
     for _ in range(next(count for most, count in _SWEEPS.items() if k <= most)):
         rows = sweep(rows)
     diagonal = np.cumsum(np.arange(1, k + 1)) - 1  # among the lower entries
-    return np.sqrt(np.maximum(rows[:, diagonal], 0.0)), rows[:, entries:].reshape(b.shape)
+    return np.sqrt(np.maximum(rows[:, diagonal], 0.0)), rows[:, len(lower[0]) :].reshape(
+        b.shape
+    )
+
+
+@lru_cache(maxsize=16)
+def _mode_functions(k: int, columns: int) -> tuple[CompiledFunction, CompiledFunction]:
+    """Reduction and sweep for k coordinates and so many vectors."""
+    key, entries, vectors = f"{k} {columns}", k * (k + 1) // 2, k * columns
+    widths = entries, entries, vectors
+    return (
+        CompiledFunction.of(f"reduce {key}", partial(_reduction, k), *widths),
+        CompiledFunction.of(f"sweep {key}", partial(_sweep, k), entries + vectors),
+    )
 
 
 def _reduction(k: int, M: Array, K: Array, b: Array) -> Array:
