@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.engine.kernel.compiled_function import CompiledFunction
+from ves_gym.engine.kernel.compiled_function import CompiledFunction, lanes, unlane
 from ves_gym.engine.kernel.numbers import geometry, parameters, structure, symbolic_model
 from ves_gym.engine.kernel.symbolic import column, symbols
 from ves_gym.mechanics.arm import Arm
@@ -253,13 +253,13 @@ def pushed_modes(K: Array, M: Array, b: Array) -> tuple[Array, Array]:
         omega, shapes = natural_modes(K, M)
         return omega, np.swapaxes(shapes, -1, -2) @ b
     reduction, sweep = _mode_functions(k, b.shape[2])
-    rows = reduction(M[:, *lower], K[lower], b.reshape(len(b), -1))
+    rows = lanes(reduction(M[:, *lower], K[lower], b.reshape(len(b), -1)))
+    run = sweep.piece(rows, rows)
     for _ in range(next(count for most, count in _SWEEPS.items() if k <= most)):
-        rows = sweep(rows)
+        run(0, len(rows))
+    out = unlane(rows, len(b))
     diagonal = np.cumsum(np.arange(1, k + 1)) - 1  # among the lower entries
-    return np.sqrt(np.maximum(rows[:, diagonal], 0.0)), rows[:, len(lower[0]) :].reshape(
-        b.shape
-    )
+    return np.sqrt(np.maximum(out[:, diagonal], 0.0)), out[:, len(lower[0]) :].reshape(b.shape)
 
 
 @lru_cache(maxsize=16)
@@ -269,7 +269,9 @@ def _mode_functions(k: int, columns: int) -> tuple[CompiledFunction, CompiledFun
     widths = entries, entries, vectors
     return (
         CompiledFunction.of(f"reduce {key}", partial(_reduction, k), *widths),
-        CompiledFunction.of(f"sweep {key}", partial(_sweep, k), entries + vectors),
+        CompiledFunction.of(
+            f"sweep {key}", partial(_sweep, k), entries + vectors, in_place=True
+        ),
     )
 
 
