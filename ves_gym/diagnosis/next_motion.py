@@ -26,7 +26,7 @@ from ves_gym.diagnosis.diagnose import NAMING_VERDICTS, NOTHING, WEAK, Diagnosis
 from ves_gym.diagnosis.excitation import drawn_motion, drawn_series, within_limits
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.separation import (
-    Hypothesis,
+    LinearHypothesis,
     hypothesis,
     rival_hypotheses,
     separations,
@@ -187,7 +187,7 @@ class _Search:
     def __init__(
         self,
         diagnosis: Diagnosis,
-        rivals: Sequence[Hypothesis],
+        rivals: Sequence[LinearHypothesis],
         faint: Sequence[Candidate],
         beside: Sequence[Candidate] = (),
     ) -> None:
@@ -252,7 +252,7 @@ class _Search:
             least = min(r.played.limits[kind] for r in hand)
             self._most[kind] = max(_MARGIN, least)
 
-    def played(self, truth: Hypothesis, motions: Sequence[Motion]) -> list[_Played]:
+    def played(self, truth: LinearHypothesis, motions: Sequence[Motion]) -> list[_Played]:
         """Return the runs of a machine with a hypothesis in it; none of a safety stop."""
         model = self.machine.model(
             [e.effect if isinstance(e, SlowPath) else e for e in truth.fit.effects]

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import Array, canonical_json, content_hash, write_bytes
+from ves_gym._util.params import Array, canonical_json, content_hash
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.inference.whitened_residuals import Wander, WhitenedResiduals
 from ves_gym.diagnosis.machines.base import Machine
@@ -65,11 +65,12 @@ class AnswerCache:
         return np.asarray(np.load(io.BytesIO(data[4:]), allow_pickle=False))
 
     def put(self, key: str, answer: Array) -> None:
-        """Write an answer (array) under its key, all of it or nothing."""
+        """Write an answer (array) under its key; half of a file counts as none."""
         buffer = io.BytesIO()
         np.save(buffer, answer, allow_pickle=False)
         data = buffer.getvalue()
-        write_bytes(self.folder / f"{key}.bin", zlib.crc32(data).to_bytes(4, "little") + data)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        (self.folder / f"{key}.bin").write_bytes(zlib.crc32(data).to_bytes(4, "little") + data)
 
     def done(self) -> None:
         """Delete the answers: all results are written elsewhere."""

@@ -26,7 +26,7 @@ _NOISE_TAKEN_OFF = 0.8  # of the noise in columns, as fits do
 
 
 @dataclass(frozen=True, eq=False)
-class Hypothesis:
+class LinearHypothesis:
     """A fit that may be the truth, and how sure the runs at hand are of its numbers."""
 
     name: str  # of what it has and its rivals have not
@@ -48,7 +48,7 @@ class Hypothesis:
         return values, _marginal(self.precision, retained)
 
 
-def hypothesis(residuals: WhitenedResiduals, full: Fit, name: str) -> Hypothesis:
+def hypothesis(residuals: WhitenedResiduals, full: Fit, name: str) -> LinearHypothesis:
     """Return a fit with the precision that these runs leave; what single runs have is out.
 
     Args:
@@ -66,7 +66,7 @@ def hypothesis(residuals: WhitenedResiduals, full: Fit, name: str) -> Hypothesis
         noisy = _NOISE_TAKEN_OFF * residuals.noise_product(g, X)
         A += (x.T @ x - noisy) / max(float(size), 1.0)
     names = [k.name for k in residuals.nuisances[:m]]
-    return Hypothesis(
+    return LinearHypothesis(
         name,
         full,
         dict(zip(names, full.nuisances[:m].tolist(), strict=True)),
@@ -90,7 +90,7 @@ def _marginal(precision: Array, retained: Array) -> Array:
 
 def rival_hypotheses(
     residuals: WhitenedResiduals, selection: Selection, place: int, alike: float, most: int
-) -> list[Hypothesis]:
+) -> list[LinearHypothesis]:
     """Return the rivals for a place in the answer as hypotheses, the answer itself first.
 
     Args:
@@ -116,7 +116,7 @@ def rival_hypotheses(
     return out
 
 
-def separations(new: WhitenedResiduals, rivals: Sequence[Hypothesis]) -> Array:
+def separations(new: WhitenedResiduals, rivals: Sequence[LinearHypothesis]) -> Array:
     """Return the deviance that a further run is expected to hold against each rival.
 
     Args:
@@ -141,7 +141,7 @@ def separations(new: WhitenedResiduals, rivals: Sequence[Hypothesis]) -> Array:
 
 
 def visibility(
-    new: WhitenedResiduals, at_hand: Hypothesis, faint: Sequence[Candidate]
+    new: WhitenedResiduals, at_hand: LinearHypothesis, faint: Sequence[Candidate]
 ) -> Array:
     """Return the information of a further run on candidates, at their usual size.
 
@@ -182,7 +182,7 @@ class _Free:
         return np.asarray(d.T @ (d * self._weight[:, None]) - across.T @ self._inverse @ across)
 
 
-def _weights(new: WhitenedResiduals, at_hand: Hypothesis) -> Array:
+def _weights(new: WhitenedResiduals, at_hand: LinearHypothesis) -> Array:
     """Return (N,) weights: what is more than noise at hand will be more than noise again."""
     out = np.zeros(new.length)
     for g in new.groups:
