@@ -1,7 +1,5 @@
 """Arms from files as others write them: couplings, gaps and habits, judged by other readers."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -128,37 +126,28 @@ def test_the_torque_of_a_tendons_motor_is_that_at_the_joint(mjcf):
 # ------------------------------------------------------- what is unknown, and who decides
 
 
-def test_a_shape_without_mass_weighs_nothing_where_that_is_said(urdf):
-    shape = (
-        '<link name="tool"><visual><geometry><sphere radius="0.1"/></geometry></visual></link>'
-    )
-    path = urdf(CHAIN, '<link name="tool"/>', shape)
-    with pytest.raises(ParameterError, match=r"mass is unknown \(--massless tool"):
-        Arm.from_file(path)
-    arm = Arm.from_file(path, massless=["tool"])
+SHAPE = '<visual><geometry><sphere radius="0.1"/></geometry></visual>'
+
+
+def test_a_shape_without_mass_on_a_body_that_has_one_weighs_nothing(urdf):
+    """As others read it, and the source says so."""
+    path = urdf(CHAIN, '<link name="tool"/>', f'<link name="tool">{SHAPE}</link>')
+    arm = Arm.from_file(path)
     assert arm.links == Arm.from_file(urdf(CHAIN)).links
-    assert "taken to weigh nothing: tool" in arm.source
+    assert "no mass in the file, so none: tool" in arm.source
+
+
+def test_links_that_move_without_any_mass_are_named_at_once(urdf):
+    beyond = f'<link name="eye">{SHAPE}</link>', f'<link name="ear">{SHAPE}</link>'
+    joints = joint("k", "l3", "eye"), joint("h", "eye", "ear", kind="fixed")
+    path = urdf([*CHAIN, *beyond, *joints])
+    said = r"'eye', 'ear' have a shape, .* is unknown \(--massless eye --massless ear"
+    with pytest.raises(ParameterError, match=said):
+        Arm.from_file(path, tip="ear")
+    arm = Arm.from_file(path, tip="ear", massless=["eye", "ear"], rotors={"k": 0.1})
+    assert "taken to weigh nothing: eye, ear" in arm.source
     with pytest.raises(ParameterError, match="massless: no link 'hand'"):
-        Arm.from_file(path, massless=["hand"])
-
-
-def test_links_without_mass_are_named_at_once(urdf):
-    shape = '<visual><geometry><sphere radius="0.1"/></geometry></visual>'
-    path = urdf(
-        [
-            *CHAIN,
-            f'<link name="eye">{shape}</link>',
-            joint("k", "l3", "eye", kind="fixed"),
-            f'<link name="ear">{shape}</link>',
-            joint("h", "l3", "ear", kind="fixed"),
-        ]
-    )
-    with pytest.raises(
-        ParameterError, match=r"'eye', 'ear' have .*--massless eye --massless ear"
-    ):
-        Arm.from_file(path, tip="tool")
-    arm = Arm.from_file(path, tip="tool", massless=["eye", "ear"])
-    assert arm == replace(Arm.from_file(urdf(CHAIN)), source=arm.source)
+        Arm.from_file(path, tip="ear", massless=["hand"])
 
 
 def test_an_inertia_is_judged_with_what_moves_along(urdf):

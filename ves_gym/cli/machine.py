@@ -11,6 +11,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -44,8 +45,8 @@ def arm_option(text: str, place: Place) -> Arm:
     for flag, parameter in (("no_collision", "collision"), ("no_check", "check")):
         choice |= {parameter: False} if choice.pop(flag, False) else {}
     arm = get_arm(text, **choice, **({"degrees": True} if "locked" in choice else {}))
-    if choice:
-        say(arm.source, "note")
+    if choice or Path(text.partition("#")[0]).suffix.lower() in (".urdf", ".xml", ".mjcf"):
+        say(arm.source, "note")  # of what the file does not say, too
     return arm
 
 

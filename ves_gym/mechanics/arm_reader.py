@@ -22,7 +22,7 @@ from ves_gym.mechanics.link import WEIGHTLESS, rigid_moments
 from ves_gym.mechanics.side_by_side import side_by_side
 
 # Numbers beyond these look like mm, g and kg mm^2 (this project).
-_REACH = 100.0  # m
+_REACH, _LEAST = 100.0, 1e-6  # m
 _DENSITY = 1e4  # kg/m^3: moving mass over the cube of the reach; a PUMA has 60
 _GYRATION = 10.0  # radius of gyration over the reach
 _SHAPE = 30.0  # of the arm's size; a gripper on its base link has less
@@ -97,12 +97,13 @@ def _arm_of_chain(
         for body, mover in movers.items()
         if body not in choice.massless
     }
-    if tree.unweighed:
-        _refuse_unweighed(tree.unweighed)
     pieces: dict[str | None, list[LinkMass]] = {name: [] for name in (None, *joints)}
     for body, mass in masses.items():
         if mass is not None:
             pieces[movers[body]].append(mass)
+    bare = [k for k in tree.unweighed if not any(piece.mass for piece in pieces[movers[k]])]
+    if bare:
+        _refuse_unweighed(bare)
     tool = tree.tool(end, tip)
     if choice.check:
         along = [joint for joint in joints.values() if not joint.beside]
@@ -133,6 +134,8 @@ def _arm_of_chain(
         notes.append(f"joints that follow others: {', '.join(names)}")
     if choice.massless:
         notes.append(f"taken to weigh nothing: {', '.join(choice.massless)}")
+    if tree.unweighed:
+        notes.append(f"no mass in the file, so none: {', '.join(tree.unweighed)}")
     notes += [*tree.repairs, *lost]
     return arm_of(
         tree.name,
@@ -146,7 +149,7 @@ def _arm_of_chain(
 
 
 def _refuse_unweighed(names: Sequence[str]) -> None:
-    """Refuse links of which nothing says what they weigh, all at once."""
+    """Refuse links of which nothing says what they weigh, nor what moves along, all at once."""
     some = ", ".join(map(repr, names))
     what = f"link {some} has" if len(names) == 1 else f"links {some} have"
     flags = " ".join(f"--massless {name}" for name in names)
@@ -261,6 +264,8 @@ def _require_plausible(joints: list[Joint], tool: Array, pieces: list[LinkMass])
             f" {reach:.4g} m: lengths must be in m, these look like mm (--no-check,"
             " in Python check=False, takes them)"
         )
+    if reach < _LEAST:  # a wheel about its own axis: there is no length to compare with
+        return math.inf
     distances = [np.linalg.norm(k.com - points, axis=1).min() for k in pieces if k.mass]
     size = max([reach, 1e-3, *(2 * float(k) for k in distances)])
     for piece in pieces:

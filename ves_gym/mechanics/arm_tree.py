@@ -81,7 +81,7 @@ class Tree(ABC):
     bandwidth: float = BANDWIDTH
     repair: bool = False
     repairs: list[str]  # what was mended, for the arm's source
-    unweighed: list[str]  # bodies with a shape and without a mass
+    unweighed: list[str]  # bodies with a shape, of which the file gives no mass
 
     def require(self, body: str, what: str) -> str:
         """Return a body's name, refused where there is none."""
