@@ -410,9 +410,11 @@ BAD_URDF = {  # what is said of each
     "joint 'elbow' to link 'fore' is planar": two(kind="planar"),
     "joint 'elbow' to link 'fore' is floating": two(kind="floating"),
     "joint 'elbow': no such type of joint: 'ball'": two(kind="ball"),
-    "link 'fore': Inertial.inertia must be that of a rigid body": fore(2, (0.1, 0.1, 0.3)),
+    "link fore: no rigid body of .* kg has principal moments 0.1, 0.1, 0.3": fore(
+        2, (0.1, 0.1, 0.3)
+    ),
     "link 'fore': its mass: value must be a number >= 0, got '-1'": fore(-1),
-    "link 'fore' has an inertia, but no mass": fore(0),
+    "link fore: no rigid body of 0 kg has": fore(0),
     "link 'fore': its mass: .* number >= 0, got 'x'": fore("x"),
     "what joint 'shoulder' moves is 432 m long .* look like mm": two(xyz=(0, 0, 432)),
     "link 'upper' has 4000 kg .* look like g ": two(HEAVY.replace("fore", "upper"), HEAVY),

@@ -193,38 +193,25 @@ def _require_bodies(
     tree: Tree, lumps: Mapping[str | None, Lump], pieces: Mapping[str | None, list[LinkMass]]
 ) -> None:
     """Refuse links that move as one and are no rigid body together; or take the nearest one,
-    where the tree is to be repaired.
-
-    Links that are none by themselves are noted: only together do they act.
-    """
-    remedy = "--repair, in Python repair=True"
+    where the tree is to be repaired. Links that are none by themselves are noted."""
     alone: list[str] = []
     for mover, lump in lumps.items():
-        faulty = [k.link for k in pieces[mover] if _is_no_body(k.moments)]
-        names = ", ".join(map(repr, [k.link for k in pieces[mover]]))
         about = lump.second - lump.mass_at_centre
-        try:
-            lump.inertial(np.eye(3), np.zeros(3))
-        except ParameterError as error:
-            if not tree.repair:
-                raise ParameterError(
-                    f"{tree.noun} {names}: {error}: {remedy} takes the nearest that a body has"
-                ) from None
-            nearest = rigid_moments(about)
-        else:
-            if lump.mass or not lump.second.any():
-                alone += faulty
-                continue
-            if not tree.repair:
-                raise ParameterError(
-                    f"{tree.noun} {names} has an inertia, but no mass: {remedy} leaves the"
-                    " inertia out"
-                )
-            nearest = np.zeros((3, 3))
+        nearest = rigid_moments(about) if lump.mass else np.zeros((3, 3))
+        if _alike(about, nearest, 0.1 * lump.second):
+            bodies = ((k.link, k.moments) for k in pieces[mover])
+            alone += [name for name, x in bodies if not _alike(x, rigid_moments(x), x)]
+            continue
+        names = ", ".join(k.link for k in pieces[mover])
         was, now = (
             ", ".join(f"{k:.4g}" for k in np.linalg.eigvalsh(x)) for x in (about, nearest)
         )
-        names = ", ".join(k.link for k in pieces[mover])
+        if not tree.repair:
+            raise ParameterError(
+                f"{tree.noun} {names}: no rigid body of {lump.mass:.4g} kg has principal"
+                f" moments {was} kg m^2: --repair, in Python repair=True, takes the nearest,"
+                f" {now}"
+            )
         tree.repairs.append(f"principal moments of {names} {was} taken as {now} kg m^2")
         lump.second = lump.mass_at_centre + nearest
     if alone:
@@ -234,9 +221,8 @@ def _require_bodies(
         )
 
 
-def _is_no_body(moments: Array) -> bool:
-    gap = np.abs(rigid_moments(moments) - moments).max()
-    return bool(gap > _ROUND * np.abs(moments).max())
+def _alike(one: Array, other: Array, size: Array) -> bool:
+    return bool(np.abs(one - other).max() <= _ROUND * np.abs(np.stack([one, size])).max())
 
 
 def _require_shapes(body: str, capsules: list[Segment], size: float) -> None:

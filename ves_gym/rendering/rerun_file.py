@@ -21,6 +21,7 @@ from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError, write_bytes
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.attitude import IDENTITY, exp, from_angles, from_matrix, rotate
+from ves_gym.mechanics.chain import upright
 from ves_gym.mechanics.flexure import expand, link_frames
 from ves_gym.mechanics.link import Capsule, Inertial
 from ves_gym.mechanics.meshes import Mesh
@@ -278,11 +279,7 @@ def _mesh(meshes: list[Mesh], color: tuple[int, ...]) -> Any:
 def _upright_to(way: Array) -> Array:
     """Attitude (4,), scalar first, that turns z into a direction (3,)."""
     length = np.linalg.norm(way)
-    z = way / length if length else np.array([0.0, 0.0, 1.0])
-    if z[2] < -1 + 1e-12:
-        return np.array([0.0, 1.0, 0.0, 0.0])
-    half = np.array([1 + z[2], -z[1], z[0], 0.0])
-    return np.asarray(half / np.linalg.norm(half), np.float64)
+    return from_matrix(upright(way / length)) if length else np.array(IDENTITY)
 
 
 def _plate(scene: RecordingScene, shapes: list[tuple[Capsule, ...]]) -> Any:
