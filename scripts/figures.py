@@ -37,7 +37,6 @@ PAGE = ROOT / "CONTRIBUTING.md"
 MARK = "<!-- pictures -->"
 KEYS = ((0.5, "q", 1.5), (1.5, "a", 1.5), (3.0, "s", 1.0), (4.5, "w", 1.0), (6.0, "d", 1.0))
 FPS, SECONDS = 10, 8.0  # of teleop.gif
-BERTHED = 5  # seed of BerthingContact.gif
 
 
 STUDIO = """(async () => {
@@ -152,15 +151,16 @@ def episode(task: str, target: Path) -> None:
     training.animate(config)
 
 
-def berthing(target: Path) -> None:
-    """An episode of the reference controller, to the end of its hold."""
+def by_reference(task: str, seed: int, target: Path) -> None:
+    """An episode of the reference controller, until it is solved."""
     import gymnasium as gym
 
-    from ves_gym.baselines.registry import get_controller
+    from ves_gym.baselines.registry import REFERENCES, get_controller
 
     def pictures() -> Iterator[Any]:
-        env: Any = gym.make_vec("ves/BerthingContact-v0", num_envs=1, render_mode="rgb_array")
-        controller, (observation, _) = get_controller("resolved"), env.reset(seed=BERTHED)
+        env: Any = gym.make_vec(f"ves/{task}-v0", num_envs=1, render_mode="rgb_array")
+        controller = get_controller(REFERENCES[task])
+        observation, _ = env.reset(seed=seed)
         controller.reset(env.unwrapped, np.arange(1))
         for step in range(env.unwrapped.task.steps):
             if step % 8 == 0:
@@ -246,7 +246,12 @@ FIGURES: dict[str, Figure] = {
     "energy_thesis.png": Figure(
         partial(benchmark, "energy.png", THESIS), f"`ves-gym benchmark {' '.join(THESIS)}`"
     ),
-    "BerthingContact.gif": Figure(berthing, "an episode of the controller `resolved`"),
+    "BerthingContact.gif": Figure(
+        partial(by_reference, "BerthingContact", 5), "an episode of the controller `resolved`"
+    ),
+    "DualArmReach.gif": Figure(
+        partial(by_reference, "DualArmReach", 3), "an episode of the controller `compensating`"
+    ),
     "laboratory.gif": Figure(
         partial(animation, ("--mode", "emulated"), "640x320", "3"),
         "`ves-gym simulate --mode emulated`, `ves-gym view`",

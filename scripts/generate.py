@@ -17,6 +17,8 @@ import gymnasium as gym
 import numpy as np
 
 from ves_gym._util.params import ParameterError
+from ves_gym.baselines.policy import released
+from ves_gym.baselines.registry import REFERENCES
 from ves_gym.envs.base_control import BaseControl
 from ves_gym.envs.build import build_task
 from ves_gym.envs.control import CONTROLS, Control
@@ -263,7 +265,11 @@ def _page(name: str) -> str:
     title, _, rest = doc.partition("\n\n")
     picture = (
         f"\n![{name}](../pictures/{name}.gif)\n\n"
-        "*What [a policy that comes with the package](../training.md) has learned.*\n"
+        + (
+            "*What [a policy that comes with the package](../training.md) has learned.*\n"
+            if released(f"ves/{name}-v0")
+            else f"*An episode of the controller `{REFERENCES[name]}`.*\n"
+        )
         if ((DOCS / "pictures" / f"{name}.gif").exists())
         else ""
     )

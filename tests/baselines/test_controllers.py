@@ -132,6 +132,7 @@ def test_laws_without_a_plan_reach_every_target_and_spare_the_base(
         ("closing", "PumaRestToRest", None, "got task rest_to_rest through"),
         ("closing", "PumaTrack", "acceleration", "track through tool_vel"),
         ("servicer", "PumaReach", None, "acts on task servicer_capture"),
+        ("compensating", "FreeFlyerReach", None, "leads the arms of task dual_arm_reach"),
     ],
 )
 def test_a_controller_refuses_what_it_cannot_do(name, id, control, message):

@@ -2,8 +2,9 @@
 
 import gymnasium as gym
 import numpy as np
+import pytest
 
-from ves_gym.baselines.evaluate import evaluate
+from tests.envs.runs import controlled
 from ves_gym.baselines.registry import get_controller
 from ves_gym.mechanics.kinematics import joint_positions
 
@@ -25,11 +26,15 @@ def test_either_arm_turns_the_base_and_the_last_one_has_the_tool():
     assert observation.shape == (52,)
 
 
-def test_the_reference_solves_and_doing_nothing_does_not():
-    shares = []
-    for name in ("zero", "resolved"):
-        rows = evaluate(
-            get_controller(name), "ves/DualArmReach-v0", episodes=10, threads=1
-        ).rows
-        shares.append(np.mean([row["success"] for row in rows]))
-    assert shares[0] == 0 and shares[1] >= 0.95
+@pytest.mark.parametrize("n", [4, pytest.param(20, marks=pytest.mark.slow)])
+def test_the_other_arm_takes_energy_and_turn_from_the_satellite(n):
+    """Over the same task with that arm where it is; doing nothing solves nothing."""
+    ends = {}
+    for name in ("zero", "resolved", "compensating"):
+        _, _, costs, info = controlled(get_controller(name), n, "dual_arm_reach")
+        ends[name] = np.array([costs["energy"], costs["turn"]])
+        assert (info["success"] == (name != "zero")).all()
+    shares = ends["compensating"] / ends["resolved"]
+    print(f"energy, turn: {np.median(shares, axis=1)}, at most {shares.max(axis=1)}")
+    assert (np.median(shares, axis=1) <= (0.1, 0.2)).all()
+    assert shares.max() <= 0.4

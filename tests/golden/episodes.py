@@ -13,7 +13,9 @@ from tests.golden.compare import RELATIVE
 from tests.golden.probe import Probe, pattern
 
 ON_A_BEAM = ("PumaRestToRest", "PumaReach", "PumaReachGoal", "PumaTrack", "PumaDamp")
-OTHERS = ("MacroMicro", "FreeFlyerReach", "BeamLQR", "PoseReach", "PayloadTransfer")
+OTHERS = (
+    "MacroMicro", "FreeFlyerReach", "DualArmReach", "BeamLQR", "PoseReach", "PayloadTransfer",
+)  # fmt: skip
 IN_SPACE = ("ServicerCapture", "BerthingContact")
 IDS = (
     *(f"ves/{name}-v0" for name in (*ON_A_BEAM, *OTHERS, *IN_SPACE)),
@@ -201,6 +203,7 @@ CONTROLLERS: dict[str, tuple[str, float | None, bool]] = {
     "closing-pose": ("PoseReach", None, True),
     "braced": ("FreeFlyerReach", None, True),
     "resolved-pose": ("PoseReach", 1.0, False),
+    "compensating": ("DualArmReach", None, False),
     "servicer": ("ServicerCapture", None, True),
 }
 
