@@ -204,13 +204,11 @@ def warn_if_unstable(
     system: System,
     q: npt.ArrayLike,
     servo: JointServo | None,
-    stacklevel: int = 3,
 ) -> None:
     """Issue an `EmulationWarning` for an emulation that is unstable at q.
 
     Args:
         simulator, system, q, servo: see `linearise`.
-        stacklevel: of the warning, 3 for the caller of the simulator.
     """
     if system.emulator_settings.operation == "position":
         return
@@ -221,7 +219,7 @@ def warn_if_unstable(
             f" {radius:.6g}. A slower platform, a heavier vehicle or payload_compensation"
             " makes it stable; `ves-gym emulation-check` finds the limit",
             EmulationWarning,
-            stacklevel=stacklevel,
+            stacklevel=3,  # the caller of the simulator
         )
 
 

@@ -350,8 +350,8 @@ class Simulator:
     def assign_effects(self, rows: EffectRows, ids: npt.ArrayLike | None = None) -> None:
         """Give simulations effects with parameters of their own, as `assign` does, but at once.
 
-        Much faster where the effects take arrays (`EffectRows.together`) and leave the arm
-        alone; otherwise this is `assign` with a system per simulation.
+        Much faster where the effects take arrays (`EffectRows.together`) and leave arm, vehicle
+        and delays alone; otherwise this is `assign` with a system per simulation.
 
         Args:
             rows: of the simulator's own system, one row for each of ids.

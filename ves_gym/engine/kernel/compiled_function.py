@@ -29,9 +29,9 @@ class CompiledFunction:
     """y = f(x_1, ..., x_k) for many points, from one graph; all that is compiled is one.
 
     Calling it with arrays gives arrays, in machine code where the machine has a compiler, else
-    by `numpy`. `piece` is the same on rows of lanes, as a part of a `Program`; `buffered` keeps
-    such rows for those who ask over and over; `gpu` is the code of a GPU. Nobody else has to
-    know whether something compiles: only a `Stepper` raises where nothing does.
+    by `numpy`. `piece` is the same on rows of lanes, as a part of a `Program`; `gpu` is that of
+    a GPU. Nobody else has to know whether something compiles: only a `Stepper` raises where
+    nothing does.
 
     The graph is made of NumPy text by `symbolic`, and only where neither this process nor the
     store on disk has the code (`build.code`).

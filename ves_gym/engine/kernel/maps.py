@@ -131,22 +131,11 @@ def points(*parts: tuple[npt.ArrayLike, int, str]) -> Array:
 # combinations of these numbers that the weight shows.
 
 
-def inertia_regressor(
-    arm: Arm,
-    q: npt.ArrayLike,
-    v: npt.ArrayLike,
-    a: npt.ArrayLike,
-    *,
-    spin: npt.ArrayLike = 0.0,
-    turn: npt.ArrayLike = 0.0,
-    accel: npt.ArrayLike = 0.0,
-) -> Array:
-    """Inverse dynamics on a moving base, per inertial number of the arm.
+def inertia_regressor(arm: Arm, q: npt.ArrayLike, v: npt.ArrayLike, a: npt.ArrayLike) -> Array:
+    """Inverse dynamics on a base at rest, without gravity, per inertial number of the arm.
 
     Args:
         q, v, a: (..., n) joint angles [rad], rates [rad/s], accelerations [rad/s^2].
-        spin, turn: (..., 3) angular velocity and acceleration of the base, platform axes.
-        accel: (..., 3) acceleration of its origin less that of free fall, platform axes.
 
     Returns:
         (..., 6 + n, 10 (n + 1) + n): wrench that the arm exerts on its base at the
@@ -158,14 +147,7 @@ def inertia_regressor(
         ParameterError: wrong shapes, or numbers that are not finite.
     """
     n = arm.n
-    at = points(
-        (q, n, "q"),
-        (v, n, "v"),
-        (a, n, "a"),
-        (spin, 3, "spin"),
-        (turn, 3, "turn"),
-        (accel, 3, "accel"),
-    )
+    at = points((q, n, "q"), (v, n, "v"), (a, n, "a"))
     jacobian = _regressor(arm)(at).reshape(*at.shape[:-1], 10 * (n + 1) + n, 6 + n)
     return np.swapaxes(jacobian, -1, -2)
 

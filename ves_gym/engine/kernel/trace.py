@@ -276,8 +276,8 @@ def linearisation(system: System) -> casadi.Function:
 def regressor(arm: Arm) -> casadi.Function:
     """Trace wrench on the base and joint torques per inertial parameter, column after column.
 
-    At (q, v, a, spin, turn, accel) as in `newton_euler`, by ten numbers a body (m, m c, inertia
-    about its frame xx xy yy xz yz zz) and the rotor inertias.
+    At (q, v, a) of joints on a base at rest, by ten numbers a body (m, m c, inertia about its
+    frame xx xy yy xz yz zz) and the rotor inertias.
 
     The balance is linear in these numbers. It is differentiated by (m, c, I_c) at unit masses
     in the origins of their frames, which is the same: m c = c there, and what moves I_c to the
@@ -291,9 +291,8 @@ def regressor(arm: Arm) -> casadi.Function:
     square = bodies[:, [[4, 5, 7], [5, 6, 8], [7, 8, 9]]]
     masses = LinkBodies(bodies[:, 0], bodies[:, 1:4], square, rotors)
     chain = Chain(arm.joints, arm.roots, masses, None)
-    x = symbols("x", (3 * n + 9,))
-    (q, v, a), (spin, turn, accel) = x[: 3 * n].reshape(3, n), x[3 * n :].reshape(3, 3)
-    torque, wrench = newton_euler(chain, q, v, a, spin=spin, turn=turn, accel=accel)
+    x = symbols("x", (3, n))
+    torque, wrench = newton_euler(chain, *x)
     every, load = column(bodies, rotors), column(-wrench, torque)
     unit = ca.vertcat(*[1.0, *[0.0] * 9] * (n + 1), ca.SX.zeros(n))
     slope = ca.substitute(ca.jacobian(load, every), every, unit)
