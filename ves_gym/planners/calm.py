@@ -18,18 +18,16 @@ import numpy as np
 from ves_gym._util.params import Array
 from ves_gym.mechanics.motion import Motion, graded
 from ves_gym.planners.bounds import bounded_name, checked_bounds
-from ves_gym.planners.linear_response import LinearResponse, predict_disturbance
+from ves_gym.planners.linear_response import UNFILTERED, LinearResponse, predict_disturbance
 from ves_gym.planners.motion_problem import MotionProblem
 from ves_gym.planners.objective import Lagrangian, MeanEnergy
 from ves_gym.planners.query import Query, first_violation
 from ves_gym.planners.refine import FREE, Refined
 from ves_gym.planners.sequential import minimise
-from ves_gym.system.frequency_weight import FrequencyWeight
 
 _NODES = 240  # of peaks: with 160 the angular one of the bent beam is half seen at 4 s
 # s after the motion: ringing at 30 Hz, then swings of the slow modes
 _AFTER = np.r_[0.004 * np.arange(1, 41), 0.16 + 0.03 * np.arange(1, 65)]
-_UNFILTERED = FrequencyWeight(corners=(), gains=(1.0,))
 _INSIDE = 0.985  # of a bound is aimed at: what sweeps leave over is less
 # Of an excess by a whole bound, in E_mean of the straight line: first, per sweep, at most. A
 # steeper one stalls where vectors enter and leave their bounds.
@@ -108,7 +106,7 @@ class _BoundedProblem(MotionProblem):
         assert isinstance(self.energy, MeanEnergy)
         self._form = self.energy
         self._clock = graded(_NODES + 1)
-        self._at = self._sampled(self._clock, 3)
+        self._at = self.sampled(self._clock, 3)
         self._measured = vars(predict_disturbance(query, query.straight))
         # what the straight line leaves at rest (a base that cannot turn) no motion moves
         self.shares = {k: v for k, v in bounds.items() if self._measured[k] > 0}
@@ -126,7 +124,7 @@ class _BoundedProblem(MotionProblem):
         aimed at from now on.
         """
         motion = self.motion(x)
-        weight = self.query.weight if "E_weighted" in self.shares else _UNFILTERED
+        weight = self.query.weight if "E_weighted" in self.shares else UNFILTERED
         t = self._clock * self.query.duration
         self._base = LinearResponse(self._form.linear, motion, t, weight, _AFTER)
         reached = self.reached(motion)
@@ -145,9 +143,7 @@ class _BoundedProblem(MotionProblem):
 
     def _vectors(self, x: Array) -> dict[str, Array]:
         """Vectors by measure (G, r, 1 + free n): as they are, and by x."""
-        t = self._base.t
-        u, slope = self._load(x, self._at, t)
-        columns = np.concatenate([u[:, None], slope], axis=1).reshape(len(t), -1, 1 + x.size)
+        columns = self.columns(x, self._at, self._base.t)
         course = self._base.course(columns, self.query.base)
         return {k: self._base.rows(k, course) / most for k, most in self.most.items()}
 

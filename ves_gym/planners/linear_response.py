@@ -51,6 +51,8 @@ PEAKS = {
     "rotation_peak": "rotation",
 }
 QUANTITIES = MEANS | ENDS | PEAKS
+UNFILTERED = FrequencyWeight(corners=(), gains=(1.0,))
+NEVER = np.zeros(0)
 
 
 class Quantity(NamedTuple):
@@ -86,8 +88,8 @@ class LinearResponse:
         linear: LinearBase,
         path: Motion,
         t: Array,
-        weight: FrequencyWeight,
-        after: Array,
+        weight: FrequencyWeight = UNFILTERED,
+        after: Array = NEVER,
         parts: int = 1,
     ) -> None:
         self.linear, self.path, self.t, self.weight = linear, path, t, weight
@@ -163,10 +165,11 @@ class LinearResponse:
     # ------------------------------------------------------------------- quantities
 
     def quantity(self, name: str) -> Quantity:
-        """Vectors of three; `filtered`: of which the square is an energy.
+        """Vectors of three; `filtered`: of which the square is an energy; `base`: of six.
 
         Args:
-            name: acceleration, angular, tip, displacement, rotation or filtered.
+            name: acceleration, angular, tip, displacement, rotation, filtered, or base for the
+                acceleration of its pose.
         """
         if name not in self._quantities:
             made = {"tip": self._tip, "filtered": self._filtered}.get(name)
@@ -175,7 +178,8 @@ class LinearResponse:
 
     def _of_the_mount(self, name: str) -> Quantity:
         size = self.linear.size
-        rows = np.eye(3, size, 3 if name in ("angular", "rotation") else 0)
+        first = 3 if name in ("angular", "rotation") else 0
+        rows = np.eye(6 if name == "base" else 3, size, first)
         if name in ("acceleration", "displacement"):
             rows[:, 3:6] = -skew(mount_of(self.linear.system.arm))
         if name in ("displacement", "rotation"):
@@ -212,20 +216,24 @@ class LinearResponse:
 
     # --------------------------------------------------------------------- measures
 
+    def along(self, name: str, course: Course) -> Array:
+        """A quantity's vectors (N, r, C) at the nodes."""
+        quantity = self.quantity(name)
+        out = quantity.state @ course.s
+        return out if quantity.rate is None else out + quantity.rate @ course.rate
+
     def rows(self, measure: str, course: Course) -> Array:
         """Vectors (G, r, C) of which a measure is the largest norm.
 
         Of a peak one for every node and time after the motion, of others one: a mean is over
         the motion and the tail, as `E_mean` is.
         """
-        quantity = self.quantity(QUANTITIES[measure])
-        nodes = quantity.state @ course.s
-        if quantity.rate is not None:
-            nodes = nodes + quantity.rate @ course.rate
+        nodes = self.along(QUANTITIES[measure], course)
         if measure in ENDS:
             return nodes[-1:]
         if measure in PEAKS:
-            return np.concatenate([nodes, quantity.after @ course.later])
+            after = self.quantity(QUANTITIES[measure]).after
+            return np.concatenate([nodes, after @ course.later])
         steps = np.diff(self.t, prepend=self.t[0], append=self.t[-1])
         share = np.sqrt((steps[:-1] + steps[1:]) / 2 / (self.t[-1] + TAIL))
         moving = (share[:, None, None] * nodes).reshape(-1, nodes.shape[-1])

@@ -20,6 +20,7 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.linear_motion import LinearMotion
 from ves_gym.mechanics.link import matrix
 from ves_gym.mechanics.motion import DEGREE, Motion, basis, graded, knots, leading_points
+from ves_gym.planners.linear_response import LinearResponse
 from ves_gym.planners.momentum import (
     BaseMomentum,
     InverseDynamics,
@@ -29,7 +30,13 @@ from ves_gym.planners.momentum import (
 )
 from ves_gym.planners.objective import MeanEnergy, QuadraticForm
 from ves_gym.planners.obstacles import Collisions, collisions
-from ves_gym.planners.prediction import NODES, JointLoads, joint_loads, running_integral
+from ves_gym.planners.prediction import (
+    NODES,
+    JointLoads,
+    LinearBase,
+    joint_loads,
+    running_integral,
+)
 from ves_gym.planners.query import Query
 from ves_gym.system.system import System
 
@@ -42,6 +49,7 @@ _CLOSER = 1.01  # of that share: a peak between samples that is sampled from the
 _NEAR = 0.1  # m: shapes further from each other are not looked at
 _ROOM = 0.005  # m kept beyond the clearance, for what happens between samples
 _STEP = 0.06  # rad in joint space between samples of the distance, about
+_INSTANTS = 240  # of a motion, between which its momentum is linear for the base's acceleration
 
 
 class MotionProblem:
@@ -70,11 +78,12 @@ class MotionProblem:
         if energy is None:
             energy = self.form_at((self.start + self.goal) / 2)
         self.energy: QuadraticForm = energy
-        self._bases = self._sampled(self.energy.t / query.duration, 3)
+        self._bases = self.sampled(self.energy.t / query.duration, 3)
         self._torque_times = graded(_SAMPLES * self.m + 1)
-        self._torque_bases = self._sampled(self._torque_times, 3)
+        self._torque_bases = self.sampled(self._torque_times, 3)
         self._tau_max = _TORQUE_SHARE * self.arm.column("tau_max")
         self._loads: JointLoads | None = None  # what the base makes the joints do
+        self._reaction: BaseReaction | None = None  # and how that changes with the motion
         # the straight quintic lies in the spline space, so its fit is exact
         self.straight = self.of(query.straight)
         self._checker: Collisions | None = None
@@ -121,15 +130,20 @@ class MotionProblem:
         if query.is_loaded:
             self._loads = joint_loads(query.system, motion, query.servo, query.base)
             self.__dict__.pop("_linear", None)
+            if query.servo.holds(self.arm):
+                self._reaction = BaseReaction(self, motion)
 
-    def _pushed(self, t: Array) -> tuple[Array, Array]:
-        """Servo torque (N, n) [N m] and yielding rate [rad/s] of pushed joints at t [s]."""
+    def _pushed(self, x: Array, t: Array) -> tuple[Array, Array | float]:
+        """Torque (k, n) of the joints against the moving base at t [s], by x [N m]."""
         if self._loads is None:
-            zero = np.zeros((len(t), self.n))
-            return zero, zero
-        return self._loads.at(t)
+            return np.zeros((len(t), self.n)), 0.0
+        torque = self._loads.at(t)
+        if self._reaction is None:
+            return torque, 0.0
+        change = self._reaction.change(x, t)
+        return torque + change[..., 0], change[..., 1:].reshape(*torque.shape, -1, self.n)
 
-    def _sampled(self, u: Array, orders: int) -> list[Array]:
+    def sampled(self, u: Array, orders: int) -> list[Array]:
         """Basis functions and their derivatives at times u T: each (N, m)."""
         return [basis(self.m, u, k) / self.query.duration**k for k in range(orders)]
 
@@ -190,6 +204,11 @@ class MotionProblem:
         load = spring_load(self._free, *(b @ control for b in bases))
         by = self._by_points(np.moveaxis(load.by, 1, 0), bases)
         return beside(t, u, slope, load.tau, by)
+
+    def columns(self, x: Array, bases: Sequence[Array], t: Array) -> Array:
+        """Samples at times t (N,) and, beside them, their derivative: (N, k, 1 + free n)."""
+        u, slope = self._load(x, bases, t)
+        return np.concatenate([u[:, None], slope], axis=1).reshape(len(t), -1, 1 + x.size)
 
     def chained(
         self, sample: BaseMomentum, bases: Sequence[Array] | None = None
@@ -271,10 +290,9 @@ class MotionProblem:
     def _torque(self, x: Array) -> tuple[Array, Array]:
         """Joint torque over its limit at sampled times, on a base that stands still."""
         dynamics = self.torque(x, self._torque_bases)
-        size = dynamics.tau.size
-        scaled = dynamics.by / self._tau_max[:, None, None]
-        tau = dynamics.tau + self._pushed(self._torque_times * self.query.duration)[0]
-        return (tau / self._tau_max).ravel(), scaled.reshape(size, -1)
+        pushed, by = self._pushed(x, self._torque_times * self.query.duration)
+        tau, scaled = dynamics.tau + pushed, (dynamics.by + by) / self._tau_max[:, None, None]
+        return (tau / self._tau_max).ravel(), scaled.reshape(tau.size, -1)
 
     def add_torque_samples(self, x: Array) -> bool:
         """Sample the torque also at its peaks between samples; True if any passes its share."""
@@ -282,14 +300,14 @@ class MotionProblem:
             return False
         fine = graded(12 * len(self._torque_times))
         control = self.control(x)
-        tau = torque(self.arm, *(b @ control for b in self._sampled(fine, 3))).tau
-        tau = np.abs((tau + self._pushed(fine * self.query.duration)[0]) / self._tau_max)
+        tau = torque(self.arm, *(b @ control for b in self.sampled(fine, 3))).tau
+        tau = np.abs((tau + self._pushed(x, fine * self.query.duration)[0]) / self._tau_max)
         inner = (tau[1:-1] >= tau[:-2]) & (tau[1:-1] >= tau[2:]) & (tau[1:-1] > _CLOSER)
         peaks = fine[1:-1][inner.any(axis=1)]
         if not len(peaks):
             return False
         self._torque_times = np.union1d(self._torque_times, peaks)
-        self._torque_bases = self._sampled(self._torque_times, 3)
+        self._torque_bases = self.sampled(self._torque_times, 3)
         return True
 
     def _distance(self, x: Array, checker: Collisions) -> tuple[Array, Array]:
@@ -306,6 +324,33 @@ class MotionProblem:
         rows = -10 * at * slope[:, None, :]
         lack = 10 * (least - np.concatenate([k.distance for k in near]))
         return lack, rows.reshape(len(lack), x.size)
+
+
+class BaseReaction:
+    """Torque that the base's acceleration asks of held joints, by first order near a motion.
+
+    Args:
+        problem: of motions from rest on a base at rest.
+        motion: one of them.
+    """
+
+    def __init__(self, problem: MotionProblem, motion: Motion) -> None:
+        query, clock = problem.query, graded(_INSTANTS + 1)
+        linear = LinearBase(query.system, query.servo, motion.start)
+        self._response = LinearResponse(linear, motion, clock * query.duration)
+        self._columns, self._bases = problem.columns, problem.sampled(clock, 3)
+        self._about = linear.load(motion, self._response.t)
+        self._across = linear.inertia(motion.at(self._response.t).q)[:, 6:, :6]
+
+    def change(self, x: Array, t: Array) -> Array:
+        """Torque beyond that under the motion, and by x: (k, n, 1 + free n) at t (k,) [s]."""
+        nodes = self._response.t
+        columns = self._columns(x, self._bases, nodes)
+        columns[..., 0] -= self._about
+        torque = self._across @ self._response.along("base", self._response.course(columns))
+        before = np.clip(np.searchsorted(nodes, t) - 1, 0, len(nodes) - 2)
+        share = ((t - nodes[before]) / np.diff(nodes)[before])[:, None, None]
+        return np.asarray((1 - share) * torque[before] + share * torque[before + 1])
 
 
 def beside(t: Array, u: Array, slope: Array, torque: Array, by: Array) -> tuple[Array, Array]:

@@ -318,13 +318,9 @@ class JointLoads(NamedTuple):
     away: Array  # rad from the command
     rate: Array  # rad/s
 
-    def at(self, t: Array) -> tuple[Array, Array]:
-        """Torques [N m] and rates [rad/s] (N, n) at times t (N,) [s]."""
-        torque, rate = (
-            np.stack([np.interp(t, self.t, column) for column in part.T], axis=1)
-            for part in (self.torque, self.rate)
-        )
-        return torque, rate
+    def at(self, t: Array) -> Array:
+        """Torque (k, n) at times t (k,) [s]."""
+        return np.stack([np.interp(t, self.t, column) for column in self.torque.T], axis=1)
 
 
 def joint_loads(

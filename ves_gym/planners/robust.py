@@ -355,7 +355,7 @@ class _OtherArm(MotionProblem):
         described = self.energy.described if isinstance(self.energy, MeanEnergy) else None
         if described is None:
             return u, slope
-        bases = self._sampled(self.energy.t / self.query.duration, 3)
+        bases = self.sampled(self.energy.t / self.query.duration, 3)
         other, fed = self.torque(x, bases), self.torque(x, bases, described)
         return beside(self.energy.t, u, slope, other.tau - fed.tau, other.by - fed.by)
 

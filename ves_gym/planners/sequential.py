@@ -15,6 +15,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym.planners.motion_problem import MotionProblem
+from ves_gym.planners.query import answer_limits, check_motion
 
 _ROUNDS = 4  # of looking for torque between samples
 _LOADED = 3  # rounds of taking what the base asks of the joints from their limits
@@ -86,11 +87,13 @@ def minimise(
 
 def against_base(problem: MotionProblem, minimum: Minimum) -> Minimum:
     """Minimise again while what the moving base asks of the joints breaks a limit."""
-    for _ in range(_LOADED if problem.query.is_loaded else 0):
-        problem.load(problem.motion(minimum.x))
-        kept = problem.limits(minimum.x)[0].max(initial=-1.0) <= _BARELY
-        if kept and not problem.add_torque_samples(minimum.x):
+    query = problem.query
+    for _ in range(_LOADED if query.is_loaded else 0):
+        motion = problem.motion(minimum.x)
+        if not check_motion(query, motion, answer_limits(query)).broken:
             break
+        problem.load(motion)
+        problem.add_torque_samples(minimum.x)
         again = minimise(problem, minimum.x)
         done = minimum.iterations + again.iterations
         evaluations = minimum.evaluations + again.evaluations
