@@ -23,7 +23,6 @@ from ves_gym.diagnosis.data.quality import Fault, faults
 from ves_gym.diagnosis.inference.cache import AnswerCache, CachedResiduals
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.explanations import (
-    Experiment,
     RankedCandidate,
     classes,
     experiments,
@@ -385,7 +384,8 @@ def _verdict(
     explanations: Sequence[Explanation], more: bool, faint: Sequence[Candidate]
 ) -> str:
     """Return the verdict on names and on what is missing beside them."""
-    if any(f.candidate.slot in _motionless_joints(faint) for f in explanations):
+    places = [c.slot for c in faint]  # several of one joint: it barely moves
+    if any(places.count(f.candidate.slot) > 1 for f in explanations):
         return WEAK
     if not explanations:
         return UNKNOWN if more else WEAK if faint else NOTHING
@@ -395,24 +395,15 @@ def _verdict(
 
 
 def _faint(signatures: Signatures, size: Array) -> list[Candidate]:
-    """Return basic effects that these runs could not show."""
+    """Return basic effects that these runs could not show at their usual size."""
     tested = {p.name for p in signatures.residuals.ports}
     return [
         c
         for i, c in enumerate(signatures.candidates)
-        if c.kind in _BASIC and tested & set(c.ports) and _is_faint(signatures, i, size)
+        if c.kind in _BASIC
+        and tested & set(c.ports)
+        and max(signatures.visible(i), signatures.visible_above(i, size)) < POWER
     ]
-
-
-def _is_faint(signatures: Signatures, i: int, size: Array) -> bool:
-    """Return True if candidate i, of its usual size, would not show in these runs."""
-    return max(signatures.visible(i), signatures.visible_above(i, size)) < POWER
-
-
-def _motionless_joints(faint: Sequence[Candidate]) -> set[str]:
-    """Return joints that barely move: several of the basic effects could not show there."""
-    places = [c.slot for c in faint]
-    return {place for place in places if places.count(place) > 1}
 
 
 def _described(fault: Fault, machine: Machine, runs: Sequence[Run]) -> bool:
@@ -481,7 +472,7 @@ def plain(diagnosis: Diagnosis) -> dict[str, Any]:
             "matrix": alike.tolist(),
             "classes": classes(names, alike),
         },
-        "experiments": [_experiment_to_plain(e) for e in tried],
+        "experiments": [{**dataclasses.asdict(e), "sentence": e.sentence} for e in tried],
         "where": _residual_map(diagnosis),
         "when": residual_over_time(
             diagnosis.residuals,
@@ -598,16 +589,6 @@ def _ranked_to_plain(r: RankedCandidate, diagnosis: Diagnosis) -> dict[str, Any]
         "p": r.chance,
         "probability": next((k.probability for k in every if k.candidate is r.candidate), None),
         "chosen": any(f.candidate is r.candidate for f in diagnosis.explanations),
-    }
-
-
-def _experiment_to_plain(e: Experiment) -> dict[str, Any]:
-    return {
-        "between": list(e.between),
-        "sentence": e.sentence,
-        "runs": [dataclasses.asdict(a) for a in e.runs],
-        "ports": [dataclasses.asdict(a) for a in e.ports],
-        "untested": list(e.untested),
     }
 
 

@@ -195,10 +195,8 @@ def experiments(
         alike: difference in cost below which two candidates are one class.
         untestable: ports whose signals the logs lack.
     """
-    residuals, index = (
-        signatures.residuals,
-        {c.name: i for i, c in enumerate(signatures.candidates)},
-    )
+    residuals = signatures.residuals
+    index = {c.name: i for i, c in enumerate(signatures.candidates)}
     runs = [
         (run.name, _within(signatures, np.r_[*(g.runs[i] for g in residuals.groups)]))
         for i, run in enumerate(residuals.runs)
