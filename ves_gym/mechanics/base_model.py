@@ -201,6 +201,23 @@ class BaseModel:
             out[:, joints, joints] = diagonals
         return out[0], out[1], out[2]
 
+    def with_full(self, D: Array, K: Array) -> BaseModel:
+        """Return the base whose damping and stiffness over (Y, u) are D, K (6 + m, 6 + m).
+
+        Its modes are turned to those of the new stiffness (orthogonally: they have unit mass).
+        Of the interface alone, (6, 6), they are its own, without the modes'.
+        """
+        if self.internal is None or len(K) == 6:
+            return replace(self, D=D, K=K)
+        squares, turn = np.linalg.eigh(K[6:, 6:])
+        coupling = -K[:6, 6:] @ turn / squares
+        every = np.eye(len(K))
+        every[6:, 6:] = turn
+        damping = every.T @ D @ every
+        damping[:6, :6] -= self.D
+        internal = InternalModes(coupling, np.sqrt(squares), damping)
+        return replace(self, K=K[:6, :6] - (coupling * squares) @ coupling.T, internal=internal)
+
     def locked(self) -> BaseModel:
         """Return the base whose wheels and appendages do not move on it."""
         return replace(self, M=self.mass_matrix, body=None, carried=())

@@ -342,6 +342,25 @@ def test_the_stiffness_of_a_base_is_what_its_port_says(name):
     np.testing.assert_allclose(force[middle], expected[middle], atol=0.01 * scale)
 
 
+def test_a_base_of_other_stiffness_with_its_modes_inside():
+    """One of its modes 3 % off: the others over (Y, u) stay as they are; SciPy's modes."""
+    base = System(vehicle=get_vehicle("bent")).base
+    M, D, K = base.full()
+    squares, ways = scipy.linalg.eigh(K, M)
+    for i in (0, 5, len(K) - 1):
+        momentum = M @ ways[:, i]
+        stiffer = K + 0.0609 * squares[i] * np.outer(momentum, momentum)
+        other = base.with_full(D, stiffer)
+        moved = np.ones(len(K))
+        moved[i] = 1.0609
+        m, d, k = other.full()
+        np.testing.assert_allclose(
+            np.sort(squares * moved), scipy.linalg.eigvalsh(k, m), rtol=1e-6
+        )
+        assert np.trace(np.linalg.solve(m, d)) == pytest.approx(np.trace(np.linalg.solve(M, D)))
+        assert other.internal.damping.shape == base.internal.damping.shape
+
+
 def gained(candidate_kind, *effects, machine_type=SystemMachine):
     """Gain of a kind at its ports, evidence for it, its number, its deviation."""
     machine, runs = machine_type(BENT), [run_of_noisy(BENT, *effects)]

@@ -40,6 +40,7 @@ _COM, _FRICTION, _OFFSET = 1.2e-4, 0.03, 0.018  # m; N m; N, N m
 _WEIGHT, _MOMENT = 0.03, 0.006  # kg, kg m, of the weight estimate
 _INNER, _RESIDUAL = (8.0, 8.5, 9.5), 0.7  # Hz, kg: modes that the vehicle's model leaves out
 _BASE, _LOSS = 0.0012, 0.006  # relative, of the base's mass and stiffness; of its damping
+_SEEN = 24.0  # Hz: twice the band, below which inner modes show
 
 
 def system_nuisances(system: System) -> Iterator[Nuisance]:
@@ -143,20 +144,25 @@ def _nuisances(system: System) -> Iterator[Nuisance | None]:
 
 
 def _of_the_modes(system: System) -> Iterator[Nuisance]:
-    """Yield errors of stiffness and damping, those of each mode of the base by themselves."""
+    """Yield errors of stiffness and damping, those of each mode of the base by themselves.
+
+    Six modes are those of the interface; of inner ones the slow count.
+    """
     base = system.base
-    rates, ways = scipy.linalg.eigh(base.K, base.M)
-    for i, (square, way) in enumerate(zip(rates, (base.M @ ways).T, strict=True)):
-        stiffness = square * np.outer(way, way)
-        damping = float(ways[:, i] @ base.D @ ways[:, i]) * np.outer(way, way)
-        hertz = np.sqrt(max(square, 0.0)) / (2 * np.pi)
-        for what, std, changes in (
-            ("stiffness", _BASE, {"K": base.K + 0.01 * stiffness}),
-            ("damping", _LOSS, {"D": base.D + 0.01 * damping}),
+    M, D, K = (base.M, base.D, base.K) if base.carried else base.full()
+    rates, ways = scipy.linalg.eigh(K, M)
+    hertz = np.sqrt(np.maximum(rates, 0.0)) / (2 * np.pi)
+    for i in range(max(6, int(np.sum(hertz < _SEEN)))):
+        way = M @ ways[:, i]
+        stiffness = rates[i] * np.outer(way, way)
+        damping = float(ways[:, i] @ D @ ways[:, i]) * np.outer(way, way)
+        for what, std, changed in (
+            ("stiffness", _BASE, (D, K + 0.01 * stiffness)),
+            ("damping", _LOSS, (D + 0.01 * damping, K)),
         ):
-            other = altered(system.vehicle, dataclasses.replace(base, **changes))
-            name = f"{what} of the base at {hertz:.3g} Hz"
-            yield Nuisance(name, ("base", "wrench"), system.replace(vehicle=other), 0.01, std)
+            other = system.replace(vehicle=altered(system.vehicle, base.with_full(*changed)))
+            name = f"{what} of the base at {hertz[i]:.3g} Hz"
+            yield Nuisance(name, ("base", "wrench"), other, 0.01, std)
 
 
 def _at_base(system: System) -> str:
