@@ -343,13 +343,18 @@ def _named_within_tolerances(
 ) -> _Found:
     stated = _Found(select(residuals, signatures, most, report), residuals, signatures)
     scale = likeliest_scale(stated.selection.null, residuals)
-    if not stated.selection.fit.candidates or scale == 1.0:
+    jitters = (
+        any(run.jitter for run in residuals.runs)
+        and _excess(stated.selection.null, residuals) > EXCESS
+    )
+    if not (stated.selection.fit.candidates or jitters) or scale == 1.0:
         return stated
     wide = residuals.with_tolerances(scale)
     beside = signatures.with_tolerances(wide)
     other = _Found(select(wide, beside, most, report), wide, beside, scale)
     library = len(signatures.candidates)
     price = cost(other.selection.fit, library) + scale_price(scale)
+    price += (wide.density - residuals.density) / TEMPERATURE
     return other if price < cost(stated.selection.fit, library) else stated
 
 

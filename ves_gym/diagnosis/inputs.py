@@ -101,7 +101,9 @@ def system_inputs(
     jitter = stated.clocks.jitter if stated else 0.0
     runs = [
         with_jitter(
-            run_of(_with_noise(log, stated), path.name, BAND if band is None else band), jitter
+            run_of(_with_noise(log, stated), path.name, BAND if band is None else band),
+            jitter,
+            machine.system.mode == "emulated",
         )
         for log, path in zip(logs, paths, strict=True)
     ]

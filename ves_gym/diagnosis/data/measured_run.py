@@ -96,12 +96,13 @@ class Run:
     dt: float  # s
     signals: Mapping[str, Array]  # (..., T, c) by the names of the run log; for wg, `weight`:
     #                               what was subtracted from w
-    noise: Mapping[str, SensorNoiseModel]
+    noise: Mapping[str, SensorNoiseModel]  # of the sensors
     meta: Mapping[str, Any]
     band: float = BAND  # Hz
     repeats: Mapping[str, float] = field(default_factory=dict)  # share of samples that stay
     crossover: Array | None = None  # (n,) rad/s from where rates tell more than angles
     by_log: bool = False  # torques are told by the log alone, not by what was asked as well
+    jitter: Mapping[tuple[str, ...], float] = field(default_factory=dict)  # s, by recorder
     memory: dict[Any, Any] = field(default_factory=dict)  # what machines derive from it
 
     @property
@@ -152,6 +153,9 @@ class Run:
             f: (K,) frequencies [Hz].
         """
         power = noise_power(self.noise["q"], f, self.dt)
+        for signals, late in self.jitter.items():
+            if "q" in signals:
+                power = power + noise_power(_white(late * _rms(self.rate_of("q"))), f, self.dt)
         if self.crossover is not None:  # from there on rates tell it
             power = power / (1 + (2 * np.pi * f[:, None] / self.crossover) ** 2)
         return power
@@ -203,20 +207,46 @@ class Run:
         }
         return replace(self, signals={**self.signals, **changes}, memory=memory)
 
-    def with_noise(self, rng: np.random.Generator, n: int, exact: Sequence[str] = ()) -> Run:
+    def rate_of(self, name: str) -> Array:
+        """Return how fast a signal changes (..., T, c)."""
+        return self.derived(
+            f"rate of {name}", [name], lambda: differentiated(self[name], self.dt, self.band)[1]
+        )
+
+    def with_noise(
+        self,
+        rng: np.random.Generator,
+        n: int,
+        exact: Sequence[str] = (),
+        sensors: bool = True,
+        jitter: bool = True,
+    ) -> Run:
         """Return the run n times, each with another draw of its noise on top: (n, T, c).
 
         Args:
             rng: of the draws.
             n: number of copies.
             exact: signals that the part in question was really given, as the log has them.
+            sensors, jitter: noise of the sensors; of instants, common to a recorder's signals.
         """
-        noisy = {}
-        for name, x in self.signals.items():
-            noisy[name] = np.broadcast_to(x, (n, *x.shape))
-            if name in self.noise and name not in exact:
-                noisy[name] = noisy[name] + self.noise[name].draw(rng, n, self.length)
+        noisy = {k: np.broadcast_to(x, (n, *x.shape)) for k, x in self.signals.items()}
+        inexact = [k for k in noisy if k not in exact]
+        for name in (k for k in inexact if sensors and k in self.noise):
+            noisy[name] = noisy[name] + self.noise[name].draw(rng, n, self.length)
+        for signals, std in self.jitter.items() if jitter else ():
+            late = std * rng.standard_normal((n, self.length, 1))
+            for name in (k for k in signals if k in inexact):
+                noisy[name] = noisy[name] + late * self.rate_of(name)
         return replace(self, signals=noisy, memory={NEAR: self.memory})
+
+
+def _white(std: Array) -> SensorNoiseModel:
+    return SensorNoiseModel(std, np.zeros_like(std))
+
+
+def _rms(x: Array) -> Array:
+    """Return (c,) root mean squares of samples (T, c)."""
+    return np.sqrt(np.mean(x.reshape(-1, x.shape[-1]) ** 2, axis=0))
 
 
 def run_of(log: RunLog, name: str, band: float = BAND) -> Run:

@@ -102,7 +102,7 @@ class CachedResiduals(WhitenedResiduals):
 
     def at_port(self, port: str, models: Sequence[Any]) -> Array:
         """Return as `WhitenedResiduals.at_port`, from the cache where it is there."""
-        about = ("residual", port, *map(canonical_json, models))
+        about = ("residual", port, f"{self.scale!r}", *map(canonical_json, models))
         return self._once(about, lambda: WhitenedResiduals.at_port(self, port, models))
 
     def _once(self, about: Sequence[str], compute: Callable[[], Array]) -> Array:
@@ -115,8 +115,8 @@ class CachedResiduals(WhitenedResiduals):
 
 
 def digest_of(run: Run) -> str:
-    """Return the SHA-256 of a run's signals and noise."""
-    sha = hashlib.sha256(repr((run.dt, run.band)).encode())
+    """Return the SHA-256 of a run's signals, noise and jitter."""
+    sha = hashlib.sha256(repr((run.dt, run.band, sorted(run.jitter.items()))).encode())
     for name, x in run.signals.items():
         noise = run.noise[name]
         sha.update(name.encode())

@@ -100,8 +100,7 @@ class Signatures:
                 done += len(chunk)
                 if progress is not None:
                     progress(done / at)
-        parts = [self._all_columns[g.part] for g in residuals.groups]
-        self._xx = np.stack([x.T @ x for x in parts])
+        self._xx = self._group_products()
         self._noisy = [k for k, g in enumerate(residuals.groups) if g.copies]
         self._noise_xx = [
             residuals.noise_product(residuals.groups[k], self._all_columns) for k in self._noisy
@@ -110,6 +109,11 @@ class Signatures:
         self._most, self._least = limits_of(residuals.groups)
         self.rows = residuals.measured  # that are looked at
         self._set_beside_tolerances()
+
+    def _group_products(self) -> Array:
+        """Return (G, p + M, p + M) products of all columns."""
+        parts = [self._all_columns[g.part] for g in self.residuals.groups]
+        return np.stack([x.T @ x for x in parts])
 
     def _set_beside_tolerances(self) -> None:
         """Products (M, M) of the signatures, what tolerances imitate taken off."""
@@ -140,6 +144,13 @@ class Signatures:
         both = np.outer(scale, scale)
         out._xx = self._xx * both
         out._noise_xx = [k * both for k in self._noise_xx]
+        if residuals.scale != self.residuals.scale:
+            out._all_columns = residuals.rewhitened(
+                self._all_columns.astype(float) * scale, self.residuals
+            ).astype(np.float32)
+            out.columns = out._all_columns[:, p:]
+            out._xx = out._group_products()
+            out._most, out._least = limits_of(residuals.groups)
         out._set_beside_tolerances()
         return out
 

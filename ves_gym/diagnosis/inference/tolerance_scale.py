@@ -2,9 +2,10 @@
 
 A description says how exactly its numbers are known, and may be wrong in that. Errors ten times
 as large as stated look like effects that nobody hid: a rotor that is 8 % heavier, a sensor's
-gain. So one scale of all tolerances is an unknown, with a prior about 1 (`constants.py`), and
-answers under two scales are compared by their evidence. A single error far off stays a name,
-since all others would have to be wide for nothing.
+gain. So one scale of all tolerances, and of the jitter of clocks, which is noise, is an unknown
+with a prior about 1 (`constants.py`), and answers under two scales are compared by their
+evidence. A single error far off stays a name, since all others would have to be wide for
+nothing.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import scipy
 
 from ves_gym.diagnosis.constants import SCALE_MOST, SCALE_SPREAD
 from ves_gym.diagnosis.inference.fit import Fit
-from ves_gym.diagnosis.inference.variance_groups import products, scaled, solve
+from ves_gym.diagnosis.inference.variance_groups import products, solve
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 
 _OFF = 3.0  # stated standard deviations from which an error is told
@@ -39,16 +40,17 @@ def likeliest_scale(f: Fit, residuals: WhitenedResiduals) -> float:
         f: fit.
         residuals: that it fits, with the tolerances stated.
     """
-    inner = products(residuals, f.residual, f.tangents)
     fixed = len(residuals.nuisances) + len(f.forms)
-    scale = np.ones(inner.xz.shape[1])
-    tolerances = [i for i, k in enumerate(residuals.nuisances) if k.scales]
+    columns = np.column_stack([f.residual, f.tangents])
 
     def unlikeliness(log_scale: float) -> float:
-        scale[tolerances] = np.exp(log_scale)
-        solution = solve(scaled(inner, scale), fixed)
-        determinant = np.linalg.slogdet(solution.covariance)[1]
-        return solution.deviance - float(determinant) + scale_price(float(np.exp(log_scale)))
+        wide = residuals.with_tolerances(float(np.exp(log_scale)))
+        z, *tangents = wide.rewhitened(columns, residuals).T
+        X = np.reshape(tangents, (-1, residuals.length)).T
+        solution = solve(products(wide, z, X), fixed)
+        determinant = float(np.linalg.slogdet(solution.covariance)[1])
+        likely = solution.deviance + wide.density - residuals.density
+        return likely - determinant + scale_price(float(np.exp(log_scale)))
 
     found = scipy.optimize.minimize_scalar(
         unlikeliness, bounds=(0.0, np.log(SCALE_MOST)), method="bounded", options={"xatol": 0.1}

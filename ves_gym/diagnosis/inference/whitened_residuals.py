@@ -122,23 +122,9 @@ class WhitenedResiduals:
         self.length = max(s.stop for s in self._spans.values())  # with those of the copies
         self.memory: dict[Any, Array] = {}  # residuals already asked for, by port and effects
         raw = [machine.residuals(run, [machine.nominal], names) for run in self.runs]
-        self._whiten: list[dict[str, Array]] = []  # (K, c, c) of each run and port
-        for i, run in enumerate(self.runs):
-            window = run.window
-            rng = np.random.default_rng([seed, i])
-            noisy: dict[str, Array] = {}
-            for exact in sorted({p.exact for p in self.ports}):
-                port_names = [p.name for p in self.ports if p.exact == exact]
-                copies = run.with_noise(rng, _DRAWS, exact)
-                noisy |= machine.residuals(copies, [machine.nominal], port_names)
-            whiten = {}
-            for name in names:
-                covariance = _pooled(window.spectrum(noisy[name][0] - raw[i][name][0]))
-                if name in self.slow:
-                    covariance *= self.slow[name].excess(window)[:, None, None]
-                floor = np.diag(machine.floor(run, name) ** 2)
-                whiten[name] = _inverse_root(covariance + floor)
-            self._whiten.append(whiten)
+        self.scale = 1.0  # of the jitter that is stated
+        self._noise = [self._noises(i, raw[i]) for i in range(len(self.runs))]
+        self._whiten = self._stated = self._whitening()  # (K, c, c) of each run and port
         self.groups = self._with_floors()
         self.null = np.zeros(self.length)
         for port in self.ports:
@@ -160,6 +146,42 @@ class WhitenedResiduals:
         parts = [self.slopes[g.part] for g in self.groups]
         self.gram = np.stack([J.T @ J for J in parts])  # (G, p, p)
         self.noise_gram = np.stack([self.noise_product(g, self.slopes) for g in self.groups])
+
+    def _noises(self, i: int, raw: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
+        """Return (K, c, c) covariances of a run's noise at each port: all but its jitter, and
+        that."""
+        run, rng, out = self.runs[i], np.random.default_rng([self.seed, i]), {}
+        for exact in sorted({p.exact for p in self.ports}):
+            names = [p.name for p in self.ports if p.exact == exact]
+
+            def drawn(
+                exact: tuple[str, ...] = exact, names: list[str] = names, **which: bool
+            ) -> dict[str, Array]:
+                copies = run.with_noise(rng, _DRAWS, exact, **which)
+                noisy = self.machine.residuals(copies, [self.machine.nominal], names)
+                spectra = {k: run.window.spectrum(x[0] - raw[k][0]) for k, x in noisy.items()}
+                return {k: _pooled(x) for k, x in spectra.items()}
+
+            fixed = drawn(jitter=False)
+            shaken = (
+                drawn(sensors=False) if run.jitter else {k: 0 * x for k, x in fixed.items()}
+            )
+            for name in names:
+                if name in self.slow:
+                    fixed[name] *= self.slow[name].excess(run.window)[:, None, None]
+                floor = np.diag(self.machine.floor(run, name) ** 2)
+                out[name] = fixed[name] + floor, shaken[name]
+        return out
+
+    def _whitening(self) -> list[dict[str, Array]]:
+        square = self.scale**2
+        return [
+            {
+                port: _inverse_root(fixed + square * shaken)
+                for port, (fixed, shaken) in k.items()
+            }
+            for k in self._noise
+        ]
 
     def _with_floors(self) -> list[VarianceGroup]:
         """Return the groups with the share that each machine's floor has in its noise."""
@@ -186,7 +208,7 @@ class WhitenedResiduals:
         return out
 
     def with_tolerances(self, factor: float) -> WhitenedResiduals:
-        """Return the same residuals with tolerances a factor as large."""
+        """Return the same residuals with tolerances and jitter a factor as large."""
         scale = np.where([k.scales for k in self.nuisances], factor, 1.0)
         out = copy.copy(self)
         out.nuisances = [
@@ -195,7 +217,36 @@ class WhitenedResiduals:
         out.slopes = self.slopes * scale
         both = np.outer(scale, scale)
         out.gram, out.noise_gram = self.gram * both, self.noise_gram * both
+        if any(run.jitter for run in self.runs):
+            out.scale, out.memory = self.scale * factor, {}
+            out._whiten = out._whitening()
+            out.groups = out._with_floors()
+            out.null = out.rewhitened(self.null[:, None], self)[:, 0]
+            out.slopes = out.rewhitened(out.slopes, self)
+            out.gram = np.stack([out.slopes[g.part].T @ out.slopes[g.part] for g in out.groups])
         return out
+
+    def rewhitened(self, x: Array, other: WhitenedResiduals) -> Array:
+        """Return columns (N, m) that other residuals whiten as these do, copies as they are."""
+        out = x.copy()
+        for rows, new, old in zip(self._rows, self._whiten, other._whiten, strict=True):
+            for port, parts in rows.items():
+                if new[port] is old[port]:
+                    continue
+                z = np.zeros((*new[port].shape[:2], x.shape[1]), complex)
+                for take, part, channel in parts:
+                    real, imag = x[part].reshape(2, -1, x.shape[1])
+                    z[take, channel] = real + 1j * imag
+                z = new[port] @ np.linalg.solve(old[port], z)
+                for take, part, channel in parts:
+                    out[part] = np.concatenate([z[take, channel].real, z[take, channel].imag])
+        return out
+
+    @property
+    def density(self) -> float:
+        """Log determinant of the noise's covariance, as it counts in a deviance."""
+        every = [w for port in self._whiten for w in port.values()]
+        return -4 * sum(float(np.linalg.slogdet(w)[1].sum()) for w in every)
 
     def less_nuisances(self, z: Array, x: Array, fitted: bool) -> Array:
         """Return a residual (N,) less what nuisances do.
@@ -332,24 +383,28 @@ class WhitenedResiduals:
     def _with_copies(
         self, port: Port, by_run: Sequence[Array], models: Sequence[Model]
     ) -> Array:
-        """Return (m, n) numbers of a port, and behind them what noise adds in each copy."""
+        """Return (m, n) numbers of a port, and behind them what noise adds in each copy.
+
+        Copies have the noise that is stated, and are whitened by it.
+        """
         out = [self.whitened(port.name, by_run)]
         if port.differentiates:
             passing = [self.machine.passing(m) for m in models]
             ways = [k for i, k in enumerate(passing) if k not in passing[:i]]
             of = [ways.index(k) for k in passing]
-            plain = out[0]
             if ways != list(models):
-                unwhitened = (
-                    self.machine.residuals(run, ways, [port.name]) for run in self.runs
-                )
-                plain = self.whitened(port.name, [k[port.name] for k in unwhitened])[of]
+                by_run = [
+                    self.machine.residuals(run, ways, [port.name])[port.name][of]
+                    for run in self.runs
+                ]
+            plain = self.whitened(port.name, by_run, self._stated)
             noisy = [
                 self.machine.residuals(copy, ways, [port.name])[port.name]
                 for copy in (self._copy(i, port.exact) for i in range(len(self.runs)))
             ]
             for k in range(_COPIES):
-                out.append(self.whitened(port.name, [x[of, k] for x in noisy]) - plain)
+                copies = self.whitened(port.name, [x[of, k] for x in noisy], self._stated)
+                out.append(copies - plain)
         return np.concatenate(out, axis=1)
 
     def _copy(self, i: int, exact: tuple[str, ...]) -> Run:
@@ -393,12 +448,24 @@ class WhitenedResiduals:
             out += run.dt * float(np.count_nonzero(np.any(differs, axis=0)))
         return out
 
-    def whitened(self, port: str, by_run: Sequence[Array]) -> Array:
-        """Return (m, n) numbers of a port from residuals (m, T, c) of every run."""
+    def whitened(
+        self,
+        port: str,
+        by_run: Sequence[Array],
+        whitening: Sequence[Mapping[str, Array]] | None = None,
+    ) -> Array:
+        """Return (m, n) numbers of a port from residuals (m, T, c) of every run.
+
+        Args:
+            port: name.
+            by_run: residuals.
+            whitening: (K, c, c) of each run and port; that of these residuals by default.
+        """
+        whitening = self._whiten if whitening is None else whitening
         span = self.part(port)
         out = np.empty((len(by_run[0]), span.stop - span.start))
         for run, rows, whiten, residual in zip(
-            self.runs, self._rows, self._whiten, by_run, strict=True
+            self.runs, self._rows, whitening, by_run, strict=True
         ):
             x = run.window.spectrum(residual)  # (m, K, c)
             z = np.sqrt(2) * np.moveaxis(whiten[port] @ np.moveaxis(x, 0, -1), -1, 0)

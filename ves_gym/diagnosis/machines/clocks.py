@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ves_gym._util.params import Array, require_positive, unit
-from ves_gym._util.signals import SensorNoiseModel, differentiated
+from ves_gym._util.params import require_positive, unit
 from ves_gym.diagnosis.data.measured_run import NEAR, Run
 
 ROBOT, TRACKER, AMPLIFIER = ("q", "v", "tau"), ("y", "yd"), ("w",)
@@ -46,7 +45,7 @@ class ClockError:
         if run.name != self.run:
             return run
         late = self.offset + self.rate * run.dt * np.arange(run.length)[:, None]
-        moved = {k: run[k] - late * _rate(run, k) for k in self.signals if k in run}
+        moved = {k: run[k] - late * run.rate_of(k) for k in self.signals if k in run}
         return replace(run, signals={**run.signals, **moved}, memory={NEAR: run.memory})
 
 
@@ -79,22 +78,7 @@ def clock_errors(
         )
 
 
-def with_jitter(run: Run, jitter: float) -> Run:
-    """Return the run with the noise that jitter [s] of its samples makes."""
-    if not jitter:
-        return run
-    noise = dict(run.noise)
-    for name in (*ROBOT, *TRACKER, *AMPLIFIER):
-        if name in run:
-            shaken = jitter * np.sqrt(np.mean(_rate(run, name) ** 2, axis=-2))
-            noise[name] = SensorNoiseModel(
-                np.hypot(noise[name].std, shaken), noise[name].correlation
-            )
-    return replace(run, noise=noise)
-
-
-def _rate(run: Run, name: str) -> Array:
-    """Return how fast a signal changes (..., T, c)."""
-    return run.derived(
-        f"rate of {name}", [name], lambda: differentiated(run[name], run.dt, run.band)[1]
-    )
+def with_jitter(run: Run, jitter: float, emulated: bool) -> Run:
+    """Return the run with the jitter [s] of its recorders' samples, as in `clock_errors`."""
+    shaken = (ROBOT, TRACKER) if emulated else (ROBOT, TRACKER, AMPLIFIER)
+    return replace(run, jitter=dict.fromkeys(shaken, jitter)) if jitter else run
