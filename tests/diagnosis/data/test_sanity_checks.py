@@ -8,6 +8,7 @@ import pytest
 from ves_gym._util.params import ParameterError
 from ves_gym.diagnosis.data.measured_run import require_plausible, run_of, run_of_signals
 from ves_gym.diagnosis.data.sanity_checks import require_as_logged, suspected_mistake
+from ves_gym.diagnosis.excitation import excitation_motions
 from ves_gym.diagnosis.inputs import _heavier
 from ves_gym.diagnosis.machines.joint_library import MjcfJoint
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
@@ -83,6 +84,50 @@ def slowly(*values):
 def test_a_mistake_in_the_log_is_asked_about(log, keys, matrix, text):
     """The first 3 s tell it: what a unit or a sign does is large from the start."""
     assert asked(changed(beginning(log, 3.0), keys, matrix)).startswith(text)
+
+
+def late(log, keys, seconds):
+    """A log in which one recorder reads what was there before."""
+    count = round(seconds / float(np.median(np.diff(log.t))))
+    return dataclasses.replace(
+        log,
+        **{
+            k: np.concatenate([getattr(log, k)[:1].repeat(count, 0), getattr(log, k)[:-count]])
+            for k in keys
+        },
+    )
+
+
+@pytest.fixture(scope="module")
+def in_space():
+    """A noisy run in space of 7 s, and nothing missing."""
+    motions = excitation_motions(1, duration=6.0, seed=1)
+    log = play_motions(System(), motions, settle=1.0).log(0)
+    noise = {"q": 1e-5, "v": 2e-4, "tau": 0.1, "y": 5e-5, "w": 0.3}
+    rng = np.random.default_rng(0)
+    parts = {
+        k: getattr(log, k) + s * rng.standard_normal(getattr(log, k).shape)
+        for k, s in noise.items()
+    }
+    meta = {**log.meta, "system": System().to_dict(), "noise_std": noise}
+    return dataclasses.replace(log, meta=meta, **parts)
+
+
+@pytest.mark.parametrize("keys", [["q", "v"], ["tau"], ["y", "yd"], ["w"]], ids=lambda k: k[0])
+def test_a_late_recorder_is_asked_about(in_space, keys):
+    """100 ms, through the noise of a pose that is differentiated twice; 10 ms are an effect."""
+    assert asked(late(in_space, keys, 0.1)) == f"is {keys[0]} 100 ms late"
+    assert asked(late(in_space, keys, 0.0125)) is None
+
+
+def test_what_noise_hides_is_still_asked_about(in_space):
+    """At port base the noise of the pose is larger than the signal."""
+    assert asked(in_space) is None
+    swapped = changed(in_space, ["w"], swap(6, 0, 1))
+    assert asked(swapped) == "is w F_x exchanged with w F_y"
+    short = beginning(in_space, 1.0)
+    with pytest.raises(ParameterError, match=r"s is too short, need 1.25 s"):
+        asked(short)
 
 
 @pytest.mark.slow

@@ -44,6 +44,7 @@ _UNITS = (  # signal, what no such machine reaches, unit expected, unit it may b
 )
 _STILL = 1e-4  # rad/s: noise of a rate that turns no friction round, a hundredth of its creep
 _PER_BAND = 4.0  # samples per period of the band's top that derivatives need
+_SHORTEST = 15.0  # periods of the band's top: in less, slow motion is no more than a slope
 
 
 def forget(remembered: dict[Any, Any], most: int = REMEMBERED) -> None:
@@ -314,9 +315,10 @@ def run_of_signals(
             f"{name}: sampled at {1 / dt:.4g} Hz, comparing up to {band:g} Hz needs at least"
             f" {_PER_BAND * band:g} Hz"
         )
-    if len(even) < 4 * margin(dt, band):
+    shortest = max(4 * margin(dt, band) * dt, _SHORTEST / band)
+    if dt * len(even) < shortest:
         raise ParameterError(
-            f"{name}: {t[-1] - t[0]:.3g} s is too short, need {4 * margin(dt, band) * dt:.3g} s"
+            f"{name}: {t[-1] - t[0]:.3g} s is too short, need {shortest:.3g} s"
         )
     uniform, noise, at = {}, {}, 0
     stated = meta.get("noise_std", {})

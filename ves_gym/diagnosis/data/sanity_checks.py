@@ -1,4 +1,4 @@
-"""Sanity checks of a log: channels exchanged, with another sign or in another unit.
+"""Sanity checks of a log: channels exchanged, late, with another sign or in another unit.
 
 Such mistakes are no physics: no effect of the library is meant to explain them, and none may
 be named for them. Each is tried, and asked about if the data then agree far better with the
@@ -8,15 +8,16 @@ description. Nothing is converted.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.diagnosis.data.measured_run import Run
-from ves_gym.diagnosis.machines.base import WRENCH, Machine, testable
+from ves_gym.diagnosis.machines.base import WRENCH, Machine, Port, testable
 from ves_gym.mechanics.spatial import AXES
 
 _BAD = 0.5  # of a channel's own movement: a residual that no effect of usual size makes
@@ -38,6 +39,16 @@ _SEEN = {  # port -> the signal that its residual is a part of
     "base": "w",
     "velocity": "v",
 }
+_SLOW = ("joint", "platform")  # ports that take a hundred times as long as others
+_LATE = (0.04, 0.5)  # s; what a machine itself is late by is shorter, and an effect
+_RECORDED = (  # signals that one recorder reads, and their name
+    (("q", "v"), "q"),
+    (("q_cmd", "v_cmd"), "q_cmd"),
+    (("tau",), "tau"),
+    (("y", "yd"), "y"),
+    (("y_cmd",), "y_cmd"),
+    (("w", "weight"), "w"),
+)
 _OF_A_BODY = ("w", "wg", "weight", "y")  # three channels along axes, three about them
 _DEGREES, _STANDARD = np.pi / 180, 9.80665
 _ANGLE = ((_DEGREES, "degrees, not rad"), (1 / _DEGREES, "rad twice converted from degrees"))
@@ -127,12 +138,14 @@ def suspected_mistake(
     ports = testable(machine, [run])
     every = [p.name for p in ports]
     tells = {p.name: _tells(run, p.signal or _SEEN[p.name]) for p in ports}
-    current = _sizes(machine, run, every, tells)
+    noise = _noise(machine, run, ports)
+    current = _sizes(machine, run, every, tells, noise)
     bad = {name: x > _BADLY.get(name, _BAD) for name, x in current.items()}
     if not any(flags.any() for flags in bad.values()):
         return None
     best: tuple[float, Question] | None = None
-    for mistake in _mistakes(machine, run, others):
+    lags = {abs(_lag(machine, run, p, tells[p.name])) for p in ports}
+    for mistake in (*_mistakes(machine, run, others), *_late(run, lags)):
         touched = [p for p in ports if not mistake.signals or mistake.signals & set(p.needs)]
         names = [p.name for p in touched if mistake.signals or bad[p.name].any()]
         if not any(bad[name].any() for name in names):
@@ -140,15 +153,20 @@ def suspected_mistake(
         changed = run
         if mistake.change is not None:
             changed = run.with_signals(mistake.change(run))
-        revised = _sizes(mistake.machine or machine, changed, names, tells)
+        revised: dict[str, Array] = {}
+        for name in sorted(names, key=_SLOW.__contains__):  # most are refuted by others
+            revised |= _sizes(mistake.machine or machine, changed, [name], tells, noise)
+            if spoiled := (revised[name] > np.maximum(_SPOILED * current[name], _GOOD)).any():
+                break
+        if spoiled:
+            continue
         before, after = (
             np.concatenate([x[name] for name in names]) for x in (current, revised)
         )
         worst = np.concatenate([bad[name] for name in names])
         good = [np.full(len(bad[name]), _BETTER.get(name, _GOOD)) for name in names]
         healed = worst & (after < np.minimum(_FAR * before, np.concatenate(good)))
-        spoiled = after > np.maximum(_SPOILED * before, _GOOD)
-        if not healed.any() or spoiled.any():
+        if not healed.any():
             continue
         gain = float(np.log(np.maximum(before, _LEAST) / np.maximum(after, _LEAST)).sum())
         if best is None or gain > best[0] + 1e-9:
@@ -160,11 +178,28 @@ def suspected_mistake(
     return None if best is None else best[1]
 
 
+def _noise(machine: Machine, run: Run, ports: Sequence[Port]) -> dict[str, Array]:
+    """Return (c,) per port: size of what noise as logged makes of the residual."""
+    out, logged = {}, replace(run, by_log=True)
+    for port in ports:
+        copy = logged.with_noise(np.random.default_rng(0), 1, port.exact)
+        noisy, plain = (
+            machine.residuals(k, [machine.nominal], [port.name])[port.name][0]
+            for k in (copy, logged)
+        )
+        out[port.name] = np.linalg.norm(run.window.spectrum(noisy[0] - plain)[1:], axis=0)
+    return out
+
+
 def _sizes(
-    machine: Machine, run: Run, ports: Sequence[str], tells: Mapping[str, Array]
+    machine: Machine,
+    run: Run,
+    ports: Sequence[str],
+    tells: Mapping[str, Array],
+    noise: Mapping[str, Array],
 ) -> dict[str, Array]:
-    """Return (c,) per port: size of the residual over that of the channel's movement; 0 where
-    a channel does not tell anything."""
+    """Return (c,) per port: size of the residual beyond its noise, over that of the channel's
+    movement; 0 where a channel does not tell anything."""
     # a torque logged in another unit must not be told by what the controller asked
     residuals = machine.residuals(replace(run, by_log=True), [machine.nominal], ports)
     logged_as = {p.name: p.signal or _SEEN.get(p.name, "") for p in machine.ports}
@@ -174,11 +209,44 @@ def _sizes(
             np.linalg.norm(run.window.spectrum(x)[1:], axis=0)
             for x in (residuals[name][0], _logged(run, logged_as[name]))
         )
-        size = np.where(np.isfinite(residual_size), residual_size, np.inf) / np.maximum(
-            signal_size, 1e-300
-        )
+        beyond = np.sqrt(np.maximum(residual_size**2 - (_SPOILED * noise[name]) ** 2, 0.0))
+        size = np.where(np.isfinite(beyond), beyond, np.inf) / np.maximum(signal_size, 1e-300)
         out[name] = np.where(tells[name], size, 0.0)
     return out
+
+
+def _lag(machine: Machine, run: Run, port: Port, tells: Array) -> int:
+    """Return the samples by which a port's signal comes after what it is predicted to be."""
+    residual = machine.residuals(replace(run, by_log=True), [machine.nominal], [port.name])
+    x = _logged(run, port.signal or _SEEN[port.name])
+    most = min(round(_LATE[1] / run.dt), run.length // 4)
+    likeness = np.zeros(2 * most + 1)
+    for signal, left in zip(x.T[tells], residual[port.name][0].T[tells], strict=True):
+        a, b = (k - k.mean() for k in (signal, signal - left))
+        full = scipy.signal.correlate(a, b) / (np.linalg.norm(a) * np.linalg.norm(b) + 1e-300)
+        likeness += full[len(b) - 1 - most : len(b) + most]
+    return int(np.argmax(likeness)) - most
+
+
+def _late(run: Run, lags: Collection[int]) -> Iterator[_Mistake]:
+    """Yield each recorder that may be as late, or as early, as a port's signal seems to be."""
+    for (keys, name), lag in itertools.product(_RECORDED, sorted(lags)):
+        have = tuple(k for k in keys if k in run)
+        if not have or lag * run.dt < _LATE[0]:
+            continue
+        late = f"is {name} {1e3 * lag * run.dt:.3g} ms late"
+        yield _Mistake(late, frozenset(have), _put_off(have, lag))
+        yield _Mistake(late.replace("late", "early"), frozenset(have), _put_off(have, -lag))
+
+
+def _put_off(keys: tuple[str, ...], lag: int) -> Change:
+    """Return all signals, those of a recorder `lag` samples earlier against the others."""
+    early, late = (
+        (slice(lag, None), slice(None, -lag))
+        if lag > 0
+        else (slice(None, lag), slice(-lag, None))
+    )
+    return lambda run: {k: x[early if k in keys else late] for k, x in run.signals.items()}
 
 
 def _tells(run: Run, signal: str) -> Array:
