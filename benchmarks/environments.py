@@ -66,19 +66,22 @@ def against_workers(
         theirs.close()
 
 
-def with_ends(id: str, n: int = 256, calls: int | None = None) -> dict[str, float]:
+def with_ends(
+    id: str, n: int = 256, calls: int | None = None, backend: str = "kernel"
+) -> dict[str, float]:
     """A vector of n on one thread, random actions, ends and resets included.
 
     Args:
         id: of the environment.
         n: how many.
         calls: vector steps that are timed; None: two episodes' length.
+        backend: of the engine.
 
     Returns:
         Steps per second of processor time, the same of calls in which nothing ends or begins,
         and microseconds that an end and a beginning add.
     """
-    env: Any = gym.make_vec(id, num_envs=n, threads=1)
+    env: Any = gym.make_vec(id, num_envs=n, threads=1, backend=backend)
     calls = 2 * env.unwrapped.task.steps if calls is None else calls
     size = (64, n, *env.single_action_space.shape)
     moves = np.random.default_rng(0).uniform(-1, 1, size).astype(np.float32)

@@ -3,7 +3,8 @@
     python -m benchmarks.kernel_sizes
 
 Steps per second of the larger system over those of the smaller, run in turn on one thread:
-seven joints over three, and twelve internal modes of a finite-element beam over none.
+seven joints over three, twelve internal modes of a finite-element beam over none, and two
+UR5e on one base over one arm of as many joints.
 """
 
 from __future__ import annotations
@@ -59,11 +60,20 @@ def internal_modes(modes: int = MODES, n: int = 256) -> Pair:
     return side_by_side(stepping(plain, n), stepping(fine, n), RUNS)
 
 
+def arms(n: int = 256) -> Pair:
+    """Two UR5e on a satellite beside one arm with the links of both in a row."""
+    ur5e, base = get_arm("ur5e"), get_vehicle("free-floating")
+    two = System(arms=[ur5e.at((0.0, y, 0.0)) for y in (0.5, -0.5)], vehicle=base)
+    one = System(arm=replace(ur5e, links=2 * ur5e.links), vehicle=base)
+    return side_by_side(stepping(one, n), stepping(two, n), RUNS)
+
+
 def main() -> None:
-    """Print both ratios."""
+    """Print the ratios."""
     for what, pair, goal in (
         ("7 joints over 3", joints(), 0.35),
         (f"{MODES} internal modes over none", internal_modes(), 0.3),
+        ("two arms over one of as many joints", arms(), 0.8),
     ):
         print(
             f"kernel steps/s, {what}: {1 / pair.ratio:.2f}"
