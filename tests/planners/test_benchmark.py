@@ -28,6 +28,7 @@ from ves_gym.planners.execution_check import solve_with_reserve
 from ves_gym.planners.query import NoPlan, Plan, Query
 from ves_gym.planners.registry import PLANNERS, get_planner
 from ves_gym.planners.suites import Suite, get_suite, reach100
+from ves_gym.report.benchmark import benchmark_text
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.system import System
 
@@ -73,6 +74,14 @@ def test_the_schema(result):
     with pytest.raises(ParameterError, match="planner must be one of"):
         run_benchmark(small_suite(), planners=["magic"], workers=1)
     assert result["systems"]["bent-thesis"]["hash"] == BENT.hash
+
+
+def test_the_text_begins_with_the_answer_and_its_price(result):
+    """In a pipe nothing is wider than 80 characters, and no cell is cut."""
+    text = benchmark_text(result)
+    assert text.startswith("direct disturbs bent-thesis least in 2 s: 0.")
+    assert all(word in text for word in ("success 100 %", "planned in", "lin., ang.", "limits"))
+    assert max(map(len, text.split("\n"))) <= 80 and "…" not in text
     assert {"python", "mujoco", "numpy"} <= result["versions"].keys()
 
 

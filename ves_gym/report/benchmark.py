@@ -37,38 +37,39 @@ def write_page(result: dict[str, Any], path: str | os.PathLike[str]) -> None:
 Result = dict[str, Any]
 Columns = dict[str, Callable[[Result], str]]  # heading -> cell of a row of the summary
 _MOST = 10  # stopped runs, and reasons of failures, that are named
+_WIDTH = 80  # characters, in a pipe
 _ENERGIES = """\
-Medians over queries. ratio: E_mean over the straight line's on the same query, with
-the 95 % interval of the median; E_res, E_peak and the base's largest accelerations:
-likewise; off: predicted E_mean against the simulated one; success: of all queries;
-plan: median and longest planning time."""
+Medians over queries. ratio: E_mean over the straight line's on the same query;
+peaks: largest linear and angular acceleration of the base, likewise; success:
+of all queries; limits: successes in which the simulated arm passes one; plan:
+planning time."""
+_DETAILS = """\
+interval: of the median ratio, 95 %; E_res, E_peak: over the straight line's;
+off: predicted E_mean against the simulated one; longest: planning time."""
 _EMULATED = """\
 Energies are those of the emulated base. emulation error: its E_mean over that of the same
 motion in space, less 1; base error: largest distance between the two base positions over the
 largest displacement in space; off: against E_mean in space."""
 _MOTION = """\
-Medians. acc., angular: acceleration of the arm's mount (root mean square over the
-motion and 10 s after it, and peak) and of the base's rotation (peak); tip: largest
-error of the tool, and at the end; moved: the mount at most; turned: the base at the
-end; weighted: mean energy after a filter of gain {weight}."""
+Medians. peak, angular: largest acceleration of the arm's mount and of the base;
+tip: largest error of the tool, and at the end; turned: the base at the end;
+weighted: mean energy after a filter of gain {weight}."""
 _MOVED = {  # measure -> heading
-    "acceleration": "acc.\nm/s^2",
     "acceleration_peak": "peak\nm/s^2",
     "angular_peak": "angular\nrad/s^2",
     "tip_peak": "tip\nm",
     "tip_end": "at end\nm",
-    "displacement_peak": "moved\nm",
     "attitude_end": "turned\nrad",
     "E_weighted": "weighted\nJ",
 }
 
 
 def benchmark_text(result: Result) -> str:
-    """Return the tables of a result, and how failures, limits and stops are spread."""
+    """Return the answer, tables of a result, and how failures, limits and stops are spread."""
     emulated = result["mode"] == "emulated"
-    energies = _energy_columns(result, emulated)
-    motion = {heading: _median(name, ".3g") for name, heading in _MOVED.items()}
-    lines = [*_tables(result, "Energy in the base", energies), _ENERGIES]
+    motion = {heading: _median(name, ".2g") for name, heading in _MOVED.items()}
+    lines = [*_answer(result), *_tables(result, "Energy and its price", _PRICE), _ENERGIES]
+    lines += [*_tables(result, "Details", _details(emulated)), _DETAILS]
     lines += _tables(result, "Motion of base and tool", motion)
     lines.append(_MOTION.format(weight=result["frequency_weight"]))
     lines += _failures(result) + _limits(result)
@@ -77,15 +78,31 @@ def benchmark_text(result: Result) -> str:
     return "\n".join(lines)
 
 
-def _energy_columns(result: Result, emulated: bool) -> Columns:
-    out = {
-        "E_mean [J]": _median("E_mean", ".4g"),
-        "ratio": lambda row: _number(row["ratio_median"], ".3f") + _interval(row),
+def _answer(result: Result) -> list[str]:
+    """Which path disturbs the base least, and its price: of the middle duration."""
+    rows = [r for r in result["summary"] if r["ratio_median"] is not None]
+    durations = sorted({r["duration"] for r in rows})
+    rows = [r for r in rows if r["duration"] == durations[len(durations) // 2]]
+    if len(rows) < 2:
+        return []
+    best = min(rows, key=lambda r: (-r["success_rate"], r["ratio_median"]))
+    peaks = (best[f"{k}_ratio_median"] for k in ("acceleration_peak", "angular_peak"))
+    linear, angular = (_number(k, ".2f") for k in peaks)
+    return [
+        f"{best['planner']} disturbs {best['vehicle']} least in {best['duration']:g} s:"
+        f" {best['ratio_median']:.3f} of the straight line's energy,\n"
+        f"{linear} of its peak acceleration, {angular} of its angular one, success"
+        f" {100 * best['success_rate']:.0f} %,\nplanned in"
+        f" {best['plan_seconds_median']:.2f} s."
+    ]
+
+
+def _details(emulated: bool) -> Columns:
+    out: Columns = {
+        "interval": _interval,
+        "E_res": _median("E_res_ratio", ".3f"),
+        "E_peak": _median("E_peak_ratio", ".3f"),
     }
-    out["E_res"] = _median("E_res_ratio", ".3f")
-    out["E_peak"] = _median("E_peak_ratio", ".3f")
-    out["acc.\npeak"] = _median("acceleration_peak_ratio", ".2f")
-    out["angular\npeak"] = _median("angular_peak_ratio", ".2f")
     if emulated:
         out["emulation\nerror"] = lambda row: (
             "stopped" if _stopped(row) else _number(row["emulation_error_median"], "+.2%")
@@ -95,15 +112,24 @@ def _energy_columns(result: Result, emulated: bool) -> Columns:
         )
     return out | {
         "off": _median("prediction_error", ".2%"),
-        "success": lambda row: f"{100 * row['success_rate']:.0f} %",
-        "plan [s]\nmost": lambda row: (
-            f"{row['plan_seconds_median']:.2f} {row['plan_seconds_max']:6.2f}"
-        ),
+        "longest\n[s]": lambda row: f"{row['plan_seconds_max']:.2f}",
     }
 
 
 def _median(name: str, form: str) -> Callable[[Result], str]:
     return lambda row: _number(row[f"{name}_median"], form)
+
+
+_PRICE: Columns = {
+    "E_mean\n[J]": _median("E_mean", ".3g"),
+    "ratio": _median("ratio", ".3f"),
+    "peaks\nlin., ang.": lambda row: " ".join(
+        _number(row[f"{k}_ratio_median"], ".3g") for k in ("acceleration_peak", "angular_peak")
+    ),
+    "success": lambda row: f"{100 * row['success_rate']:.0f} %",
+    "limits": lambda row: f"{row['arm_breaks']}",
+    "plan\n[s]": _median("plan_seconds", ".2f"),
+}
 
 
 def _tables(result: Result, what: str, columns: Columns) -> list[str]:
@@ -119,8 +145,8 @@ def _tables(result: Result, what: str, columns: Columns) -> list[str]:
             cells = [cell(row) for cell in columns.values()]
             rows.append([f"{duration:g}", row["planner"], *cells])
         title = f"{what}: suite {result['suite']}, {vehicle}"
-        head = ("T [s]", "planner", *columns)
-        out.append(table(head, rows, title=title, left=(0, 1), width=164))
+        head = ("T\n[s]", "planner", *columns)
+        out.append(table(head, rows, title=title, left=(0, 1), width=_WIDTH))
     return out
 
 
@@ -182,8 +208,8 @@ def _stopped(row: Result) -> bool:
 
 def _interval(row: Result) -> str:
     if row["n"] == 1 or row["ratio_low"] is None:
-        return ""
-    return f" ({row['ratio_low']:.2f}-{row['ratio_high']:.2f})"
+        return "-"
+    return f"{row['ratio_low']:.2f}-{row['ratio_high']:.2f}"
 
 
 def _number(value: float | None, form: str) -> str:
