@@ -54,7 +54,7 @@ def test_a_reader_that_takes_too_long_is_ended(tmp_path, monkeypatch):
         '<mujoco><worldbody><replicate count="10000000" offset="1 0 0"><geom size="1"/>'
         "</replicate></worldbody></mujoco>"
     )
-    with pytest.raises(ParameterError, match=r"did not answer within 0\.5"):
+    with pytest.raises(ParameterError, match=r"did not answer within 0\.5\d* s of comp"):
         Arm.from_file(file)
     monkeypatch.undo()
     assert len(read_matrices(matrix(tmp_path, GOOD))) == 1

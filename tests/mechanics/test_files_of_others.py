@@ -47,6 +47,18 @@ def test_a_follower_is_not_frozen_in_silence(urdf):
     assert coupled[1, 1] - of_links[1, 1] == pytest.approx(0.3 + 20 * 0.5**2)
 
 
+def test_a_fixed_joint_follows_nothing(urdf):
+    """Whatever its <mimic> says: as Pinocchio has it."""
+    pin = pytest.importorskip("pinocchio")
+    path = urdf(BALANCED, 'name="k_balance" type="revolute"', 'name="k_balance" type="fixed"')
+    arm = Arm.from_file(path, tip="tool")
+    assert arm.followers is None
+    model = pin.buildModelFromUrdf(str(path), mimic=True)
+    theirs = pin.crba(model, model.createData(), np.zeros(3))
+    ours = inertia(arm, np.zeros(3))[6:, 6:]
+    np.testing.assert_allclose(np.triu(ours), np.triu(theirs), rtol=1e-12, atol=1e-14)
+
+
 def test_a_follower_stands_still_with_its_leader(urdf):
     """As Pinocchio has it at the leader's angle, also on the chain."""
     pin = pytest.importorskip("pinocchio")

@@ -11,8 +11,10 @@ from __future__ import annotations
 import importlib
 import io
 import json
+import math
 import os
 import sys
+import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -30,7 +32,8 @@ from ves_gym._util.params import ParameterError
 MOST = 1 << 28  # bytes of a file that is read whole, 256 MiB
 DEEPEST = 200  # levels of an XML file
 MEMORY = 1 << 30  # bytes that reading a file may take beside what the file has, 1 GiB
-SECONDS, RATE = 60.0, 5e5  # s on a busy machine, and bytes a second beyond: DMIG in Python
+SECONDS, RATE = 8.0, 5e5  # s of computing, and bytes a second beyond: DMIG in Python
+_BUSY = 30.0  # times as long as on a machine that does nothing else
 _OF_FILE = 20  # times the file that its numbers may take: DMIG as tuples
 
 
@@ -117,12 +120,16 @@ def read_apart(reader: str, path: str | os.PathLike[str]) -> dict[str, Any]:
         size = sum(os.stat(file).st_size for file in inside)
     except OSError as error:
         raise ParameterError(f"cannot be read: {error.strerror or error}") from None
-    memory = MEMORY + _OF_FILE * size
-    request = json.dumps({"reader": reader, "path": os.path.abspath(path), "memory": memory})
+    memory, seconds = MEMORY + _OF_FILE * size, SECONDS + size / RATE
+    allowed = {"memory": memory, "seconds": seconds}
+    request = json.dumps({"reader": reader, "path": os.path.abspath(path), **allowed})
     try:
-        answer = _CHILD.ask(request.encode(), SECONDS + size / RATE)
+        answer = _CHILD.ask(request.encode(), _BUSY * seconds)
     except ChildDied as died:
-        raise ParameterError(f"cannot be read: its reader {died}") from None
+        how = str(died)
+        if "SIGXCPU" in how:
+            how = f"did not answer within {seconds:g} s of computing and was killed"
+        raise ParameterError(f"cannot be read: its reader {how}") from None
     if answer[:1] == _ARRAYS:
         with np.load(io.BytesIO(answer[1:]), allow_pickle=False) as arrays:
             return dict(arrays)
@@ -144,7 +151,7 @@ def _answer(request: bytes) -> bytes:
     asked = json.loads(request)
     module, _, name = asked["reader"].partition(":")
     reader = getattr(importlib.import_module(module), name)
-    _allow(asked["memory"])
+    _allow(asked["memory"], asked["seconds"])
     try:
         buffer = io.BytesIO()
         with warnings.catch_warnings(action="ignore"):
@@ -161,18 +168,24 @@ def _answer(request: bytes) -> bytes:
     return _SENTENCE + " ".join(text.split())[:_LONGEST].encode()
 
 
-def _allow(memory: int | None) -> None:
-    """Bound the memory that this process may take beyond what it has; None: no bound."""
+def _allow(memory: int | None, seconds: float = 0.0) -> None:
+    """Bound memory and computing that this process may take beyond what it has; None: no
+    bound."""
     if not sys.platform.startswith("linux"):
         return
     import resource
 
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    soft = hard
-    if memory is not None:
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-        soft = pages * resource.getpagesize() + memory
-    resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+    for kind, used in ((resource.RLIMIT_AS, _bytes), (resource.RLIMIT_CPU, time.process_time)):
+        _, hard = resource.getrlimit(kind)
+        more = memory if kind == resource.RLIMIT_AS else seconds
+        soft = hard if memory is None or more is None else math.ceil(used() + more)
+        resource.setrlimit(kind, (soft, hard))
+
+
+def _bytes() -> int:
+    """Memory that this process has."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def main() -> None:

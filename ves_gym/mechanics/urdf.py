@@ -84,7 +84,7 @@ class UrdfTree(Tree):
                 f"{where} to link {child!r} is {kind}: an arm has revolute and prismatic"
                 " joints, a root below it leaves it out (--root LINK, in Python root=)"
             )
-        elif mimic is not None:
+        elif mimic is not None and kind != "fixed":
             leader, what = mimic.get("joint", ""), f"{where}: its <mimic>"
             ratio, shift = (
                 number(mimic, k, what, v) for k, v in (("multiplier", 1.0), ("offset", 0.0))
