@@ -82,7 +82,8 @@ class UrdfTree(Tree):
         if kind not in ("fixed", *_DRIVEN):
             fault = (
                 f"{where} to link {child!r} is {kind}: an arm has revolute and prismatic"
-                f" joints, a root below it leaves it out (--root {child}, in Python root={child!r})"
+                f" joints, a root below it leaves it out (--root {child}, in Python"
+                f" root={child!r})"
             )
         elif mimic is not None and kind != "fixed":
             leader, what = mimic.get("joint", ""), f"{where}: its <mimic>"
