@@ -24,12 +24,13 @@ to 10 % faster or slower, noise and drift of the nominal budget.
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from ves_gym._util.params import Array
+from ves_gym._util.params import Array, Mask
 from ves_gym.baselines.comparison import line_up
 from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.evaluate import Evaluation, evaluate, make_vector
@@ -128,6 +129,24 @@ def still(machine: str, episodes: int, seed: int) -> Array:
     return np.array(info["energy/E_mean"])
 
 
+def ratios(mine: Evaluation, straight: Evaluation) -> Array:
+    """Return E_mean over the straight line's (episodes,)."""
+    pairs = zip(mine.rows, straight.rows, strict=True)
+    return np.array([a["E_mean"] / b["E_mean"] for a, b in pairs])
+
+
+def solved(mine: Evaluation, straight: Evaluation) -> Mask:
+    """Return whose episodes arrive with at most `SAVING` of the straight line's energy."""
+    arrived = np.array([k["success"] for k in mine.rows])
+    return arrived & (ratios(mine, straight) <= SAVING)
+
+
+def only(found: Evaluation, counted: Mask) -> Evaluation:
+    """Return the results of some of the episodes."""
+    rows = [k for k, kept in zip(found.rows, counted, strict=True) if kept]
+    return replace(found, rows=rows, seconds=found.seconds * counted.mean())
+
+
 def row(mine: Evaluation, straight: Evaluation, expected: Array) -> Row:
     """Return the results of a controller beside the straight line on the same episodes.
 
@@ -135,14 +154,12 @@ def row(mine: Evaluation, straight: Evaluation, expected: Array) -> Row:
         mine, straight: of `on_machine`.
         expected: (episodes,) [J] of `described`.
     """
-    ratio = np.array(
-        [a["E_mean"] / b["E_mean"] for a, b in zip(mine.rows, straight.rows, strict=True)]
-    )
+    ratio = ratios(mine, straight)
     arrived = np.array([k["success"] for k in mine.rows])
-    solved = arrived & (ratio <= SAVING)
     before = arrived & (mine.values("E_mean")[0] <= SAVING * expected)
     seconds = mine.seconds / len(ratio)
-    return Row(ratio, arrived.mean(), solved.mean(), before.mean(), seconds)
+    share = solved(mine, straight).mean()
+    return Row(ratio, arrived.mean(), share, before.mean(), seconds)
 
 
 def main() -> None:
@@ -152,21 +169,29 @@ def main() -> None:
     parser.add_argument("--machines", default=",".join(MACHINES))
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--seed", type=int, default=20_000)
+    parser.add_argument("--feasible", action="store_true", help="episodes that oracle solves")
     args = parser.parse_args()
+    span = args.episodes, args.seed
     columns = "median    mean  decile  arrived   solved described        s"
     print(f"machine        controller     {columns}")
     for machine in args.machines.split(","):
         id, _ = MACHINES[machine]
-        expected = described(machine, args.episodes, args.seed)
-        straight = on_machine(machine, line_up(id, ["zero"])[0][1][0], args.episodes, args.seed)
-        unmoved = still(machine, args.episodes, args.seed) / straight.values("E_mean")[0]
+        expected = described(machine, *span)
+        straight = on_machine(machine, line_up(id, ["zero"])[0][1][0], *span)
+        unmoved = still(machine, *span) / straight.values("E_mean")[0]
         print(
             f"{machine:14s} an arm that stays at the goal: median {np.median(unmoved):.3f},"
             f" more than {SAVING:g} in {np.mean(unmoved > SAVING):.0%} of the episodes"
         )
+        counted = np.ones(args.episodes, bool)
+        if args.feasible:
+            oracle = on_machine(machine, line_up(id, ["oracle"])[0][1][0], *span)
+            counted = solved(oracle, straight)
+            print(f"{machine:14s} feasible: {counted.sum()} of {args.episodes}")
         for label, group in line_up(id, args.controllers.split(",")):
-            mine = on_machine(machine, group[0], args.episodes, args.seed)
-            print(f"{machine:14s} {label:12s} {row(mine, straight, expected)}", flush=True)
+            mine = on_machine(machine, group[0], *span)
+            found = row(only(mine, counted), only(straight, counted), expected[counted])
+            print(f"{machine:14s} {label:12s} {found}", flush=True)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 import ves_gym as vg  # noqa: E402 - run as a file, the root is not on the path
-from scripts import new_tasks, training, wiring  # noqa: E402
+from scripts import training, wiring  # noqa: E402
 from ves_gym._util.params import ParameterError, write_bytes, write_text  # noqa: E402
 from ves_gym._util.statistics import Estimate  # noqa: E402
 from ves_gym.cli.main import main as ves_gym  # noqa: E402
@@ -258,10 +258,6 @@ FIGURES: dict[str, Figure] = {
     ),
     "leaderboard.png": Figure(
         partial(screenshot, BOARD, (1265, 780)), "docs/leaderboard/index.html in a browser"
-    ),
-    "new_tasks.png": Figure(
-        lambda target: new_tasks.draw(new_tasks.stored(), target),
-        "docs/training/new_tasks.json",
     ),
     "pareto.png": Figure(
         partial(benchmark, "pareto.png", PARETO), f"`ves-gym benchmark {' '.join(PARETO)}`"

@@ -232,7 +232,7 @@ def test_results_are_saved_and_a_case_read(tmp_path, plan, comparison):
         (lambda: vg.evaluate("ves/BeamLQR-v0", ["lqrr"]), 'did you mean "lqr"'),
         (lambda: vg.evaluate("ves/No-v0", ["zero"]), "known: ves/BeamLQR-v0"),
         (lambda: vg.energy("run.csv"), "needs a RunLog"),
-        (lambda: vg.train("ves/No-v0"), "no configuration for ves/No-v0"),
+        (lambda: vg.train("ves/No-v0"), "known: ves/BeamLQR-v0"),
         (lambda: vg.register_planner(object()), "a planner needs name"),
         (lambda: vg.load_policy("policy.zip"), "a policy is a .json file"),
     ],

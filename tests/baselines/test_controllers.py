@@ -3,12 +3,14 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.vector import AutoresetMode
 
 from ves_gym._util.params import ParameterError
 from ves_gym.baselines.controllers import gains_action
-from ves_gym.baselines.evaluate import evaluate, ratio
+from ves_gym.baselines.evaluate import evaluate, make_vector, ratio, settings_of
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
 from ves_gym.envs.control import Gains
+from ves_gym.envs.registration import IDS as NAMES
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 
@@ -120,7 +122,6 @@ def test_laws_without_a_plan_reach_every_target_and_spare_the_base(
         ("receding", "PumaRestToRest", None, "leads the reference of task damp"),
         ("adaptive", "PumaTrack", None, "leads the reference of task rest_to_rest"),
         ("mppi", "PumaDamp", None, "leads the reference of task rest_to_rest"),
-        ("ilqr", "PumaRestToRest", "acceleration", "through control guided, got task"),
         (
             "resolved",
             "PumaRestToRest",
@@ -147,3 +148,29 @@ def test_unknown_names_are_refused():
     with pytest.raises(ParameterError, match=r"one of zero, random.*got 'best'"):
         get_controller("best")
     assert all(get_controller(name).name == name for name in CONTROLLERS)
+
+
+PLANNING = ("hotspot", "refined", "robust", "mppi")  # seconds each
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(k, marks=[pytest.mark.slow] if k in PLANNING else []) for k in CONTROLLERS],
+)
+def test_controllers_play_the_tasks_that_they_are_listed_with(name):
+    """And refuse the others."""
+    played = []
+    for task in NAMES:
+        id, controller = f"ves/{task}-v0", get_controller(name)
+        settings = settings_of(controller, id)
+        try:  # a task may have no such control
+            env = make_vector(id, 1, AutoresetMode.DISABLED, threads=1, **settings)
+            observation, _ = env.reset(seed=[0])
+            controller.reset(env, np.arange(1))
+            action = controller.act(env, observation)
+        except ParameterError:
+            continue
+        assert action.shape == (1, env.batch.width)
+        played.append(task)
+    assert tuple(played) == tuple(k for k in NAMES if k in CONTROLLERS[name].tasks)
+    assert set(CONTROLLERS[name].tasks) <= set(NAMES)

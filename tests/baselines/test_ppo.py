@@ -4,8 +4,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from ves_gym.baselines.action_repeat import ActionRepeat
 from ves_gym.baselines.controllers import Zero
-from ves_gym.baselines.decisions import Decisions
 from ves_gym.baselines.learner import Imitation, ImitationConfig
 from ves_gym.baselines.perceptron import ActorCritic
 from ves_gym.baselines.ppo import PPO, Experience, ObservationStack, Settings, flat
@@ -16,7 +16,7 @@ SHORT = {"duration": 0.5, "tail": 0.5}  # 40 periods
 def decisions(id="ves/PumaReach-v0", n=4, seed=0, settings=SHORT, **choices):
     env = gym.make_vec(id, num_envs=n, autoreset_mode="SameStep", threads=1, **settings)
     env.reset(seed=seed)
-    return Decisions(env.unwrapped, **choices)
+    return ActionRepeat(env.unwrapped, **choices)
 
 
 def learner(

@@ -1,4 +1,4 @@
-"""Controllers that plan anew as they move: estimates, samples and derivatives of a model."""
+"""Controllers that plan anew as they move: estimates and samples of a model."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from gymnasium.vector import AutoresetMode
 from benchmarks.feedback import described, on_machine, row
 from ves_gym.baselines.adaptive import Adaptive
 from ves_gym.baselines.evaluate import evaluate, make_vector
-from ves_gym.baselines.ilqr import Ilqr, costs, derivatives, play
-from ves_gym.baselines.mppi import Mppi, episode_costs, nominal_model
-from ves_gym.baselines.mppi import play as play_on
+from ves_gym.baselines.mppi import Mppi, episode_costs, nominal_model, play
 from ves_gym.baselines.registry import get_controller
 
 REST = "ves/PumaRestToRest-v0"
@@ -43,6 +41,22 @@ def test_payload_and_friction_are_found_on_the_way() -> None:
     for _ in range(56):
         observation = env.step(controller.act(env, observation))[0]
     np.testing.assert_allclose(controller.payload, 6.0, atol=0.5)
+
+
+def test_who_is_told_the_machine_moves_the_base_less() -> None:
+    """Claim: with 8 kg and friction that nobody else was told of, `oracle` solves most
+    episodes, which the plan for the machine as described does not, with less energy.
+
+    Reference: `direct` in the same six episodes, in space; totals, for one in six is close.
+    """
+    settings = {"randomize": _machine(8.0, 4.0)}
+    told, plan = (
+        evaluate(get_controller(name), REST, episodes=6, threads=1, **settings)
+        for name in ("oracle", "direct")
+    )
+    assert sum(k["success"] for k in told.rows) > sum(k["success"] for k in plan.rows)
+    pairs = zip(told.rows, plan.rows, strict=True)
+    assert np.median([a["E_mean"] / b["E_mean"] for a, b in pairs]) < 0.8
 
 
 def test_a_machine_as_described_is_left_to_the_plan() -> None:
@@ -88,7 +102,7 @@ def test_costs_of_the_model_are_those_of_the_environment() -> None:
     total = sum(env.step(actions[:, k])[1][1] for k in range(40))
     model = nominal_model(env, 3)
     model.fan_out(env, 1)
-    play_on(model, np.repeat(actions[1:, 40:], 3, axis=0))
+    play(model, np.repeat(actions[1:, 40:], 3, axis=0))
     for k in range(40, env.task.steps):
         total += env.step(actions[:, k])[1][1]
     assert total < 0  # unsolved: -J / (1 + J)
@@ -125,60 +139,8 @@ def test_a_plan_to_start_from_is_kept() -> None:
     assert mine.rows[0]["E_mean"] == pytest.approx(plan.rows[0]["E_mean"], rel=1e-3)
 
 
-# ---------------------------------------------------------------------- derivatives
-
-
-def test_derivatives_and_costs_are_those_of_the_environment() -> None:
-    """Claim: A and B carry a change of one action through 30 periods as the environment does,
-    and the quadratic costs are its reward.
-
-    Reference: differences of the environment's own motion, step 1e-4 of an action's range; its
-    return. Tolerance: 1e-5 of the largest change; 2 % (the tail is of a linear motion).
-    """
-    env = make_vector(REST, 1, AutoresetMode.DISABLED, threads=1, vehicle=BEAM)
-    env.reset(seed=3)
-    controller = Ilqr()
-    controller.reset(env, np.arange(1))
-    model, motion = controller._model, controller._motion[0]
-    u = np.random.default_rng(0).uniform(-0.1, 0.1, motion.u.shape)
-    still, step = np.zeros_like(u), 1e-4
-    ends = []
-    for change in (0.0, step):
-        u[30, 1] += change
-        model.fan_out(env, 0)
-        cost, x, _ = play(model, motion._replace(u=u), still)
-        ends.append((cost[0], x[:, 0]))
-    motion = motion._replace(x=ends[0][1], u=u)
-    A, B = derivatives(model, motion)
-    expected = (ends[1][1] - ends[0][1]) / step
-    slope = B[30, :, 1]
-    for k in range(31, 61):
-        np.testing.assert_allclose(slope, expected[k], atol=1e-5 * np.abs(expected[k]).max())
-        slope = A[k] @ slope
-    weights, tail = costs(model, motion)
-    x = motion.x
-    energy = np.einsum("ki,kij,kj->", x[1:], weights, x[1:]) / 2
-    end = x[-1] @ tail @ x[-1] / 2
-    assert energy + end == pytest.approx(ends[0][0], rel=0.02)
-
-
-def test_the_energy_falls() -> None:
-    """Claim: eight iterations arrive, with at most 0.7 of the straight line's energy.
-
-    Reference: the straight line in the same episode. The condensed beam, without `saving`:
-    it is the harder one (0.27 for a plan), and quick to compile.
-    """
-    mine, straight = (
-        evaluate(k, REST, episodes=1, threads=1, vehicle=BEAM, saving=None)
-        for k in (Ilqr(first=8, later=0), get_controller("straight"))
-    )
-    assert mine.rows[0]["success"]
-    assert mine.rows[0]["E_mean"] < 0.7 * straight.rows[0]["E_mean"]
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["ilqr", "mppi"])
-def test_on_the_machine_as_described(name: str) -> None:
+def test_sampling_solves_the_machine_as_described() -> None:
     """Claim: through the environment's interface, 20 episodes: success in 19, mean E_mean
     of at most 0.35 of the straight line's.
 
@@ -186,7 +148,7 @@ def test_on_the_machine_as_described(name: str) -> None:
     """
     mine, straight = (
         evaluate(get_controller(k), REST, episodes=20, seed=20_000, threads=1)
-        for k in (name, "straight")
+        for k in ("mppi", "straight")
     )
     pairs = zip(mine.rows, straight.rows, strict=True)
     assert sum(k["success"] for k in mine.rows) >= 19

@@ -110,6 +110,11 @@ def test_refuses_other_environments():
         Sb3VecEnv(vector(**SHORT), hold=0)
 
 
+def test_the_library_says_which_adapter_a_vector_needs():
+    with pytest.raises(ValueError, match=r"baselines.sb3.Sb3VecEnv\(env\)"):
+        stable_baselines3.PPO("MlpPolicy", vector(**SHORT))
+
+
 def test_an_action_is_held_and_rewards_add_up():
     """Torque throws the arm against its limits, at different times within a held action."""
     settings = {"control": "torque", "duration": 0.5, "tail": 0.5}

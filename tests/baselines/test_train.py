@@ -14,11 +14,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from tests.envs.walks import IDS as EVERY_ID
 from ves_gym._util.params import ParameterError
 from ves_gym.baselines.checkpoint import load_state
 from ves_gym.baselines.config import (
     CONFIGS,
     TrainConfig,
+    choose_config,
     config_from_plain,
     find_configs,
     read_config,
@@ -276,6 +278,23 @@ def test_an_emulated_id_is_trained_as_its_twin():
     assert twin.name == "PumaRestToRestEmulated-ppo"
     with pytest.raises(ParameterError, match=r"algorithm must be one of .*ppo.*, got 'dqn'"):
         find_configs("ves/PumaRestToRest-v0", "dqn")
+
+
+@pytest.mark.parametrize("id", EVERY_ID)
+def test_every_id_can_be_trained(id):
+    """By the configurations of its own, or by PPO with hyper-parameters of another task."""
+    assert choose_config(id).env == id
+    config = choose_config(id, "ppo")
+    assert (config.env, config.algorithm) == (id, "PPO")
+    env = gym.make_vec(id, num_envs=2, threads=1, **config.settings).unwrapped
+    Learner(config, 0, env)
+
+
+def test_an_environment_without_an_algorithm_says_what_it_has():
+    with pytest.raises(ParameterError, match='did you mean "ves/PumaDamp-v0"'):
+        choose_config("PumaDmap-v0")
+    with pytest.raises(ParameterError, match=r"has no closing-dagger: .* one of ppo"):
+        choose_config("PumaDamp-v0", "closing-dagger")
 
 
 def test_the_learning_rate_falls_linearly():

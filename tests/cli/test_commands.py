@@ -574,7 +574,7 @@ def test_data_sets_are_listed_made_and_checked(call, tmp_path):
     status, out, err, result = call("dataset", "make", file)
     assert (status, err) == (0, "") and "replayed bit for bit" in out
     (made,) = result["sets"]
-    assert made["episodes"] == 2 and made["exact"] and not made["recorded"]
+    assert made["episodes"] == 2 and made["exact"]
     assert call("dataset", "check", made["folder"])[0] == 0
     with h5py.File(Path(made["folder"]) / "data" / "main_data.hdf5", "a") as data:
         data["episode_1"]["rewards"][0] += 0.5

@@ -192,7 +192,6 @@ CONTROLLERS: dict[str, tuple[str, float | None, bool]] = {
     "robust": ("PumaRestToRestEmulated", None, True),
     "adaptive": ("PumaRestToRestEmulated", None, True),
     "mppi": ("PumaRestToRest", None, False),
-    "ilqr": ("PumaRestToRest", None, True),
     "lqr": ("BeamLQR", None, False),
     "lqi": ("PumaDamp", 1.0, False),
     "tuned": ("PumaDamp", 1.0, False),
@@ -209,7 +208,7 @@ CONTROLLERS: dict[str, tuple[str, float | None, bool]] = {
 
 
 # Searches end elsewhere when rounding changes: what they come to is as near as this.
-SEARCHED = {"ilqr": 1e-5, "tuned": 1e-3}
+SEARCHED = {"tuned": 1e-3}
 
 
 def by(controller: str, name: str, duration: float | None) -> Callable[[], dict[str, Any]]:

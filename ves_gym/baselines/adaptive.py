@@ -1,4 +1,4 @@
-"""A plan followed on a machine that is not as described: payload and friction are estimated.
+"""A plan followed on a machine that is not as described: estimated, or told (`Oracle`).
 
 The arm's equation is linear in what is unknown of it (Slotine and Li, Int. J. Robotics Research
 6(3), 1987; Siciliano et al., Robotics, 2009, 7.2.1): with a payload of mass m at the tool and
@@ -41,7 +41,9 @@ from ves_gym.mechanics.dynamics import inertia, inverse_dynamics
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.direct import Direct
 from ves_gym.planners.prediction import BaseState
-from ves_gym.planners.query import solve
+from ves_gym.planners.query import Query, solve
+from ves_gym.system.effect import joint_torque
+from ves_gym.system.system import System
 
 _SETTLE = 0.1  # s between the end of a plan with a payload and the deadline
 _REPLAN = (0.35, 0.7, 1.05)  # s after the start, at which the motion is planned anew
@@ -82,8 +84,7 @@ class Adaptive(Follow):
         return np.asarray(means[..., 0], dtype=np.float64)
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
-        fits = isinstance(env.task, RestToRest) and env.task.control.level == "reference"
-        require_fit(self.name, fits, "leads the reference of task rest_to_rest", env)
+        _require_reference(self.name, env)
         super().reset(env, ids)
         joints, measured = env.task.system.arm.n, self._measured(env)
         if np.shape(getattr(self, "_shift", ())) != (env.num_envs, 2, joints):
@@ -197,6 +198,57 @@ class Adaptive(Follow):
         for before, after in pairwise(u):
             state = observer.ahead(state, before[None], after[None])
         return observer.base_state(0, state[0], u[-1])
+
+
+class Oracle(Follow):
+    """Follows `direct`'s plan for the machine as it was drawn, of which it is told everything.
+
+    A bound for whoever has to find the machine out, and a teacher. Torque of payload, friction
+    and other torque effects along the plan is supplied as `Adaptive` does it. What a laboratory
+    adds (platform, sensors) it is not told.
+    """
+
+    _shift: Array  # (n, 2, joints) what is added to the plan, and its rate
+    _missing: Array  # (n, steps + 1, joints) torque that the feed-forward lacks [N m]
+
+    def __init__(self, seed: int = 0) -> None:
+        super().__init__("oracle", "direct", seed)
+
+    def reset(self, env: VesVectorEnv, ids: Index) -> None:
+        _require_reference(self.name, env)
+        super().reset(env, ids)
+        arm, task = env.task.system.arm, env.task
+        remember(self, env.num_envs, _shift=(2, arm.n), _missing=(task.steps + 1, arm.n))
+        self._shift[ids] = 0.0
+        for i in ids.tolist():
+            q, v, a = self._plan[i].swapaxes(0, 1)
+            tau, _ = inverse_dynamics(arm, q, v, a)
+            actual = _told(env, i)
+            needed, _ = inverse_dynamics(actual.arm, q, v, a)
+            beside = joint_torque(actual.effects, q, v, tau, arm.column("tau_max"))
+            self._missing[i] = needed - tau - beside
+
+    def _query(self, env: VesVectorEnv, i: int) -> Query:
+        s, system = env.batch.scene, _told(env, i)
+        goal = s.goal[i, : system.arm.n]
+        return joint_query(env, s.q[i], goal, env.task.duration - _SETTLE, system=system)
+
+    def act(self, env: VesVectorEnv, observation: Any) -> Array:
+        target = row_of_step(env, self._plan, ahead=1)
+        missing = row_of_step(env, self._missing, ahead=1)
+        shift = servo_shift(env, target[:, 0], self._shift, missing)
+        self._shift = shift[:, :2]
+        return reference_action(env, env.task.control, target + shift)
+
+
+def _told(env: VesVectorEnv, i: int) -> System:
+    """The machine of simulation i in space: arm and base as they are, effects beside them."""
+    return env.batch.sim.systems[i].ideal().actual
+
+
+def _require_reference(name: str, env: VesVectorEnv) -> None:
+    fits = isinstance(env.task, RestToRest) and env.task.control.level == "reference"
+    require_fit(name, fits, "leads the reference of task rest_to_rest", env)
 
 
 def _slow_enough(motion: Motion, arm: Arm) -> bool:

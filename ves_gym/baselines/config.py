@@ -18,9 +18,11 @@ from ves_gym._util.params import (
     to_plain,
 )
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.baselines.evaluate import spec_of
 from ves_gym.baselines.policy import ACTIVATIONS, task_name
 
 CONFIGS = Path(__file__).parent / "configs"
+GENERAL = "PumaReach-ppo"  # whose hyper-parameters serve where nobody has searched any
 FEATURES, CRITICS = ("", "arm"), ("", "privileged")
 ALGORITHMS = ("PPO", "DAgger")
 
@@ -162,7 +164,7 @@ def choose_config(source: str | os.PathLike[str], algorithm: str | None = None) 
     """Return the configuration that a text stands for.
 
     Args:
-        source: a .toml or .json file, or an environment that one comes with.
+        source: a .toml or .json file, or a registered environment, which has at least ppo.
         algorithm: its label, such as ppo; None: the first there is.
 
     Raises:
@@ -175,12 +177,13 @@ def choose_config(source: str | os.PathLike[str], algorithm: str | None = None) 
             raise ParameterError(f"{text} is for {config.label}, got algorithm {algorithm}")
         return config
     name = text if "/" in text else f"ves/{text}"
+    spec_of(name)  # an unknown id is refused with those that it may have meant
     configs = find_configs(name, algorithm)
-    if not configs:
-        ids = sorted({config.env for config in released_configs()})
+    if configs:
+        return configs[0]
+    if algorithm not in (None, "ppo", "PPO"):
+        labels = ", ".join(sorted({"ppo", *(c.label for c in find_configs(name))}))
         raise ParameterError(
-            f"no configuration for {name}"
-            + (f" and {algorithm}" if algorithm else "")
-            + f": give a .toml file, or one of {', '.join(ids)}{did_you_mean(name, ids)}"
+            f"{name} has no {algorithm}: give a .toml file, or one of {labels}"
         )
-    return configs[0]
+    return dataclasses.replace(read_config(CONFIGS / f"{GENERAL}.toml"), env=name, features="")

@@ -180,8 +180,13 @@ class Follow:
         joints = s.q.shape[1]
         remember(self, env.num_envs, _plan=(task.steps + 1, 3, joints))
         for i in ids.tolist():
-            query = joint_query(env, s.q[i], s.goal[i, :joints], task.duration)
+            query = self._query(env, i)
             self._plan[i] = sampled(self._motion(query), task.steps + 1, env.batch.dt)
+
+    def _query(self, env: VesVectorEnv, i: int) -> Query:
+        s = env.batch.scene
+        goal = s.goal[i, : s.q.shape[1]]
+        return joint_query(env, s.q[i], goal, env.task.duration)
 
     def _motion(self, query: Query) -> Motion:
         from ves_gym.planners.query import solve

@@ -1,26 +1,17 @@
-"""Data sets of episodes: recipes, the episodes made from them, and fingerprints of these.
+"""Data sets of episodes: recipes, and the episodes made from them.
 
-What is committed of a data set is its recipe (who acts in which environment, from which seeds)
-and a fingerprint; the episodes themselves are made again by `ves-gym dataset make`. A seed and
-the stored actions give an episode exactly: observations are float32 and so are the actions
-that were carried out.
-
-A fingerprint must not depend on the processor, whose rounding reaches the last bits of every
-number. Rounded numbers do not do: of a hundred thousand of them some lie so close to the edge
-between two roundings that another processor falls on the other side. So it holds sums of all
-numbers with signs drawn at random, which differ by as little as the numbers do, and are
-compared within `TOLERANCE`. A number that changed by d moves each of the sums by d / sqrt(n).
+What is committed of a data set is its recipe: who acts in which environment, from which seeds.
+The episodes are made by `ves-gym dataset make`. A seed and the stored actions give an episode
+exactly: observations are float32 and so are the actions that were carried out.
 """
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -33,26 +24,17 @@ from ves_gym._util.params import (
     Index,
     Mask,
     ParameterError,
-    content_hash,
     from_plain,
     read_table,
-    to_plain,
-    write_text,
 )
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.comparison import line_up
 from ves_gym.baselines.controllers import Controller, remember, row_of_step
-from ves_gym.baselines.evaluate import make_vector, run_episodes, settings_of, spec_of
-from ves_gym.baselines.policy import Policy, task_name
-from ves_gym.envs.build import build_task
+from ves_gym.baselines.evaluate import make_vector, run_episodes, settings_of
 from ves_gym.envs.vector import VesVectorEnv
 
-SCHEMA = "ves-dataset/1"
 RECIPES = Path(__file__).parent / "datasets"
-TOLERANCE = 1e-5  # of a fingerprint's sums, over the root mean square of the numbers
 _COLUMNS = ("actions", "rewards", "terminations", "truncations")  # of an episode
-_SUMS = 16  # random sums of a fingerprint
-_DIGITS = 10  # of numbers in an identity
 _AT_ONCE = 32  # episodes
 _ID = re.compile(r"[-\w]+(/[-\w]+)*-v\d+")  # as Minari takes it
 
@@ -102,74 +84,7 @@ class Dataset:
 
     recipe: Recipe
     settings: Mapping[str, Any]  # of the environment, that the behaviours need
-    identity: str  # SHA-256 of all that decides the content: recipe, task, weights of policies
     episodes: tuple[Episode, ...]
-
-    @cached_property
-    def fingerprint(self) -> dict[str, Any]:
-        """Fingerprint of the content, as committed (`fingerprint_of`)."""
-        return fingerprint_of(self.identity, self.episodes)
-
-
-def fingerprint_of(identity: str, episodes: Sequence[Episode]) -> dict[str, Any]:
-    """Content as plain data, the same on every processor within `TOLERANCE`.
-
-    Args:
-        identity: of the data set.
-        episodes: all of them.
-
-    Returns:
-        `identity`, numbers of episodes, steps and solved episodes, and `sums` of each array
-        (`random_sums`).
-    """
-    arrays = {
-        name: [flat_observations(getattr(e, name)) for e in episodes]
-        for name in ("observations", *_COLUMNS)
-    }
-    return {
-        "identity": identity,
-        "episodes": len(episodes),
-        "steps": sum(len(e.rewards) for e in episodes),
-        "solved": sum(e.success for e in episodes),
-        "sums": {
-            name: random_sums(np.concatenate(parts).astype(np.float64))
-            for name, parts in arrays.items()
-        },
-    }
-
-
-def random_sums(x: Array) -> list[float]:
-    """Return the root mean square of numbers and `_SUMS` sums of them with random signs.
-
-    Args:
-        x: any shape.
-
-    Returns:
-        1 + `_SUMS` numbers; the sums are over sqrt(x.size). The signs are raw bits of a
-        counter-based generator, which no version of NumPy draws otherwise.
-    """
-    flat = x.ravel()
-    bits = np.random.Philox(key=0).random_raw(_SUMS * -(-flat.size // 64))
-    ones = np.unpackbits(bits.astype("<u8").view(np.uint8)).reshape(_SUMS, -1)
-    signs = 2.0 * ones[:, : flat.size] - 1.0
-    scale = math.sqrt(flat.size)
-    root_mean_square = math.sqrt(math.fsum(flat * flat)) / scale
-    return [root_mean_square, *(math.fsum(row * flat) / scale for row in signs)]
-
-
-def differences(got: Mapping[str, Any], expected: Mapping[str, Any]) -> list[str]:
-    """Return what tells two of `fingerprint_of` apart, in words; nothing where they agree."""
-    out = [
-        f"{name} is {got[name]}, expected {expected[name]}"
-        for name in ("identity", "episodes", "steps", "solved")
-        if got[name] != expected[name]
-    ]
-    for name, sums in expected["sums"].items():
-        a, b = np.array(got["sums"][name]), np.array(sums)
-        gap = float(np.abs(a - b).max())
-        if not gap <= TOLERANCE * max(float(b[0]), 1e-12):
-            out.append(f"{name} differ: random sums by {gap:.3g} of {b[0]:.3g}")
-    return out
 
 
 # ------------------------------------------------------------------------- recipes
@@ -227,32 +142,6 @@ def choose_recipes(words: Sequence[str]) -> list[Recipe]:
     return list(out.values())
 
 
-def recorded(recipe: Recipe) -> dict[str, Any] | None:
-    """Return the fingerprint that is committed of a recipe, None if there is none."""
-    path = _beside(recipe)
-    if not path.exists():
-        return None
-    fingerprint: dict[str, Any] | None = read_table(path).get(recipe.id)
-    return fingerprint
-
-
-def record(datasets: Sequence[Dataset]) -> None:
-    """Write the fingerprints of data sets beside their recipes in the package.
-
-    Args:
-        datasets: made from recipes of the package.
-    """
-    for dataset in datasets:
-        path = _beside(dataset.recipe)
-        table = read_table(path) if path.exists() else {}
-        table[dataset.recipe.id] = dataset.fingerprint
-        write_text(path, json.dumps(table, indent=1, sort_keys=True) + "\n")
-
-
-def _beside(recipe: Recipe) -> Path:
-    return RECIPES / f"{task_name(recipe.env)}.json"
-
-
 # -------------------------------------------------------------------------- making
 
 
@@ -295,7 +184,7 @@ def make_dataset(recipe: Recipe) -> Dataset:
             episodes[episode.seed] = episode
         env.close()
     in_order = tuple(episodes[seed] for seed in sorted(episodes))
-    return Dataset(recipe, settings, identity_of(recipe), in_order)
+    return Dataset(recipe, settings, in_order)
 
 
 def _behaviour(recipe: Recipe, name: str) -> Controller:
@@ -357,48 +246,3 @@ def flat_observations(observations: Any) -> Float32:
     if isinstance(observations, Mapping):
         return np.concatenate([observations[k] for k in sorted(observations)], axis=-1)
     return np.asarray(observations)
-
-
-def _rounded(value: Any) -> Any:
-    """Plain data with numbers to `_DIGITS` of the largest in their array.
-
-    The last ones of a stiffness that LAPACK computes are those of the processor.
-    """
-    if isinstance(value, dict):
-        return {k: _rounded(x) for k, x in value.items()}
-    if not isinstance(value, float | list | tuple):
-        return value
-    try:
-        array = np.asarray(value, float)
-    except (TypeError, ValueError):  # of tables, of words
-        return [_rounded(x) for x in value] if isinstance(value, list | tuple) else value
-    largest = float(np.abs(array).max(initial=0.0))
-    if not 0 < largest < np.inf:
-        return value
-    return (np.round(array, _DIGITS - math.ceil(math.log10(largest))) + 0.0).tolist()
-
-
-def identity_of(recipe: Recipe) -> str:
-    """Return the SHA-256 of all that decides the content: recipe, task, weights of policies.
-
-    It is the same on every processor, and nothing is simulated.
-    """
-    controllers = [_behaviour(recipe, name) for name in recipe.behaviours]
-    settings = _settings(recipe, controllers)
-    kwargs = {**spec_of(recipe.env).kwargs, **settings}
-    goal = bool(kwargs.pop("goal", False))
-    weights = [
-        [to_plain(c.network), [[W.tolist(), b.tolist()] for W, b in c.weights]]
-        if isinstance(c, Policy)
-        else None
-        for c in controllers
-    ]
-    return content_hash(
-        {
-            "schema": SCHEMA,
-            "recipe": to_plain(recipe),
-            "task": _rounded(build_task(**kwargs).to_dict()),
-            "goal": goal,
-            "weights": weights,
-        }
-    )

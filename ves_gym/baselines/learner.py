@@ -21,10 +21,10 @@ from ves_gym._util.params import (
     require_least,
     require_positive,
 )
+from ves_gym.baselines.action_repeat import ActionRepeat, Endings
 from ves_gym.baselines.arm_features import arm_features
 from ves_gym.baselines.config import TrainConfig
 from ves_gym.baselines.controllers import Controller
-from ves_gym.baselines.decisions import Decisions, Endings
 from ves_gym.baselines.perceptron import ActorCritic, Adam, Floats, clipped
 from ves_gym.baselines.policy import Network, Policy
 from ves_gym.baselines.ppo import PPO, ObservationStack, Settings, flat
@@ -69,7 +69,7 @@ class Imitation:
 
     def __init__(
         self,
-        env: Decisions,
+        env: ActionRepeat,
         agent: ActorCritic,
         stack: ObservationStack,
         expert: Controller,
@@ -128,7 +128,7 @@ class Imitation:
             action = np.where(expert_acts[:, None], target, action)
             noise = self.rng.standard_normal(target.shape, np.float32)
             moved = action + np.float32(self.config.noise) * noise
-            observation, _, over, _ = self.env.step(np.clip(moved, -1.0, 1.0))
+            observation, _, over, *_ = self.env.step(np.clip(moved, -1.0, 1.0))
             new = flat(observation)
             rows = self.stack.after(rows, new)
             if over.any():
@@ -208,7 +208,7 @@ class Learner:
         settings: Settings = from_plain(Settings, config.hyperparameters, "PPO")
         self.config, self.settings, self.steps = config, settings, 0
         env.reset(seed=episodes + seed)
-        self.decisions = Decisions(env, hold=config.hold, reward_scale=config.reward_scale)
+        self.decisions = ActionRepeat(env, hold=config.hold, reward_scale=config.reward_scale)
         rng = np.random.default_rng(seed)
         size = flat(self.decisions.observe()).shape[1]
         features = arm_features(env.task, env.goal) if config.features else None

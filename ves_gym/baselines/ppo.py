@@ -26,8 +26,8 @@ from ves_gym._util.params import (
     require_least,
     require_positive,
 )
+from ves_gym.baselines.action_repeat import ActionRepeat, Endings
 from ves_gym.baselines.arm_features import ArmFeatures
-from ves_gym.baselines.decisions import Decisions, Endings
 from ves_gym.baselines.perceptron import ActorCritic, Adam, Floats, clipped
 
 _LEAST = 1e-6  # variance below which an entry of the observation is not stretched further
@@ -181,7 +181,7 @@ class PPO:
 
     def __init__(
         self,
-        env: Decisions,
+        env: ActionRepeat,
         agent: ActorCritic,
         stack: ObservationStack,
         settings: Settings,
@@ -221,7 +221,7 @@ class PPO:
         inputs = np.empty((k.n_steps, n, self.rows.shape[1]), np.float32)
         beside = np.empty((k.n_steps, *self.beside.shape), np.float32)
         action = np.empty((k.n_steps, n, width), np.float32)
-        chance, value, reward = (np.empty((k.n_steps, n), np.float32) for _ in range(3))
+        reward = np.empty((k.n_steps, n), np.float32)
         over = np.empty((k.n_steps, n), bool)
         noise = self.rng.standard_normal(action.shape, np.float32)
         spread = np.exp(agent.log_std)
@@ -229,11 +229,13 @@ class PPO:
             inputs[t] = self.stack.scaled(self.rows)
             action[t] = agent.actor(inputs[t]) + spread * noise[t]
             beside[t] = self.beside
-            value[t] = self._worth(inputs[t], beside[t])
             reward[t], over[t] = self._step(np.clip(action[t], -1.0, 1.0))
         if k.centre and not over.all():
             reward -= reward[~over].mean()
         chance = -0.5 * np.square(noise).sum(axis=2) - self._volume()
+        # all at once: a third of the time of a call per decision
+        rows = (part.reshape(reward.size, part.shape[2]) for part in (inputs, beside))
+        value = self._worth(*rows).reshape(reward.shape).copy()
         following = self._worth(self.stack.scaled(self.rows), self.beside).copy()
         return Experience(inputs, beside, action, chance, value, reward, over, following)
 
@@ -243,12 +245,12 @@ class PPO:
         return np.float32(log_std.sum() + len(log_std) * math.log(2 * math.pi) / 2)
 
     def _step(self, actions: Floats) -> tuple[Array, Mask]:
-        observation, reward, over, endings = self.env.step(actions)
-        for ended in endings:
+        observation, reward, over, _, told = self.env.step(actions)
+        for ended in told.get("endings", ()):
             self.on_endings(ended)
         new, self.beside = flat(observation), self._beside()
         self.rows = self.stack.after(self.rows, new)
-        if endings:
+        if told:
             ids = np.flatnonzero(over)
             self.rows[ids] = self.stack.first(new[ids])
         return reward, over
@@ -284,7 +286,8 @@ class PPO:
             divergences = []
             for start in range(0, count, k.batch_size):
                 at = order[start : start + k.batch_size]
-                divergence, *figures = self._learn([part[at] for part in parts], rate)
+                batch = [part.take(at, axis=0) for part in parts]
+                divergence, *figures = self._learn(batch, rate)
                 divergences.append(divergence)
                 if k.target_kl is not None and divergence > 1.5 * k.target_kl:
                     break

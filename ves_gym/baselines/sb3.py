@@ -11,7 +11,7 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
 from ves_gym._util.params import Array, Mask, ParameterError
-from ves_gym.baselines.decisions import Decisions, Endings
+from ves_gym.baselines.action_repeat import ActionRepeat, Endings
 from ves_gym.baselines.policy import ACTIVATIONS, Network, Policy
 from ves_gym.envs.vector import VesVectorEnv
 
@@ -28,7 +28,7 @@ class Sb3VecEnv(VecEnv):
     Args:
         env: its autoreset mode is not used.
         on_endings: called with every episode that ends.
-        choices: hold and reward_scale: see `Decisions`.
+        choices: hold and reward_scale: see `ActionRepeat`.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Sb3VecEnv(VecEnv):
         on_endings: Callable[[Endings], None] = lambda endings: None,
         **choices: Any,
     ) -> None:
-        self.decisions, self.on_endings = Decisions(env, **choices), on_endings
+        self.decisions, self.on_endings = ActionRepeat(env, **choices), on_endings
         self.env = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._begin = time.perf_counter()
@@ -62,9 +62,9 @@ class Sb3VecEnv(VecEnv):
 
     def step_wait(self) -> tuple[Any, Any, Mask, list[dict[str, Any]]]:
         """Observations, rewards (float32), dones and infos."""
-        observation, reward, done, endings = self.decisions.step(self._actions)
-        infos = self._nothing.copy() if endings else self._nothing
-        for ended in endings:
+        observation, reward, done, _, told = self.decisions.step(self._actions)
+        infos = self._nothing.copy() if told else self._nothing
+        for ended in told.get("endings", ()):
             self.on_endings(ended)
             self._annotate(infos, ended)
         return observation, reward, done, infos

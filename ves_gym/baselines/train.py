@@ -32,10 +32,10 @@ from ves_gym._util.statistics import STATISTICS, bootstrap, rate
 from ves_gym._util.tables import table
 from ves_gym._util.threads import on_one_thread
 from ves_gym._util.views import Viewable
+from ves_gym.baselines.action_repeat import Endings
 from ves_gym.baselines.checkpoint import load_state, save_state
 from ves_gym.baselines.config import TrainConfig
 from ves_gym.baselines.controllers import Zero
-from ves_gym.baselines.decisions import Endings
 from ves_gym.baselines.evaluate import Evaluation, evaluate, make_vector, ratio_or_none
 from ves_gym.baselines.learner import Learner
 from ves_gym.baselines.policy import Policy, load_policy, save_policy, versions

@@ -12,13 +12,14 @@ import numpy as np
 from ves_gym._util.params import ParameterError, read_table
 from ves_gym._util.tables import table
 from ves_gym.baselines.policy import RELEASED
+from ves_gym.baselines.registry import CONTROLLERS
 from ves_gym.cli.flags import Answer, Context, Flag, one_of
 from ves_gym.cli.machine import MACHINE
 from ves_gym.cli.main import COMMANDS
 from ves_gym.effects import EFFECTS
 from ves_gym.engine.backends import BACKENDS
 from ves_gym.envs.build import build_task
-from ves_gym.envs.registration import ENTRY_POINT
+from ves_gym.envs.registration import ENTRY_POINT, IDS
 from ves_gym.envs.signals import goal_space, observation_space
 from ves_gym.hardware.leg_response import bandwidth, gain_margin
 from ves_gym.hardware.leg_servo import LEG_SERVOS, leg_clock
@@ -179,6 +180,14 @@ KINDS: dict[str, Callable[[], Rows]] = {
     "platforms": _platforms,
     "environments": _environments,
     "backends": lambda: [{"name": name} for name in BACKENDS],
+    "controllers": lambda: [
+        {
+            "name": name,
+            "tasks": list(entry.tasks) if len(entry.tasks) < len(IDS) else ["all"],
+            "summary": entry.summary,
+        }
+        for name, entry in CONTROLLERS.items()
+    ],
     "policies": _policies,
     "commands": lambda: [{"name": k, "summary": text} for k, (_, text) in COMMANDS.items()],
 }

@@ -21,7 +21,17 @@ from ves_gym.envs.signals import require_seed
 from ves_gym.envs.task import Task
 
 
-class VesVectorEnv(Episodic, gym.vector.VectorEnv[Any, Any, Any]):  # type: ignore[misc]
+class _Described(type):
+    """Stable-Baselines3 quotes the class of what it refuses: so that says which adapter."""
+
+    def __repr__(cls) -> str:
+        name = f"{cls.__module__}.{cls.__qualname__}"
+        return f"<class '{name}'; for Stable-Baselines3: ves_gym.baselines.sb3.Sb3VecEnv(env)>"
+
+
+class VesVectorEnv(  # type: ignore[misc]
+    Episodic, gym.vector.VectorEnv[Any, Any, Any], metaclass=_Described
+):
     """n episodes of a task.
 
     Args:

@@ -1,12 +1,15 @@
-"""`Decisions`: a native vector environment, stepped by actions that are held for a while."""
+"""`ActionRepeat`: a native vector environment, stepped by actions that are held for a while."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
 from ves_gym._util.params import Array, Index, Mask, ParameterError
 from ves_gym.envs.signals import split_goals
@@ -25,33 +28,51 @@ class Endings:
     energies: dict[str, Array]  # "energy/E_mean": (k,) ...
 
 
-class Decisions:
-    """Episodes of a `VesVectorEnv` that begin anew in the step that ended them.
+class ActionRepeat(gym.vector.VectorEnv[Any, Any, Any]):
+    """A `VesVectorEnv` whose actions are held, and whose episodes begin anew in the same step.
 
-    A step does no Python work per environment but for those whose episode ended.
-    `stepping` is the time [s] spent in the environment.
+    Gymnasium's vector interface with same-step autoreset, for learners that have no such option
+    of their own. A step does no Python work per environment but for those whose episode ended.
+    Their info holds `endings` (a list of `Endings`), and by name `final_obs` and `episode`
+    ({"r", "l"}: return without `reward_scale`, length in control periods) with their masks.
+    Deadlines are part of the tasks: nothing is truncated. `stepping` is the time [s] spent in
+    the environment.
 
     Args:
         env: its autoreset mode is not used.
         hold: control periods that an action is held for. Rewards add up meanwhile; those of a
             goal variant are `hold` times the last, as `compute_reward` gives them.
-        reward_scale: constant factor of the rewards; returns of `Endings` are without it.
+        reward_scale: constant factor of the rewards.
     """
 
     def __init__(self, env: VesVectorEnv, *, hold: int = 1, reward_scale: float = 1.0) -> None:
         if not isinstance(env, VesVectorEnv):
-            raise ParameterError(f"decisions need a VesVectorEnv, got {type(env).__name__}")
+            raise ParameterError(f"needs a VesVectorEnv, got {type(env).__name__}")
         if hold < 1 or not reward_scale > 0:
             raise ParameterError(
-                f"decisions need hold >= 1 and reward_scale > 0, got {hold} and {reward_scale}"
+                f"needs hold >= 1 and reward_scale > 0, got {hold} and {reward_scale}"
             )
         self.env, self.hold, self.reward_scale = env, hold, reward_scale
         self.stepping = 0.0
+        self.num_envs, self.spec = env.num_envs, env.spec
+        self.metadata = {**env.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}
+        self.single_observation_space = env.single_observation_space
+        self.single_action_space = env.single_action_space
+        self.observation_space, self.action_space = env.observation_space, env.action_space
 
-    def step(self, actions: Any) -> tuple[Any, Array, Mask, list[Endings]]:
-        """Hold actions (n, a); observations, rewards (n,) float32, those over, and how."""
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Any, dict[str, Any]]:
+        """See `VesVectorEnv.reset`."""
+        return self.env.reset(seed=seed, options=options)
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Hold actions (n, a); rewards are float32."""
         start = time.perf_counter()
-        batch, n = self.env.batch, self.env.num_envs
+        batch, n = self.env.batch, self.num_envs
         actions = batch.check(actions)
         reward, done = np.zeros(n), np.zeros(n, bool)
         endings: list[Endings] = []
@@ -63,16 +84,32 @@ class Decisions:
             if ended.any():
                 endings.append(self._endings(ended, info))
                 done |= ended
-        if done.any():
+        told = self._told(endings, done) if endings else {}
+        if endings:
             batch.reset(np.flatnonzero(done))
         observation = self.observe()
         self.stepping += time.perf_counter() - start
-        return observation, (self.reward_scale * reward).astype(np.float32), done, endings
+        scaled = (self.reward_scale * reward).astype(np.float32)
+        return observation, scaled, done, np.zeros(n, bool), told
+
+    def _told(self, endings: list[Endings], done: Mask) -> dict[str, Any]:
+        final, e = self.observe(), self.env.batch.episodes
+        return {
+            "endings": endings,
+            "final_obs": final,
+            "_final_obs": done,
+            "episode": {"r": e.total.copy(), "l": e.steps.copy()},
+            "_episode": done,
+        }
 
     def observe(self) -> Any:
         """Present observations, (n, o) or the dictionary of a goal variant."""
         rows = self.env.batch.observe()
         return split_goals(self.env.task, rows) if self.env.goal else rows
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close the environment."""
+        self.env.close()
 
     def _endings(self, ended: Mask, info: Any) -> Endings:
         ids, final, e = np.flatnonzero(ended), self.observe(), self.env.batch.episodes
