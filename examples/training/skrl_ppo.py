@@ -75,7 +75,7 @@ def main(decisions: int = DECISIONS) -> float:
             "learning_rate_scheduler_kwargs": {
                 "start_factor": 1.0,
                 "end_factor": 0.01,
-                "total_iters": updates,
+                "total_iters": updates * EPOCHS,  # it is stepped every epoch
             },
             "value_loss_scale": 0.5,
             "experiment": {"write_interval": 0, "checkpoint_interval": 0},
