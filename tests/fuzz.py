@@ -164,7 +164,9 @@ def kinds(root: Path) -> dict[str, Kind]:
             out[kind] = [written], read_columns
     scipy.io.hb_write(root / "K.hb", scipy.sparse.csc_matrix(eye))
     out["hb"] = [root / "K.hb"], read_matrices
-    stl = b"solid\n" + b"vertex 0 0 1\nvertex 1 0 0\nvertex 0 1 0\n" * 3
+    corners = b"vertex 0 0 1\nvertex 1 0 0\nvertex 0 1 0\n"
+    facet = b"facet normal 0 0 1\nouter loop\n" + corners + b"endloop\nendfacet\n"
+    stl = b"solid m\n" + facet * 3 + b"endsolid m\n"
     out["stl"] = [file("m.stl", stl)], read_mesh
     binary = (
         bytes(80) + (2).to_bytes(4, "little") + np.arange(24, dtype="<f4").tobytes() + bytes(4)
@@ -205,12 +207,17 @@ def kinds(root: Path) -> dict[str, Kind]:
     return out
 
 
-_DAE = """<COLLADA><asset><unit meter="0.5"/></asset><library_geometries><geometry id="g"><mesh>
-<source id="s"><float_array>0 0 1 1 0 0 0 1 0</float_array></source>
-<vertices><input semantic="POSITION" source="#s"/></vertices></mesh></geometry>
-</library_geometries><library_visual_scenes><visual_scene><node><translate>1 0 0</translate>
-<rotate>0 0 1 90</rotate><node><instance_geometry url="#g"/></node></node></visual_scene>
-</library_visual_scenes></COLLADA>"""
+_DAE = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit meter="0.5"/></asset><library_geometries><geometry id="g"><mesh><source id="s">
+<float_array id="a" count="9">0 0 1 1 0 0 0 1 0</float_array><technique_common>
+<accessor source="#a" count="3" stride="3"><param name="X" type="float"/>
+<param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common>
+</source><vertices id="v"><input semantic="POSITION" source="#s"/></vertices>
+<triangles count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2</p></triangles>
+</mesh></geometry></library_geometries><library_visual_scenes><visual_scene id="w"><node>
+<translate>1 0 0</translate><rotate>0 0 1 90</rotate><node><instance_geometry url="#g"/></node>
+</node></visual_scene></library_visual_scenes><scene><instance_visual_scene url="#w"/></scene>
+</COLLADA>"""
 _SWEEP = """seconds = 10
 [[evaluate]]
 envs = ["PumaDamp-v0"]

@@ -14,6 +14,7 @@ from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.attitude import to_matrix
 from ves_gym.mechanics.kinematics import tool_frame
 from ves_gym.mechanics.latch import free_mass, to_point, tool_motion
+from ves_gym.simulation.capture import BODY, fly
 
 TASK, ID = "servicer_capture", "ves/ServicerCapture-v0"
 SIX = get_arm("puma560-wrist")
@@ -169,7 +170,8 @@ def test_a_target_comes_to_its_meeting_and_keeps_energy_and_momentum():
     assert np.abs(cargo.energy[1] / energy - 1).max() <= 1e-10
     place, turn = tool_frame(task.system.arm, angles)
     for i, left in enumerate(clock - env.batch.sim.state.time):
-        cargo.advance(float(left), np.array([i]))
+        steps = cargo.steps(float(left), np.array([i]))
+        cargo.store(fly(cargo.rows(BODY), cargo.com, cargo.inertia, steps))
         fixture = cargo.fixture()[0][i]
         axes = to_matrix(cargo.attitude[i]) @ CLIENT.grip.rotation
         assert np.abs(fixture - place[i]).max() <= 1e-9

@@ -64,12 +64,13 @@ def test_observation_previews_the_path(settings):
 # ---------------------------------------------------------------------------- reward
 
 
-def test_the_error_is_the_root_of_the_distance():
+def test_the_error_is_the_logarithm_of_the_distance():
     """At rest at the start: the path's distance from its first point."""
     env, _, costs, info = controlled(get_controller("zero"), 4, "track")
     task, path = env.task, env.task.path(env.batch.scene).copy()
     away = np.linalg.norm(path[:, 1:] - path[:, :1], axis=2)
-    expected = np.sqrt(away / task.far).mean(axis=1)
+    near = task.tolerance
+    expected = (np.log1p(away / near) / np.log1p(task.far / near)).mean(axis=1)
     np.testing.assert_allclose(costs["error"], expected, rtol=1e-9)
     np.testing.assert_allclose(
         env.batch.scene.memory[:, 1], (away**2).mean(axis=1) * task.duration, rtol=1e-9

@@ -26,6 +26,7 @@ _FAR = 0.2  # of it: what is left where a mistake is found
 _GOOD = 0.3  # of a channel's movement: more is no agreement
 _BETTER = {"admittance": 0.1}  # a computer's law on what it logs: it is right, or another is
 _SPOILED = 1.2  # of a residual: others may not get worse
+_NOISY = 2.0  # times noise drawn once, which scatters: what is below is no residual
 _MOVING = 0.1  # of the largest movement of its kind
 _HEARD = 3.0  # times the noise that a movement must have
 _LEAST = 0.02  # of a channel's movement: better does not count
@@ -209,7 +210,7 @@ def _sizes(
             np.linalg.norm(run.window.spectrum(x)[1:], axis=0)
             for x in (residuals[name][0], _logged(run, logged_as[name]))
         )
-        beyond = np.sqrt(np.maximum(residual_size**2 - (_SPOILED * noise[name]) ** 2, 0.0))
+        beyond = np.sqrt(np.maximum(residual_size**2 - (_NOISY * noise[name]) ** 2, 0.0))
         size = np.where(np.isfinite(beyond), beyond, np.inf) / np.maximum(signal_size, 1e-300)
         out[name] = np.where(tells[name], size, 0.0)
     return out
