@@ -33,6 +33,7 @@ MEASURES = ("return", *ENERGIES)
 RATES = ("success", "success_once")
 MOST_EPISODES = 1_000_000
 _AT_ONCE = 128  # environments by default: more gain no speed
+_ROUNDING = 1e-15  # J or J s: a base that nothing moves has less, and nothing is a multiple of it
 
 Progress = Callable[[float], None]
 
@@ -292,12 +293,14 @@ def ratio(a: Evaluation, b: Evaluation, measure: str = "E_mean") -> Estimate:
     reference = {row["seed"]: float(row[measure]) for row in b.rows}
     groups: dict[int, list[float]] = {}
     for row in a.rows:
-        if reference.get(row["seed"], 0.0) > 0:
+        if reference.get(row["seed"], 0.0) > _ROUNDING:
             groups.setdefault(row["group"], []).append(
                 float(row[measure]) / reference[row["seed"]]
             )
     if not groups:
-        raise ParameterError(f"{a.name} and {b.name} share no episode with {measure} > 0")
+        raise ParameterError(
+            f"{a.name} and {b.name} share no episode with {measure} > {_ROUNDING:g}"
+        )
     return bootstrap([np.array(g) for g in groups.values()], STATISTICS["median"])
 
 

@@ -30,7 +30,7 @@ from ves_gym.baselines.action_repeat import ActionRepeat, Endings
 from ves_gym.baselines.arm_features import ArmFeatures
 from ves_gym.baselines.perceptron import ActorCritic, Adam, Floats, clipped
 
-_LEAST = 1e-6  # variance below which an entry of the observation is not stretched further
+_LEAST = 0.1  # of an entry's scale: what seldom moves saturates no network when it does
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +111,7 @@ class ObservationStack:
     @property
     def spread(self) -> np.ndarray:
         """(inputs,) unit of each entry."""
-        return np.sqrt(self.variance + _LEAST) if self.count else np.ones_like(self.mean)
+        return np.maximum(np.sqrt(self.variance), _LEAST)
 
     def first(self, observation: Floats) -> Floats:
         """Rows (k, frames * size) at the beginning of episodes."""
