@@ -14,7 +14,7 @@ from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
 _SEED = object()  # stands for the seed among the arguments of a class
 
 
-class Entry(NamedTuple):
+class ControllerEntry(NamedTuple):
     """A controller of the package; its module is loaded where it is made."""
 
     tasks: tuple[str, ...]  # that it plays, through their own control or one that it asks for
@@ -80,7 +80,7 @@ _ROWS: dict[str, tuple[Any, ...]] = {
     "servicer": (("ServicerCapture",), "meets the fixture, then stops the tumble",
                  "servicer:Servicer"),
 }  # fmt: skip
-CONTROLLERS = {name: Entry(*row) for name, row in _ROWS.items()}
+CONTROLLERS = {name: ControllerEntry(*row) for name, row in _ROWS.items()}
 
 # Of each task: what solves it, 95 % of the episodes and more
 # (tests/envs/test_success.py). It reads the true state and knows the nominal machine.
