@@ -29,7 +29,7 @@ def import_own(name: str) -> ModuleType:
     sys.path.append(str(file.parent if is_file else Path.cwd()))
     module = file.stem if is_file else name
     try:
-        found = importlib.import_module(module)
+        loaded = importlib.import_module(module)
     except Exception as error:
         frames = traceback.extract_tb(error.__traceback__)
         where = f"{Path(frames[-1].filename).name}, line {frames[-1].lineno}"
@@ -38,10 +38,10 @@ def import_own(name: str) -> ModuleType:
             f"cannot import {name}: {type(error).__name__}: {error}"
             f"{f' ({where})' if inside else ''}"
         ) from error
-    there = found.__file__ or os.devnull
+    there = loaded.__file__ or os.devnull
     if is_file and not os.path.samefile(there, file):
         raise ParameterError(f"cannot import {name}: {module} is {there}; rename the file")
-    return found
+    return loaded
 
 
 def require_free(name: str, what: str, new: type, old: type | None) -> None:

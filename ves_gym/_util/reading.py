@@ -148,14 +148,14 @@ _ARRAYS, _SENTENCE, _MEMORY = b"\0", b"\1", b"\2"
 
 def _answer(request: bytes) -> bytes:
     """Arrays of a file, or a sentence that says why there are none."""
-    asked = json.loads(request)
-    module, _, name = asked["reader"].partition(":")
+    order = json.loads(request)
+    module, _, name = order["reader"].partition(":")
     reader = getattr(importlib.import_module(module), name)
-    _allow(asked["memory"], asked["seconds"])
+    _allow(order["memory"], order["seconds"])
     try:
         buffer = io.BytesIO()
         with warnings.catch_warnings(action="ignore"):
-            np.savez(buffer, **reader(Path(asked["path"])))
+            np.savez(buffer, **reader(Path(order["path"])))
         return _ARRAYS + buffer.getvalue()
     except MemoryError:
         return _MEMORY

@@ -297,10 +297,10 @@ def arrays_of(path: Path) -> dict[str, Array]:
     suffix = path.suffix.lower()
     if suffix == ".parquet":
         return _parquet(path)
-    found = _matlab(path) if suffix == ".mat" else _datasets(path)
+    datasets = _matlab(path) if suffix == ".mat" else _datasets(path)
     out = {
         name: np.asarray(value, float)
-        for name, value in found
+        for name, value in datasets
         if name and np.asarray(value).dtype.kind in "fiu"
     }
     if not out:

@@ -104,12 +104,12 @@ def arrays_of(path: Path) -> dict[str, Any]:
         _require_whole(file)
     reader, decode = _opened(path)
     with reader:
-        left = [f"{c.topic} ({c.msgtype})" for c in reader.connections if not _usable(c)]
-        notes = [f"left out: {k}, no joints, wrench or pose" for k in left]
+        skipped = [f"{c.topic} ({c.msgtype})" for c in reader.connections if not _usable(c)]
+        notes = [f"left out: {k}, no joints, wrench or pose" for k in skipped]
         tables = _tables_of(reader, decode, notes)
     if not tables:
         kinds = ", ".join(kind.partition("/msg/")[2] for kind in _ROWS)
-        raise ParameterError(f"no message of {kinds}; it has {', '.join(left) or 'none'}")
+        raise ParameterError(f"no message of {kinds}; it has {', '.join(skipped) or 'none'}")
     out: dict[str, Any] = {"topics": np.array([table.topic for table in tables], str)}
     out["joints"] = np.array([table.joints for table in tables], bool)
     for k, table in enumerate(tables):

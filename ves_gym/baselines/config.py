@@ -120,13 +120,13 @@ def find_config(name: str, base: Path) -> Path:
     """
     if Path(name).suffix in (".toml", ".json"):
         return base / name
-    known = {path.stem: path for path in sorted(CONFIGS.glob("*.toml"))}
-    if name not in known:
+    shipped = {path.stem: path for path in sorted(CONFIGS.glob("*.toml"))}
+    if name not in shipped:
         raise ParameterError(
-            f"config must be a .toml file or one of {', '.join(known)}, got {name!r}"
-            f"{did_you_mean(name, known)}"
+            f"config must be a .toml file or one of {', '.join(shipped)}, got {name!r}"
+            f"{did_you_mean(name, shipped)}"
         )
-    return known[name]
+    return shipped[name]
 
 
 def config_from_plain(plain: Mapping[str, Any], where: str = "config") -> TrainConfig:

@@ -33,7 +33,7 @@ MEASURES = ("return", *ENERGIES)
 RATES = ("success", "success_once")
 MOST_EPISODES = 1_000_000
 _AT_ONCE = 128  # environments by default: more gain no speed
-_ROUNDING = 1e-15  # J or J s: a base that nothing moves has less, and nothing is a multiple of it
+_ROUNDING = 1e-15  # J or J s: a base that nothing moves has less
 
 Progress = Callable[[float], None]
 

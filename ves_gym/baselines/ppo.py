@@ -245,12 +245,12 @@ class PPO:
         return np.float32(log_std.sum() + len(log_std) * math.log(2 * math.pi) / 2)
 
     def _step(self, actions: Floats) -> tuple[Array, Mask]:
-        observation, reward, over, _, told = self.env.step(actions)
-        for ended in told.get("endings", ()):
+        observation, reward, over, _, info = self.env.step(actions)
+        for ended in info.get("endings", ()):
             self.on_endings(ended)
         new, self.beside = flat(observation), self._beside()
         self.rows = self.stack.after(self.rows, new)
-        if told:
+        if info:
             ids = np.flatnonzero(over)
             self.rows[ids] = self.stack.first(new[ids])
         return reward, over

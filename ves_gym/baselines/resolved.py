@@ -100,8 +100,8 @@ class Resolved:
     def settings(self, spec: EnvSpec) -> dict[str, Any]:
         """Joints to lead, where the task's own control moves the tool."""
         fields: Any = get_task(spec.kwargs["task"]).__dataclass_fields__
-        own = "control" in spec.kwargs or fields["control"].default.per_joint
-        return {} if own else {"control": {"kind": "joint_velocity"}}
+        chosen = "control" in spec.kwargs or fields["control"].default.per_joint
+        return {} if chosen else {"control": {"kind": "joint_velocity"}}
 
     def reset(self, env: VesVectorEnv, ids: Index) -> None:
         task, s = env.task, env.batch.scene

@@ -94,8 +94,8 @@ def requirements() -> tuple[list[Requirement], dict[str, list[Requirement]], str
         for k in about.get_all("Provides-Extra") or ()
     }
     internal = ("all", "build", "dev")  # of other extras, or for those who change the package
-    known = {k: v for k, v in extras.items() if v and k not in internal}
-    return core, known, str(about["Requires-Python"])
+    declared = {k: v for k, v in extras.items() if v and k not in internal}
+    return core, declared, str(about["Requires-Python"])
 
 
 def check_version(needed: Requirement, extra: str = "") -> Check:

@@ -121,8 +121,8 @@ def card(
         if figures is None:
             evaluation = evaluation_for_card(name, episodes, at.seed)
         else:
-            whole = figures.is_dir()
-            evaluation = read_table(figures / _file(name, ".json") if whole else figures)
+            is_folder = figures.is_dir()
+            evaluation = read_table(figures / _file(name, ".json") if is_folder else figures)
         write_text(path, policy_card(name, evaluation))
         rows.append({"policy": name, "path": str(path)})
     plain = {"schema": "ves-policy-command/1", "cards": rows}

@@ -111,7 +111,7 @@ def plan(
         raise ParameterError(f"--{option} is for planners ompl-..., got {method.name}")
     if budget:
         method = replace(method, **budget)  # type: ignore[type-var]
-    found = vg.plan(
+    planned = vg.plan(
         case=case,
         goal=goal if tool is None else tool,
         planner=method,
@@ -119,15 +119,15 @@ def plan(
         **how,
     )
     if tool is not None:
-        degrees = ", ".join(f"{k + 0.0:.2f}" for k in np.rad2deg(found.query.goal))
+        degrees = ", ".join(f"{k + 0.0:.2f}" for k in np.rad2deg(planned.query.goal))
         lines.append(f"goal: {degrees} deg")
-    report = report_plan(found)
+    report = report_plan(planned)
     text = "\n".join([*lines, str(report)])
     answer = Answer(text=text, plain=report.to_dict(), negative=report.failure is not None)
-    if found.motion is None:
+    if planned.motion is None:
         return answer
     path = at.folder("out/plan") / "case.toml"
-    replace(found.case, log=str(path.with_name("run.csv"))).save(path)
+    replace(planned.case, log=str(path.with_name("run.csv"))).save(path)
     return replace(answer, files=[path], then=[["simulate", "--case", path]])
 
 

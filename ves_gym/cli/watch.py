@@ -71,14 +71,14 @@ def view(
         )
     movie = gif or mp4
     width, height = size or (960, 480)
-    look = View(width=width, height=height, **how)
+    view = View(width=width, height=height, **how)
     recorded = RunLog.load(log[0])
     plain = {"schema": "ves-view/1", "log": str(log[0]), "digest": recorded.digest}
     if window or (has_display() and not (movie or at.out)):
-        show(recorded, look)
+        show(recorded, view)
         return Answer(plain=plain)
     path = Path(at.out or "", movie) if movie else at.folder("out/view") / f"{log[0].stem}.gif"
-    drawn = render(recorded, path, look, at.progress)
+    drawn = render(recorded, path, view, at.progress)
     text = f"{drawn['frames']} frames, drawn with {drawn['backend']}"
     return Answer(text=text, plain={**plain, "file": str(path), **drawn}, files=[path])
 

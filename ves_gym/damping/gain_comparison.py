@@ -123,9 +123,9 @@ class GainComparison:
             simulated, effort = "-", "-"
             if run is not None:
                 simulated, effort = f"{run.E_int[k]:.4g}", f"{run.effort[k].max():.0%}"
-            found = "-" if row.seconds is None else f"{row.seconds:.2f} s"
+            settled = "-" if row.seconds is None else f"{row.seconds:.2f} s"
             rows.append((row.name, f"{d.E_int:.4g}", *ratios, simulated, f"{d.t_5:.2f}",
-                         f"{d.worst:.3f}", f"{d.estimator:.3f}", effort, found))  # fmt: skip
+                         f"{d.worst:.3f}", f"{d.estimator:.3f}", effort, settled))  # fmt: skip
         head = ("gains", "E_int [J s]", "of 4.5", "of 4.6", "simulated", "t_5 [s]",
                 "worst [s]", "eq. 4.4", "effort", "found in")  # fmt: skip
         lines = [

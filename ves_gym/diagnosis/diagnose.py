@@ -267,17 +267,17 @@ def diagnose(
         residuals, candidates, lambda done: progress(0.1 + 0.5 * done, "signatures")
     )
     lap("screen")
-    found = _named_within_tolerances(
+    naming = _named_within_tolerances(
         residuals, signatures, most, lambda text: progress(0.7, text)
     )
     lap("name")
     progress(0.9, "runs held back")
     last = None
     if final:
-        last = WhitenedResiduals(machine, final, seed + 1, slow).with_tolerances(found.scale)
-    residuals, signatures = found.residuals, found.signatures
-    rows = table(found.selection, residuals, last, len(candidates))
-    selection, best = _of_names(found.selection, rows[0]), rows[0]
+        last = WhitenedResiduals(machine, final, seed + 1, slow).with_tolerances(naming.scale)
+    residuals, signatures = naming.residuals, naming.signatures
+    rows = table(naming.selection, residuals, last, len(candidates))
+    selection, best = _of_names(naming.selection, rows[0]), rows[0]
     explanations = tuple(
         _explanation(selection, i, residuals, rows) for i in range(len(selection.rivals))
     )
@@ -290,13 +290,13 @@ def diagnose(
     verdict = _verdict(explanations, bool(best.unnamed) or remaining > EXCESS, faint)
     if faulty:
         verdict = _verdict_despite_faults(verdict, faulty, explanations, machine)
-    told = best.fit if verdict in (*NAMING_VERDICTS, UNKNOWN) else selection.null
+    shown = best.fit if verdict in (*NAMING_VERDICTS, UNKNOWN) else selection.null
     lap("verify")
     return Diagnosis(
         verdict=verdict,
         explanations=explanations,
-        gaps=gaps(residuals, told, selection.null),
-        final=() if last is None else gaps(last, told, selection.null, False),
+        gaps=gaps(residuals, shown, selection.null),
+        final=() if last is None else gaps(last, shown, selection.null, False),
         untestable=untestable(machine, runs),
         weak=tuple(c.name for c in faint),
         faults=faulty,
@@ -306,7 +306,7 @@ def diagnose(
         signatures=signatures,
         table=tuple(rows),
         seconds=seconds,
-        tolerances=found.scale,
+        tolerances=naming.scale,
     )
 
 
@@ -360,22 +360,22 @@ def _named_within_tolerances(
 
 def _of_names(selection: Selection, row: Hypothesis) -> Selection:
     """Return a selection less the names that the most probable hypothesis does without."""
-    kept = [i for i, c in enumerate(selection.fit.candidates) if c.name in row.names]
-    rivals = tuple(selection.rivals[i] for i in kept)
+    named = [i for i, c in enumerate(selection.fit.candidates) if c.name in row.names]
+    rivals = tuple(selection.rivals[i] for i in named)
     return dataclasses.replace(selection, fit=row.named, rivals=rivals)
 
 
 def _explanation(
     selection: Selection, i: int, residuals: WhitenedResiduals, rows: Sequence[Hypothesis]
 ) -> Explanation:
-    rivals, found = selection.rivals[i], selection.fit
-    candidate = found.candidates[i]
+    rivals, fitted = selection.rivals[i], selection.fit
+    candidate = fitted.candidates[i]
     near = tuple(r for r in rivals if r.cost - rivals[0].cost < ALIKE)
     of_kind = sum(r.probability for r in rivals if r.candidate.kind == candidate.kind)
     there = sum(r.probability for r in rows if candidate.name in r.names)
-    gained = without(residuals, found, i).deviance - found.deviance
+    gained = without(residuals, fitted, i).deviance - fitted.deviance
     return Explanation(
-        candidate, found.values[i], SPREAD * found.std[i], gained, of_kind * there, near
+        candidate, fitted.values[i], SPREAD * fitted.std[i], gained, of_kind * there, near
     )
 
 
@@ -443,8 +443,8 @@ def added(diagnosis: Diagnosis) -> tuple[Any, ...]:
     """
     if diagnosis.verdict not in (*NAMING_VERDICTS, UNKNOWN):
         return ()
-    found = diagnosis.unnamed or diagnosis.selection.fit
-    return tuple(e.effect if isinstance(e, SlowPath) else e for e in split(found.effects))
+    fitted = diagnosis.unnamed or diagnosis.selection.fit
+    return tuple(e.effect if isinstance(e, SlowPath) else e for e in split(fitted.effects))
 
 
 def plain(diagnosis: Diagnosis) -> dict[str, Any]:

@@ -177,11 +177,11 @@ def _with_gears(arm: Arm, gears: Sequence[Gear | None]) -> Arm:
     links = list(arm.links)
     for i, more in enumerate(gears):
         if more is not None:
-            own = links[i].gear
-            if own is not None:
+            gear = links[i].gear
+            if gear is not None:
                 parts = ("compliance", "damping", "gap")
-                sums = {name: getattr(own, name) + getattr(more, name) for name in parts}
-                more = replace(own, **sums)
+                sums = {name: getattr(gear, name) + getattr(more, name) for name in parts}
+                more = replace(gear, **sums)
             links[i] = replace(links[i], gear=more)
     return replace(arm, links=tuple(links)) if any(gears) else arm
 
@@ -277,8 +277,8 @@ class JointBacklash(ArmEffect):
         for candidate in super().candidates(scope):
 
             def make(x: Array, gap: Callable[[Array], Any] = candidate.make) -> JointBacklash:
-                found: JointBacklash = gap(x)
-                return replace(found, compliance=_STIFF, damping=_THICK)
+                backlash: JointBacklash = gap(x)
+                return replace(backlash, compliance=_STIFF, damping=_THICK)
 
             yield replace(candidate, make=make)
 

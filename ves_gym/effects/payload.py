@@ -155,12 +155,12 @@ class PayloadBody(ArmEffect):
         if self.is_null:
             return arm
         last = arm.links[-1]
-        own = last.inertial
-        mass = own.mass + self.mass
-        first = own.mass * np.array(own.com) + self.moment
+        described = last.inertial
+        mass = described.mass + self.mass
+        first = described.mass * np.array(described.com) + self.moment
         centre = first / mass if mass else first
         spread = centre @ centre * np.eye(3) - np.outer(centre, centre)
-        about = own.spatial()[3:, 3:] + inertia_matrix(self.parameters) - mass * spread
+        about = described.spatial()[3:, 3:] + inertia_matrix(self.parameters) - mass * spread
         cls = Inertial if self.physical else _Difference
         both = cls(mass=mass, com=tuple(centre.tolist()), inertia=matrix((about + about.T) / 2))
         return replace(arm, links=(*arm.links[:-1], replace(last, inertial=both)))

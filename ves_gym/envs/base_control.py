@@ -101,12 +101,12 @@ class BaseControl:
         """
         vehicle, motors = system.vehicle, self._motors(system)
         assert isinstance(vehicle, Satellite)
-        asked = action * self.scale(system)
-        wrench = asked[:, motors:].copy() if self.jets else np.zeros((len(action), _AXES))
+        command = action * self.scale(system)
+        wrench = command[:, motors:].copy() if self.jets else np.zeros((len(action), _AXES))
         com = np.array(vehicle.body.com, dtype=float)
         wrench[:, 3:] += cross(com, wrench[:, :3])  # about the platform
         torque = (
-            asked[:, :motors] if motors else np.zeros((len(action), len(wheels_of(system))))
+            command[:, :motors] if motors else np.zeros((len(action), len(wheels_of(system))))
         )
         return wrench, torque
 

@@ -390,8 +390,8 @@ def _actuate(shape: Shape) -> casadi.Function:
     def acted(action: Traced, x: Traced, memory: Traced) -> tuple[Any, ...]:
         beside = np.clip(action[:, task.control.width(shape.system.arm) :], -1.0, 1.0)
         state = (memory[:, at[k]] for k in ("owed", "left", "propellant"))
-        asked = control.asked(shape.system, beside)
-        out = act(vehicle, shape.system.control_dt, *asked, x[:, shape.wheels], *state)
+        command = control.asked(shape.system, beside)
+        out = act(vehicle, shape.system.control_dt, *command, x[:, shape.wheels], *state)
         return np.concatenate(out, axis=1), out[-1], *np.concatenate(out[:2], axis=1).T[:engine]
 
     sizes = task.action_width, 2 * shape.coordinates, width(at)

@@ -144,8 +144,8 @@ class CompiledStep:
         if m and not self._emulated:  # effects add theirs after the base's own
             modes = [part[:, :m] for part in backend.rows_of_modes()]
         closed = z, zd, x, self._carry, self._reference, tau, self._goal, self._inputs
-        seen = z, zd, measured, *modes, described, self._scene_rows[:, :8]
-        last = [scene_function(space).piece(*seen)]
+        inputs = z, zd, measured, *modes, described, self._scene_rows[:, :8]
+        last = [scene_function(space).piece(*inputs)]
         self._cargo = sim.payload if task.interacts else None
         self._flight = rows(0)  # steps of free flight in a period
         if sim.contact is not None:
@@ -159,8 +159,8 @@ class CompiledStep:
                 told = self._numbers[:, k["com"]], self._numbers[:, k["carried"]], self._bodies
                 moved = *backend.rows_of_payload(), *told, self._bodies
                 last.append(functions["afloat"].piece(*moved))
-            seen = x, self._bodies, self._numbers, payload
-            last.append(functions["target"].piece(*seen))
+            inputs = x, self._bodies, self._numbers, payload
+            last.append(functions["target"].piece(*inputs))
         last.append(
             functions["close"].piece(*closed, self._scene_rows, self._outputs, self._next)
         )

@@ -177,9 +177,9 @@ class Guided(Control):
         require_positive(self, "jerk")
 
     def advance(self, s: Moving, action: Array, arm: Arm, dt: float, remaining: Array) -> None:
-        left = np.floor(remaining / dt + 0.5)  # whole periods
-        moved = _guided(s.ref, s.goal[:, : arm.n], np.maximum(left, 1.0) * dt, dt)
-        free = np.where(left > 2.5, self.jerk, 0.0)[:, None] * action
+        periods = np.floor(remaining / dt + 0.5)  # whole periods
+        moved = _guided(s.ref, s.goal[:, : arm.n], np.maximum(periods, 1.0) * dt, dt)
+        free = np.where(periods > 2.5, self.jerk, 0.0)[:, None] * action
         s.ref = moved + _pushed(dt) * free[:, None]
 
 

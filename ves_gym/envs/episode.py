@@ -93,12 +93,12 @@ def require_answers(task: Task, s: Scene, dt: float) -> None:
     """
     with np.errstate(all="ignore"):  # zeros are no scene
         s.energies = s.energies + 1.0  # costs are of something
-        seen = task.observe(s)
+        parts = task.observe(s)
         task.remember(s, dt)
         terms = task.costs(s, dt, np.zeros(2, bool))
         verdicts = {"success": task.success(s), "failed": task.failed(s)}
-    _require(task, "number of arrays of observe", len(seen), len(task.fields()))
-    for f, value in zip(task.fields(), seen, strict=True):
+    _require(task, "number of arrays of observe", len(parts), len(task.fields()))
+    for f, value in zip(task.fields(), parts, strict=True):
         where = f"shape of {f.name} in observe, of two simulations"
         _require(task, where, np.shape(value), (2, f.size))
     _require(task, "answer of costs", type(terms), dict)

@@ -158,8 +158,8 @@ class PayloadTransfer(ArmTask):
 
     def opens(self, s: Scene) -> Mask:
         """See `Task`. The berth holds the payload."""
-        held: Mask = LatchTarget.of(s.payload).carried > 0
-        return held & self.success(s)
+        carried: Mask = LatchTarget.of(s.payload).carried > 0
+        return carried & self.success(s)
 
     def success(self, s: Scene) -> Mask:
         """The payload is in its berth."""
@@ -209,8 +209,8 @@ class PayloadTransfer(ArmTask):
 
     def missing(self, s: Scene) -> Array | None:
         way, closing = self._next(s)
-        left = gap(braked(way, closing, self.brake), self.tolerance, self.far)
-        phase = np.where(LatchTarget.of(s.payload).carried > 0, left, 1.0 + left) / 2
+        missing = gap(braked(way, closing, self.brake), self.tolerance, self.far)
+        phase = np.where(LatchTarget.of(s.payload).carried > 0, missing, 1.0 + missing) / 2
         return np.where(s.memory[:, _BERTHED] > 0, 0.0, phase)
 
     def marker(self, s: Scene) -> Array:

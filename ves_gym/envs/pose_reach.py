@@ -107,11 +107,11 @@ class PoseReach(ArmTask):
         arm = self.system.arm
         q, end = self.places(u, options.get("q"))
         if "pose" in options:
-            found = [
+            solutions = [
                 configurations_at(arm, _pose(row), near=near)[0]
                 for row, near in zip(options["pose"], q, strict=True)
             ]
-            end = np.array(found)
+            end = np.array(solutions)
         place, turn = tool_frame(arm, end)
         return Start(q, np.column_stack([place, turn.reshape(-1, 9), self.scale_of(q, end)]))
 

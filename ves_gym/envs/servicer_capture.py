@@ -293,7 +293,7 @@ class ServicerCapture(ArmTask):
     def step_info(self, sim: Simulator, ended: Mask) -> dict[str, Any]:
         cargo = sim.payload
         assert cargo is not None
-        told: dict[str, Any] = {"capture/carried": cargo.carried.copy()}
+        info: dict[str, Any] = {"capture/carried": cargo.carried.copy()}
         ids, n = np.flatnonzero(ended), len(ended)
         if len(ids):
             lost, momentum, energy = np.zeros(n), np.zeros((n, 6)), np.zeros(n)
@@ -303,8 +303,8 @@ class ServicerCapture(ArmTask):
             lost[ids] = [sum(event.lost for event in k) for k in cargo.history[ids]]
             at_end = {"lost": lost, "momentum": momentum, "energy": energy}
             for name, values in at_end.items():
-                told |= {f"capture/{name}": values, f"_capture/{name}": ended}
-        return told
+                info |= {f"capture/{name}": values, f"_capture/{name}": ended}
+        return info
 
     # --------------------------------------------------------------- observation
 

@@ -240,11 +240,11 @@ def objectives(batch: Batch, info: Mapping[str, Any], over: Mask | None = None) 
     terms = {k.partition("/")[2]: v for k, v in info.items() if k.startswith("reward/")}
     for name, term in terms.items():
         out[:, 0 if name in task.energetic else 2] += term
-    left = np.where(info["success"], 0.0, 1.0)
+    unsolved = np.where(info["success"], 0.0, 1.0)
     failed = terms["failure"] < 0
     if failed.any():
-        left[failed] = 1 + task.steps - batch.episodes.steps[failed]
+        unsolved[failed] = 1 + task.steps - batch.episodes.steps[failed]
     if over is not None:
-        left[over] = 0.0
-    out[:, 1] = -left / task.steps
+        unsolved[over] = 0.0
+    out[:, 1] = -unsolved / task.steps
     return out

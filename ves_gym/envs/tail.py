@@ -133,15 +133,17 @@ class FreeDecay:
         pieces += [functions["rotate"].piece(*both, *both) for both in pairs] * _SWEEPS
         parts = squares, d, C, at, rate, base
         pieces.append(functions["couple"].piece(work, momenta, D, kd, *parts))
-        kept = [modes[:, wide * i : wide * (i + 1)] for i in range(s)]
+        by_mode = [modes[:, wide * i : wide * (i + 1)] for i in range(s)]
         for i, one in enumerate(np.eye(s)):
             alone = everywhere(one), C[:, s * i : s * (i + 1)], d[:, i : i + 1]
             others = squares[:, i : i + 1], C, d, squares, at, rate, base, M, K, seconds
-            pieces.append(functions["mode"].piece(*alone, *others, kept[i]))
+            pieces.append(functions["mode"].piece(*alone, *others, by_mode[i]))
         so_far = everywhere(np.zeros(2))
         for i, j in itertools.combinations_with_replacement(range(s), 2):
             weight = everywhere(np.array([1.0 if i == j else 2.0]))
-            pieces.append(functions["pair"].piece(kept[i], kept[j], weight, so_far, self._out))
+            pieces.append(
+                functions["pair"].piece(by_mode[i], by_mode[j], weight, so_far, self._out)
+            )
             so_far = self._out
         return Program(pieces)
 

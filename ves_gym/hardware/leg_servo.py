@@ -442,5 +442,5 @@ class Legs:
     def _settled(self, y: Array, lengths: Array) -> Array:
         """A last step of Newton's method (n, 6); NaN where it is not the last one."""
         better, error = self.stewart.step_to(y, lengths)
-        found = (error <= _NEAR)[:, None]
-        return np.where(found, better, np.nan)
+        converged = (error <= _NEAR)[:, None]
+        return np.where(converged, better, np.nan)

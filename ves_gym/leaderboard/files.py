@@ -66,11 +66,11 @@ def unfinished(folder: Path) -> list[Path]:
     Raises:
         ParameterError: the folder holds an entry, or files of something else.
     """
-    found = list(folder.iterdir()) if folder.is_dir() else []
-    names = [p.name[1:].rpartition(".")[0] if p.name[0] == "." else p.name for p in found]
+    present = list(folder.iterdir()) if folder.is_dir() else []
+    names = [p.name[1:].rpartition(".")[0] if p.name[0] == "." else p.name for p in present]
     if folder.is_file() or (folder / ENTRY).exists() or None in map(_limit, names):
         raise ParameterError(f"{folder}: must be a new or empty folder for the entry")
-    return found
+    return present
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:

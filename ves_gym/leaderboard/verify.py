@@ -131,12 +131,12 @@ def make_entry(
 
 def track_of(problem: Problem, seeds: Seeds, method: Method, workers: int) -> BoardTrack:
     """The track of a problem that a method answers; `workers` are processes that plan."""
-    given = problem, seeds, method, workers
+    arguments = problem, seeds, method, workers
     if problem.track == "paths":
-        return PathTrack(*given)
+        return PathTrack(*arguments)
     if problem.track == "tasks":
-        return TaskTrack(*given)
-    return GainTrack(*given) if problem.environment is None else DampTrack(*given)
+        return TaskTrack(*arguments)
+    return GainTrack(*arguments) if problem.environment is None else DampTrack(*arguments)
 
 
 @on_one_thread()

@@ -84,19 +84,19 @@ def _file_of_example(name: str) -> str | None:
         files = metadata.files("example-robot-data") or ()
     except metadata.PackageNotFoundError:
         return None
-    found = [os.path.normpath(k.locate()) for k in files if k.name == f"{name}.urdf"]
-    if len(found) > 1:
-        raise ParameterError(f"{name} is several files: take one of {', '.join(found)}")
-    return found[0] if found else None
+    matches = [os.path.normpath(k.locate()) for k in files if k.name == f"{name}.urdf"]
+    if len(matches) > 1:
+        raise ParameterError(f"{name} is several files: take one of {', '.join(matches)}")
+    return matches[0] if matches else None
 
 
 def _file_of_description(name: str) -> str:
     """URDF or MJCF of a robot of `robot_descriptions`, which fetches it where it has to."""
     require(f"arm {name}", "robot_descriptions")
-    known = importlib.import_module("robot_descriptions").DESCRIPTIONS
-    if name not in known:
+    descriptions = importlib.import_module("robot_descriptions").DESCRIPTIONS
+    if name not in descriptions:
         raise ParameterError(
-            f"robot_descriptions has no {name!r}{did_you_mean(name, known)}: `python -m"
+            f"robot_descriptions has no {name!r}{did_you_mean(name, descriptions)}: `python -m"
             " robot_descriptions list` prints its names"
         )
     try:
@@ -107,7 +107,11 @@ def _file_of_description(name: str) -> str:
         raise ParameterError(f"{name}: robot_descriptions cannot fetch it: {text}") from None
     file: str | None = getattr(module, "URDF_PATH", getattr(module, "MJCF_PATH", None))
     if file is None:
-        others = [k for k, v in known.items() if v.has_mjcf and v.robot == known[name].robot]
+        others = [
+            k
+            for k, v in descriptions.items()
+            if v.has_mjcf and v.robot == descriptions[name].robot
+        ]
         raise ParameterError(
             f"{name} is a xacro, no URDF: take {' or '.join(others) or 'another'}, or make a"
             f" URDF of {getattr(module, 'XACRO_PATH', 'it')}"

@@ -339,11 +339,11 @@ def contact_load(
         motion[..., :3] += cross(base[..., 3:], tool[0])
         target = _target(model, b, bd)
         to_target = np.swapaxes(target.turn, -1, -2) @ R
-        seen = _seen(target, z[..., :3], R, tool, motion)
-        wrench, energy = contact_wrench(model.contact, model.law, *seen)
+        relative = _seen(target, z[..., :3], R, tool, motion)
+        wrench, energy = contact_wrench(model.contact, model.law, *relative)
         wrench, energy = model.touching * wrench, model.touching * energy
         load = _turned(np.swapaxes(to_target, -1, -2), wrench)
-        floating = b if model.body is None else _floating(model, b, bd, seen[0], wrench)
+        floating = b if model.body is None else _floating(model, b, bd, relative[0], wrench)
     moment = load[..., 3:] + cross(tool[0], load[..., :3])
     at_base = np.concatenate([load[..., :3], moment], axis=-1)
     push = matvec(np.swapaxes(T, -1, -2), at_base)

@@ -71,12 +71,12 @@ def arrays_of(path: Path) -> dict[str, Any]:
     except Exception as error:  # a damaged file makes a decoder raise nearly anything
         raise ParameterError(f"cannot be read as {suffix}: {error}") from None
     faults = {matrix.name: _fault(matrix.values) for matrix in matrices}
-    left = [f"{name} {fault}" for name, fault in faults.items() if fault]
+    refused = [f"{name} {fault}" for name, fault in faults.items() if fault]
     matrices = [matrix for matrix in matrices if not faults[matrix.name]]
     if not matrices:
-        raise ParameterError(", ".join(left) or "expected at least one matrix, got none")
+        raise ParameterError(", ".join(refused) or "expected at least one matrix, got none")
     out: dict[str, Any] = {"names": np.array([matrix.name for matrix in matrices])}
-    out["left"] = np.array(left, str)
+    out["left"] = np.array(refused, str)
     for k, matrix in enumerate(matrices):
         whole = scipy.sparse.csc_array(matrix.values)
         parts = (getattr(whole, part) for part in _PARTS)
@@ -235,7 +235,7 @@ def _full(path: Path) -> list[NamedMatrix]:
 def _dmig(path: Path) -> list[NamedMatrix]:
     forms: dict[str, int] = {}
     terms: dict[str, list[tuple[Label, Label, float]]] = {}
-    left: dict[str, str] = {}  # load vectors and others beside the matrices, and why
+    refused: dict[str, str] = {}  # load vectors and others beside the matrices, and why
     for fields in _entries(path):
         name = fields[0].upper()
         numbers = fields[1:]
@@ -244,11 +244,11 @@ def _dmig(path: Path) -> list[NamedMatrix]:
                 raise ValueError(f"DMIG {name} must begin with its header entry")
             forms[name], terms[name] = int(numbers[1]), []
             if int(numbers[2]) not in (1, 2):
-                left[name] = f"must be real (type 1 or 2), got {numbers[2]}"
+                refused[name] = f"must be real (type 1 or 2), got {numbers[2]}"
             elif forms[name] not in (1, 6):
-                left[name] = f"must be square (form 1 or 6), got {numbers[1]}"
+                refused[name] = f"must be square (form 1 or 6), got {numbers[1]}"
             continue
-        if name in left:
+        if name in refused:
             continue
         column = (int(numbers[0]), int(numbers[1] or 0))
         for k in range(3, len(numbers), 4):
@@ -257,9 +257,9 @@ def _dmig(path: Path) -> list[NamedMatrix]:
                 terms[name].append((row, column, _number(numbers[k + 2])))
     labels = sorted({k for entry in terms.values() for i, j, _ in entry for k in (i, j)})
     index = {label: i for i, label in enumerate(labels)}
-    out = [NamedMatrix(name, why) for name, why in left.items()]
+    out = [NamedMatrix(name, why) for name, why in refused.items()]
     for name, entries in terms.items():
-        if name in left:
+        if name in refused:
             continue
         rows = np.array([index[i] for i, _, _ in entries], int)
         columns = np.array([index[j] for _, j, _ in entries], int)

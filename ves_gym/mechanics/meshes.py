@@ -42,8 +42,8 @@ def read_mesh(path: Path) -> Mesh:
         if kind == ".dae":
             read_xml(path)  # within its bounds
         if kind == ".stl" and len(data) >= _STL[0]:  # readers take what follows for a fault
-            whole = _STL[0] + _STL[1] * int.from_bytes(data[80:84], "little")
-            data = data[:whole] if _STL[0] < whole <= len(data) else data
+            size = _STL[0] + _STL[1] * int.from_bytes(data[80:84], "little")
+            data = data[:size] if _STL[0] < size <= len(data) else data
         try:
             with np.errstate(all="ignore"):
                 scene = trimesh.load_scene(

@@ -225,8 +225,8 @@ def _find(
     for key in "MK":
         if key not in out:
             raise ParameterError(f"files must hold M and K, got {', '.join(out)}")
-    left = dict.fromkeys(text for matrix in out.values() for text in matrix.left)
-    return out, source + (f" (left: {'; '.join(left)})" if left else "")
+    refused = dict.fromkeys(text for matrix in out.values() for text in matrix.left)
+    return out, source + (f" (left: {'; '.join(refused)})" if refused else "")
 
 
 def _named(

@@ -151,8 +151,8 @@ def _beside(near: Array, starts: Array) -> Array:
 
 def _own_range(arm: Arm) -> tuple[Array, Array]:
     """Lower and upper limits of the joints that move the tool [rad]."""
-    own = arm.spans[-1]
-    return arm.column("q_min")[own], arm.column("q_max")[own]
+    span = arm.spans[-1]
+    return arm.column("q_min")[span], arm.column("q_max")[span]
 
 
 def _starts(arm: Arm, count: int) -> Array:

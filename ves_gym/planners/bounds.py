@@ -46,6 +46,8 @@ def parse_bounds(text: str) -> dict[str, float]:
 
 def bounded_name(planner: str, bounds: Mapping[str, float] | None) -> str:
     """A planner's name with its own bounds, as `get_planner` reads it."""
-    own = {name: share for name, share in (bounds or {}).items() if USUAL.get(name) != share}
-    listed = "+".join(f"{name}={share:g}" for name, share in own.items())
+    unusual = {
+        name: share for name, share in (bounds or {}).items() if USUAL.get(name) != share
+    }
+    listed = "+".join(f"{name}={share:g}" for name, share in unusual.items())
     return f"{planner}:{listed}" if listed else planner

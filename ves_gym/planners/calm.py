@@ -149,8 +149,8 @@ class _BoundedProblem(MotionProblem):
 
     def reached(self, motion: Motion) -> dict[str, float]:
         """Bounded measures of a motion over the straight line's."""
-        found = vars(predict_disturbance(self.query, motion))
-        return {name: found[name] / self._measured[name] for name in self.shares}
+        predicted = vars(predict_disturbance(self.query, motion))
+        return {name: predicted[name] / self._measured[name] for name in self.shares}
 
     def excess(self, motion: Motion) -> float:
         """The largest measure over its bound."""

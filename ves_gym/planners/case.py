@@ -243,8 +243,8 @@ class Case:
 
 def _of_arm(servo: JointServo, system: System, base: BaseState | None) -> JointServo:
     """A servo with the arm's gains; against a base that moves already motors cannot hold."""
-    own = servo.for_arm(system.arm, system.vehicle)
-    return own if base is None else replace(own, moving_base=False)
+    fitted = servo.for_arm(system.arm, system.vehicle)
+    return fitted if base is None else replace(fitted, moving_base=False)
 
 
 def whole_goal(arm: Arm, start: Any, goal: Any) -> tuple[Any, tuple[int, ...] | None]:

@@ -155,10 +155,10 @@ class MeanEnergy(QuadraticForm):
         speed = root(linear.base_mass(M)) @ np.linalg.inv(M)[:, :b]
         rows = np.empty((N, 2 * b, m * N + 1))
         rows[:, :b] = root(linear.base_stiffness) @ states[:, :b]
-        own = states[:, size:]
+        held_states = states[:, size:]
         if along is not None:
-            own = own - along.momentum @ states[:, :size]
-        rows[:, b:] = speed @ own
+            held_states = held_states - along.momentum @ states[:, :size]
+        rows[:, b:] = speed @ held_states
         for k in range(N):
             direct = speed[k if len(speed) > 1 else 0][:, self.inputs]
             rows[k, b:, m * k : m * k + m] -= direct

@@ -158,8 +158,8 @@ def _require_duration(problem: MotionProblem, looks: Sequence[Minimum], share: f
         return
     if any(map(_is_feasible, looks)):
         return
-    found = [query.straight, *(problem.motion(look.x) for look in looks)]
-    shortest = min(min_duration(query, motion) for motion in found)
+    motions = [query.straight, *(problem.motion(look.x) for look in looks)]
+    shortest = min(min_duration(query, motion) for motion in motions)
     if shortest > share * query.duration:
         raise NoPlan(
             f"no motion: {query.duration:g} s are too short for speeds and torques of"

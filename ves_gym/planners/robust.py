@@ -402,16 +402,16 @@ def read_uncertainty(path: str | os.PathLike[str]) -> Uncertainty:
     if "system" not in plain:
         raise ParameterError(f"{path}: expected the diagnosis of a System, got one of MJCF")
     better = System.from_dict(plain["system"], f"{path}: system").ideal()
-    found: dict[str, dict[str, Any]] = {}
+    effects: dict[str, dict[str, Any]] = {}
     for entry in plain["effects"]:
         cls = EFFECTS.get(entry["kind"])
         if cls is None or not issubclass(cls, (ArmEffect, BaseEffect)):
             continue
         for name, ends in _ends(better, entry).items():
-            fields = found.setdefault(entry["kind"], {})
+            fields = effects.setdefault(entry["kind"], {})
             # of an effect that is named in two places each is zero where the other is not
             fields[name] = fields.get(name, 0.0) + ends
-    ranges = {k: {n: tuple(ends.tolist()) for n, ends in v.items()} for k, v in found.items()}
+    ranges = {k: {n: tuple(ends.tolist()) for n, ends in v.items()} for k, v in effects.items()}
     if not ranges:
         named = ", ".join(entry["name"] for entry in plain["effects"]) or "none"
         raise ParameterError(
@@ -425,10 +425,10 @@ def read_uncertainty(path: str | os.PathLike[str]) -> Uncertainty:
 def _ends(system: System, entry: dict[str, Any]) -> dict[str, Array]:
     """Fields of a diagnosed effect that are not as by default: (low, high) of each."""
     scope = Scope(system.arm.n, system)
-    known = {c.slot: c for c in EFFECTS[entry["kind"]].candidates(scope)}
-    if entry["slot"] not in known:
+    candidates = {c.slot: c for c in EFFECTS[entry["kind"]].candidates(scope)}
+    if entry["slot"] not in candidates:
         raise ParameterError(f"the diagnosis names {entry['name']}, which this machine lacks")
-    candidate = known[entry["slot"]]
+    candidate = candidates[entry["slot"]]
     values = np.array([entry["value"][name] for name in candidate.names])
     estimate = candidate.effect(values)
     corners = [estimate]  # the estimate, and each number at the ends of its interval

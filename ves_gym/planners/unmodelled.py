@@ -106,10 +106,10 @@ def _of_pointing(query: Query, vehicle: Satellite, motion: Motion) -> list[str]:
                 f"the pointing law asks {most:.3g} N m, {remaining:.3g} N m beyond what wheels"
                 " and jets give"
             )
-    asked = law.rate * float(np.linalg.norm(turned, axis=1).max())
-    if asked > law.spin_max:
+    rate = law.rate * float(np.linalg.norm(turned, axis=1).max())
+    if rate > law.spin_max:
         out.append(
-            f"the pointing law would turn back by {asked:.3g} rad/s, its limit is"
+            f"the pointing law would turn back by {rate:.3g} rad/s, its limit is"
             f" {law.spin_max:g}"
         )
     return out

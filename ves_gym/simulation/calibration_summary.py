@@ -92,7 +92,7 @@ def calibrated(
         if "system" not in log.meta:
             raise ParameterError("the log does not say its system: give --arm FILE")
         arm = System.from_dict(log.meta["system"], "log metadata: system").arm
-    found = fit(
+    fitted = fit(
         arm,
         log.q,
         log.y,
@@ -103,8 +103,8 @@ def calibrated(
     )
     errors = None
     if check is not None:
-        errors = predict_errors(found, arm, check.q, check.y, _readings(check), rezero=rezero)
-    return CalibrationSummary(arm, found, log.digest, errors)
+        errors = predict_errors(fitted, arm, check.q, check.y, _readings(check), rezero=rezero)
+    return CalibrationSummary(arm, fitted, log.digest, errors)
 
 
 def _readings(log: RunLog) -> Array:

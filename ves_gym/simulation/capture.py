@@ -508,9 +508,9 @@ class PayloadHandler(NotingPart):
         groups = self.machines.alike(ids)
         if len(groups) == 1:
             return list(values(*groups[0]))
-        found = [(rows, values(system, rows)) for system, rows in groups]
-        out = [np.empty((len(ids), *part.shape[1:])) for part in found[0][1]]
-        for rows, parts in found:
+        gathered = [(rows, values(system, rows)) for system, rows in groups]
+        out = [np.empty((len(ids), *part.shape[1:])) for part in gathered[0][1]]
+        for rows, parts in gathered:
             for full, part in zip(out, parts, strict=True):
                 full[rows] = part
         return out

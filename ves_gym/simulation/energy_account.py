@@ -70,18 +70,18 @@ class EnergyAccount:
         internal = (inner[0], inner[1]) if inner else None
         self._rows = self._rows[-1:]
         laws = joint_torque(system.effects, q, v, tau, system.arm.column("tau_max"))
-        held, lost = port_energy(system, y, yd, internal)
+        stored, lost = port_energy(system, y, yd, internal)
         strain, moving, _ = vehicle_energies(system, y, yd, internal)
-        whole = strain + moving + body_energy(system, q, y, yd, internal, v)
+        total = strain + moving + body_energy(system, q, y, yd, internal, v)
         begun = np.isnan(self._first[0])
-        self._first[:, begun] = np.stack([whole[0], held[0]])[:, begun]
+        self._first[:, begun] = np.stack([total[0], stored[0]])[:, begun]
         rubbed = scipy.integrate.cumulative_simpson(
             np.stack([lost, lost - np.sum(laws * v, axis=-1)]), x=t, axis=1, initial=0.0
         )
         work = drive_work(system, self._gains, t, q, v, tau)
         sums = self._sums[:, None] + np.stack([work - rubbed[1], rubbed[0]])
         self._sums = sums[:, -1]
-        gap, port = np.stack([sums[0] - whole, sums[1] + held]) + self._first[:, None] * [
+        gap, port = np.stack([sums[0] - total, sums[1] + stored]) + self._first[:, None] * [
             [[1]],
             [[-1]],
         ]

@@ -267,8 +267,8 @@ class Machines(Part):
 
     def sources(self, ids: Index) -> list[Source]:
         """Sources of the systems of some simulations, of those that have one of their own."""
-        found = (self._sources.get(i) for i in ids.tolist())
-        return [source for source in found if source is not None]
+        sources = (self._sources.get(i) for i in ids.tolist())
+        return [source for source in sources if source is not None]
 
     def note(self, ids: Index, sources: Sequence[Source]) -> None:
         """Take note of where the systems of some simulations come from."""

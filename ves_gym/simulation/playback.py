@@ -106,8 +106,8 @@ def play_motions(
 
     rows: list[dict[str, Array]] = []
     watched = Watch(system.arm, n, duration + _OVERSHOOT) if watch else None
-    kept = watch and EnergyAccount.keeps(system)
-    account = EnergyAccount(system, sim.servo, n) if kept else None
+    accounted = watch and EnergyAccount.keeps(system)
+    account = EnergyAccount(system, sim.servo, n) if accounted else None
     fine = system.substeps if emulated else 1  # steps between looks at the joints
     if table is not None:
         sim.use_gravity(table[:, :1])
@@ -198,8 +198,10 @@ def _fed_forward(
         last: step up to which the base is looked at in each; once a control period after it.
         y, yd: of the base at the start.
     """
-    told = system.ideal().replace(drive="prescribed", effects=(), payload=None, contact=None)
-    sim, end = Simulator(told, len(samples.q)), len(samples.t) - 1
+    prescribed = system.ideal().replace(
+        drive="prescribed", effects=(), payload=None, contact=None
+    )
+    sim, end = Simulator(prescribed, len(samples.q)), len(samples.t) - 1
     sim.reset(q=samples.q[:, 0], v=samples.v[:, 0], y=y, yd=yd)
     looks = [*range(min(last, end)), *range(min(last, end), end, system.substeps), end]
     rows = []

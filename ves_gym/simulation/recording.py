@@ -224,8 +224,8 @@ class Recording:
         Args:
             i: number of the run.
         """
-        own = Steps(self.t, self.q, self.v, self.y)
-        of = own if self.watch is None else self.watch.steps
+        steps = Steps(self.t, self.q, self.v, self.y)
+        of = steps if self.watch is None else self.watch.steps
         end = self._until_stop(i, of.t)
         return Steps(of.t[:end], of.q[i, :end], of.v[i, :end], of.y[i, :end])
 
@@ -242,12 +242,12 @@ class Recording:
         limits = limits_of(arm, v_max=v_max, motor=self.system.drive == "motor")
         if self.watch is not None:
             times, parts = self.watch.time[:, i], self.watch.extreme[:, i]
-            found = [
+            checks = [
                 check_limits({k: limits[k]}, t[None], {k: x[None]}, arm.sliding).extremes
                 for k, t, x in zip(WATCHED, times, parts, strict=True)
                 if k in limits
             ]
-            return LimitCheck(tuple(e for part in found for e in part))
+            return LimitCheck(tuple(e for part in checks for e in part))
         end = self.records(i)
         q, v, tau = (part[i, :end] for part in (self.q, self.v, self.tau))
         values = dict(zip(WATCHED, (q - middle_of_range(arm), v, tau), strict=True))

@@ -223,15 +223,19 @@ def summarise(
 
 def _reference_check(system: System, motion: Motion, log: RunLog) -> LimitCheck:
     """Limits of what was asked: the torque that was sent ahead, where it is known."""
-    told = log.tau_ff is not None
+    fed_forward = log.tau_ff is not None
     motor = system.drive == "motor"
-    asked = check_reference(system.arm, motion, limits_of(system.arm, motor=motor and not told))
+    commanded = check_reference(
+        system.arm, motion, limits_of(system.arm, motor=motor and not fed_forward)
+    )
     if not motor or log.tau_ff is None:
-        return asked
+        return commanded
     during = log.t <= motion.duration
     torque = {"torque": log.tau_ff[during]}
     limit = {"torque": system.arm.column("tau_max")}
-    return LimitCheck((*asked.extremes, *check_limits(limit, log.t[during], torque).extremes))
+    return LimitCheck(
+        (*commanded.extremes, *check_limits(limit, log.t[during], torque).extremes)
+    )
 
 
 def _base_error(log: RunLog, space: RunLog) -> float:

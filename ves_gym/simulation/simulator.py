@@ -302,8 +302,8 @@ class Simulator:
         theirs = (snapshot.system_hash[:12], snapshot.n, snapshot.backend_name)
         ours = (self.system.hash[:12], self.n, self.backend.name)
         if theirs != ours:
-            told = ("system {} with n = {} on backend {}".format(*k) for k in (theirs, ours))
-            raise ParameterError("snapshot is of {}, this is {}".format(*told))
+            both = ("system {} with n = {} on backend {}".format(*k) for k in (theirs, ours))
+            raise ParameterError("snapshot is of {}, this is {}".format(*both))
         machines, now, then = self.machines, self.machines.assigned, snapshot.assigned
         ids = [i for i in sorted(then.keys() | now.keys()) if then.get(i) is not now.get(i)]
         if ids:

@@ -317,8 +317,8 @@ def log_energies(log: RunLog, *, duration: float | None = None, tail: float = TA
     if duration is None:
         duration = motion_end(log)
     yd = base_rate(log)
-    found = internal_of(system, log)
-    internal = None if found is None else (found[0][None], found[1][None])
+    modes = internal_of(system, log)
+    internal = None if modes is None else (modes[0][None], modes[1][None])
     motion = log.t, log.q[None], log.y[None], yd[None]
     return energies(system, *motion, duration=duration, tail=tail, internal=internal)[0]
 

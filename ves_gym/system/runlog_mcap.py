@@ -80,10 +80,10 @@ def topics_of(log: RunLog) -> list[Topic]:
     joints, pose = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
     wrench = "geometry_msgs/msg/WrenchStamped"
     names = _names(log)
-    told = [f"{name}_command" for name in names]
+    commands = [f"{name}_command" for name in names]
     out = [
         Topic("/joint_states", joints, "", names, (log.q, log.v, log.tau)),
-        Topic("/joint_commands", joints, "", told, (log.q_cmd, log.v_cmd, log.tau_ff)),
+        Topic("/joint_commands", joints, "", commands, (log.q_cmd, log.v_cmd, log.tau_ff)),
     ]
     for name, y in (("/base_pose", log.y), ("/base_pose_command", log.y_cmd)):
         if y is not None:

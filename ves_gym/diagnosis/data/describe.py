@@ -104,10 +104,10 @@ def describe(
     Raises:
         ParameterError: no column looks like the position of a joint; the model.
     """
-    complete, told = _complete(recording)
+    complete, notes = _complete(recording)
     names = _called(recording, complete, called, source)
     clock = _clock(complete, names)
-    told += _other_clocks(complete, names, clock)
+    notes += _other_clocks(complete, names, clock)
     joints = _joints({k: names[k] for k in complete if k != clock})
     if not joints:
         raise ParameterError(
@@ -117,7 +117,7 @@ def describe(
         )
     used = [c for guess in joints.values() for c in guess.columns.values()]
     time = _time(complete, clock, names, used)
-    named = _names(list(joints), model, told)
+    named = _names(list(joints), model, notes)
     missing = [*time.remarks]
     for what, consequence in (
         ("velocity", "port `velocity` (rates logged) is not tested"),
@@ -136,7 +136,7 @@ def describe(
     lines = [f"# Mapping of {source}: check every guess, then run", "#"]
     lines += [f"#   ves-gym diagnose {source} --machine THIS_FILE", "#"]
     lines += ["# Missing:", *(f"#   - {text}" for text in missing)] if missing else []
-    lines += ["# As understood:", *(f"#   * {text}" for text in told)] if told else []
+    lines += ["# As understood:", *(f"#   * {text}" for text in notes)] if notes else []
     if unused:
         lines.append(f"# Columns not used: {', '.join(unused)}")
     rate = 1 / time.step
@@ -178,18 +178,18 @@ _SETTINGS = (
 
 def _complete(recording: FileColumns) -> tuple[dict[str, Array], list[str]]:
     """Columns of the samples, their gaps filled, and what is to be told of the data."""
-    told, out = list(recording.notes), {}
+    notes, out = list(recording.notes), {}
     lengths = Counter(len(x) for x in recording.columns.values() if len(x) > 1)
     samples = lengths.most_common(1)[0][0] if lengths else 0
     for name, x in _once(recording.columns).items():
         good = np.isfinite(x)
         if len(x) != samples or good.sum() < samples / 2:
             if len(x) > 1:
-                told.append(f"{name} left out: {int(good.sum())} numbers in {samples} rows")
+                notes.append(f"{name} left out: {int(good.sum())} numbers in {samples} rows")
             continue
         rows = np.arange(samples)
         out[name] = x if good.all() else np.interp(rows, rows[good], x[good])
-    return out, told
+    return out, notes
 
 
 def _called(

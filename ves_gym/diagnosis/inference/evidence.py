@@ -53,20 +53,20 @@ def laplace(
         std: (k,) their standard deviations.
     """
     price, retained, f = 0.0, [True] * len(fixed), len(fixed)
-    told = [1 - 1 / TEMPERATURE] * f  # the rest of each number's prior curvature
+    curvature = [1 - 1 / TEMPERATURE] * f  # the rest of each number's prior curvature
     for c, x, error in zip(candidates, values, std, strict=True):
         free = np.ones(c.k, bool)
         if c.sparse:
             ratio = np.abs(x) / np.maximum(error, 1e-300)
             free = (ratio > CLEAR) | (ratio >= np.sort(ratio)[-c.least])
             price += _choice(c, int(free.sum()))
-            at = len(told) + np.flatnonzero(~free)
+            at = len(curvature) + np.flatnonzero(~free)
             put = np.linalg.solve(covariance[np.ix_(at, at)], x[~free])
             price += float(x[~free] @ put) / TEMPERATURE
         price += math.fsum(_price(c, i, float(x[i])) for i in range(c.k) if free[i])
         retained += free.tolist()
-        told += [_curvature(c, i, float(x[i])) for i in range(c.k)]
-    A = np.linalg.inv(covariance) / TEMPERATURE + np.diag(told)
+        curvature += [_curvature(c, i, float(x[i])) for i in range(c.k)]
+    A = np.linalg.inv(covariance) / TEMPERATURE + np.diag(curvature)
     penalty = float(fixed @ fixed)
     determinant = float(np.linalg.slogdet(A[np.ix_(retained, retained)])[1])
     return (deviance - penalty) / TEMPERATURE + penalty + price + determinant

@@ -77,14 +77,14 @@ def table(
     for f in fits:
         names = tuple(c.name for c in f.candidates)
         chosen = cost(f, library) - f.evidence
-        left = 0.0 if last is None else _predicted(last, f)
-        rows.append(Hypothesis(names, (), f, f, f.evidence + chosen, left))
+        predicted = 0.0 if last is None else _predicted(last, f)
+        rows.append(Hypothesis(names, (), f, f, f.evidence + chosen, predicted))
         full = unnamed.fit(f)
         if full is f:
             continue
         laws = tuple(c.name for c in full.candidates[len(names) :])
-        left = 0.0 if last is None else _predicted(last, full)
-        rows.append(Hypothesis(names, laws, f, full, full.evidence + chosen, left))
+        predicted = 0.0 if last is None else _predicted(last, full)
+        rows.append(Hypothesis(names, laws, f, full, full.evidence + chosen, predicted))
     best, *others = _weighted(rows)
     return [_of_constant_names(best, residuals), *others]
 
@@ -95,11 +95,11 @@ def _of_constant_names(row: Hypothesis, residuals: WhitenedResiduals) -> Hypothe
     lost = [i for i, c in enumerate(f.candidates) if changes(f, i, residuals)]
     if not lost:
         return row
-    told = tuple(f"{f.candidates[i].name}, changing" for i in lost)
+    changing = tuple(f"{f.candidates[i].name}, changing" for i in lost)
     for i in reversed(lost):
         f = without(residuals, f, i)
     names = tuple(c.name for c in f.candidates)
-    return replace(row, names=names, unnamed=(*row.unnamed, *told), named=f)
+    return replace(row, names=names, unnamed=(*row.unnamed, *changing), named=f)
 
 
 def _predicted(last: WhitenedResiduals, f: Fit) -> float:

@@ -52,10 +52,10 @@ def likeliest_scale(f: Fit, residuals: WhitenedResiduals) -> float:
         likely = solution.deviance + wide.density - residuals.density
         return likely - determinant + scale_price(float(np.exp(log_scale)))
 
-    found = scipy.optimize.minimize_scalar(
+    minimum = scipy.optimize.minimize_scalar(
         unlikeliness, bounds=(0.0, np.log(SCALE_MOST)), method="bounded", options={"xatol": 0.1}
     )
-    return float(np.exp(found.x)) if found.fun < unlikeliness(0.0) else 1.0
+    return float(np.exp(minimum.x)) if minimum.fun < unlikeliness(0.0) else 1.0
 
 
 def scale_price(scale: float) -> float:

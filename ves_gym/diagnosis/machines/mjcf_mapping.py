@@ -229,16 +229,16 @@ class MachineFile:
                         f"{name}: {key} of {joint.name} has {len(x)} rows, the clock {len(t)}"
                     )
         signals = {key: np.stack(series, axis=1)[used] for key, series in parts.items()}
-        whole = np.all([np.isfinite(x).all(axis=1) for x in signals.values()], axis=0)
+        complete = np.all([np.isfinite(x).all(axis=1) for x in signals.values()], axis=0)
         meta: dict[str, Any] = {"noise_std": self.noise.by_signal}
-        if lacking := int(np.sum(~whole)):
-            text = f"{name}: {lacking} of {len(whole)} rows lack a number and are left out"
+        if lacking := int(np.sum(~complete)):
+            text = f"{name}: {lacking} of {len(complete)} rows lack a number and are left out"
             meta["notes"] = [text]
-        t = t[used][whole]
+        t = t[used][complete]
         if len(t) < 2:
             raise ParameterError(f"{name}: no row has a number in every column that is used")
         require_steady(t, name)
-        signals = {key: x[whole] for key, x in signals.items()}
+        signals = {key: x[complete] for key, x in signals.items()}
         return sampled_run(t, signals, name, self.band, meta)
 
 

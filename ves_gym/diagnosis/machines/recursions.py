@@ -206,22 +206,22 @@ def wrenches(
     force = np.repeat(offset[None], len(target), axis=0)
     force[..., :6] += applied
     # poses that forces other than those found leave to be done, but for the state
-    wanted = target - _times(push[:, :6], force)
+    missing = target - _times(push[:, :6], force)
     miss = np.eye(6) - reply @ gain
     onward = B[:, :, :6] @ ways @ gain
     onward[:, measured] += back @ miss
     # x[t + 1] = A x + B force + onward (wanted - further x)
-    flow, known = A - onward @ further[:, :6], _times(B, force) + _times(onward, wanted)
+    flow, known = A - onward @ further[:, :6], _times(B, force) + _times(onward, missing)
     states = np.empty((len(target), length, 2 * s))
     x = start
     for t in range(length):
         states[:, t] = x
         x = x @ flow[t].T + known[:, t]
-    wanted = wanted - _times(further[:, :6], states)
-    amounts = _times(gain, wanted)
+    missing = missing - _times(further[:, :6], states)
+    amounts = _times(gain, missing)
     force[..., :6] += amounts @ ways.T
     rates = _times(further[:, 6:], states) + _times(push[:, 6:], force)
-    return states, np.concatenate([target, rates], axis=2), amounts, _times(miss, wanted)
+    return states, np.concatenate([target, rates], axis=2), amounts, _times(miss, missing)
 
 
 def _times(matrices: Array, rows: Array) -> Array:
