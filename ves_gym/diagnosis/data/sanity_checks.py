@@ -138,7 +138,8 @@ def suspected_mistake(
     """
     ports = testable(machine, [run])
     every = [p.name for p in ports]
-    tells = {p.name: _tells(run, p.signal or _SEEN[p.name]) for p in ports}
+    signals = {p.name: p.signal or _SEEN[p.name] for p in ports}
+    tells = {name: _tells(run, signal) for name, signal in signals.items()}
     noise = _noise(machine, run, ports)
     current = _sizes(machine, run, every, tells, noise)
     bad = {name: x > _BADLY.get(name, _BAD) for name, x in current.items()}
@@ -166,7 +167,9 @@ def suspected_mistake(
         )
         worst = np.concatenate([bad[name] for name in names])
         good = [np.full(len(bad[name]), _BETTER.get(name, _GOOD)) for name in names]
-        healed = worst & (after < np.minimum(_FAR * before, np.concatenate(good)))
+        # a channel that no longer stands out of its noise would agree with anything
+        heard = np.concatenate([_tells(changed, signals[name]) for name in names])
+        healed = worst & heard & (after < np.minimum(_FAR * before, np.concatenate(good)))
         if not healed.any():
             continue
         gain = float(np.log(np.maximum(before, _LEAST) / np.maximum(after, _LEAST)).sum())
