@@ -34,7 +34,7 @@ $(DEV): $(RUN) constraints.txt
 	$(PIP) check
 	@touch $@
 
-$(SITE): $(RUN) constraints-site.txt
+$(SITE): $(DEV) constraints-site.txt
 	$(PIP) install --require-hashes -r constraints-site.txt
 	$(PIP) check
 	@touch $@
