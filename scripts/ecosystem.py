@@ -1,8 +1,9 @@
-"""Run the smoke tests of tests/ecosystem: `python scripts/ecosystem.py [NAME ...]`.
+"""Try other packages on the environments: `python scripts/ecosystem.py [NAME ...]`.
 
-Every tests/ecosystem/smoke_NAME.py says in its head (PEP 723) what it needs. That, and this
-project, are installed into an environment of its own, .venv-ecosystem/NAME, which stays for the
-next time; then the test runs, and its line goes into the table of docs/ecosystem.md.
+Every tests/ecosystem/smoke_NAME.py, and every examples/training/NAME_ppo.py, which must solve
+its task, says in its head (PEP 723) what it needs. That, and this project, are installed into
+an environment of its own, .venv-ecosystem/NAME, which stays for the next time. Then it runs,
+and its line goes into the table of docs/ecosystem.md.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ import venv
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-TESTS = ROOT / "tests" / "ecosystem"
+SMOKE = ROOT / "tests" / "ecosystem"
+EXAMPLES = ROOT / "examples" / "training"
 PLACE = ROOT / ".venv-ecosystem"
 PAGE = ROOT / "docs" / "ecosystem.md"
 SECONDS = 900  # for one test
@@ -28,6 +30,12 @@ _HEAD = re.compile(r"^# /// script\n((?:#.*\n)+?)# ///$", re.MULTILINE)
 _PRINT_VERSION = (
     "import importlib.metadata, sys; print(importlib.metadata.version(sys.argv[1]))"
 )
+
+
+def every_test() -> dict[str, Path]:
+    """Return the files that can be run, by name."""
+    smoke = {k.stem.removeprefix("smoke_"): k for k in sorted(SMOKE.glob("smoke_*.py"))}
+    return smoke | {k.stem: k for k in sorted(EXAMPLES.glob("*_ppo.py"))}
 
 
 def requirements(test: Path) -> list[str]:
@@ -84,9 +92,11 @@ def run(test: Path, python: Path) -> tuple[str, str]:
         test: file.
         python: interpreter of its environment.
     """
-    command = [str(python), "-P", str(test)]  # -P: no file beside the test is a module
+    command = [str(python), str(test)]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS)
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=SECONDS, cwd=PLACE
+        )
     except subprocess.TimeoutExpired:
         return "", f"fails: no end within {SECONDS} s"
     (PLACE / f"{test.stem}.log").write_text(done.stdout + done.stderr, encoding="utf-8")
@@ -96,11 +106,11 @@ def run(test: Path, python: Path) -> tuple[str, str]:
     return (said[-1], "passes") if said else ("", "fails: it says nothing of what it ran")
 
 
-def row(test: Path, share: Path | None) -> tuple[str, ...]:
+def row(name: str, test: Path, share: Path | None) -> tuple[str, ...]:
     """Return package, version, what was run, and result of a test."""
     needs = requirements(test)
     package = re.split(r"[\[<>=!~; ]", needs[0])[0]
-    python, problem = install(test.stem.removeprefix("smoke_"), needs, share)
+    python, problem = install(name, needs, share)
     if problem:
         return package, "", "", f"not installed: {problem}"
     version = subprocess.run(
@@ -141,7 +151,7 @@ def write(page: Path, rows: dict[str, tuple[str, ...]]) -> None:
 
 def main() -> int:
     """Run the tests named, or all; return 1 if one does not pass."""
-    tests = {k.stem.removeprefix("smoke_"): k for k in sorted(TESTS.glob("smoke_*.py"))}
+    tests = every_test()
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("name", nargs="*", choices=[[], *tests], help="tests; default all")
     parser.add_argument("--share", type=Path, help="environment whose packages are seen too")
@@ -151,7 +161,7 @@ def main() -> int:
     share = args.share.resolve() if args.share else None
     good = True
     for name in args.name or tests:
-        cells = row(tests[name], share)
+        cells = row(name, tests[name], share)
         today = datetime.date.today().isoformat()
         write(PAGE, {**read(PAGE), name: (*cells, today)})  # at once: the next may take long
         print(f"{name} {cells[1]}: {cells[3]}", flush=True)

@@ -7,10 +7,8 @@ Follows CleanRL's `ppo_continuous_action.py`, whose own package asks for a Gymna
 1.0. Episodes begin anew in the step that ends them, and none is truncated.
 """
 
-import sys
-
 import torch
-from puma_damp import BATCH, DECISIONS, ENVS, EPOCHS, RATE, ROLLOUT, solved, vector
+from puma_damp import BATCH, DECISIONS, ENVS, EPOCHS, RATE, ROLLOUT, run, solved, vector
 from torch import nn
 from torch.distributions import Normal
 
@@ -95,4 +93,4 @@ def main(decisions: int = DECISIONS) -> float:
 
 
 if __name__ == "__main__":
-    print(f"solved {main(*map(int, sys.argv[1:])):.0%}")
+    run(main)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 
 import gymnasium as gym
@@ -41,3 +42,15 @@ def solved(
             for i, good in zip(ended.ids.tolist(), ended.success.tolist(), strict=True):
                 success.setdefault(i, good)  # of its first episode
     return sum(success.values()) / episodes
+
+
+def run(train: Callable[[int], float]) -> None:
+    """Train for as many decisions as the command line says; say what share is solved.
+
+    A whole training that solves less than 95 % ends with exit status 1.
+    """
+    decisions = int(sys.argv[1]) if len(sys.argv) > 1 else DECISIONS
+    share = train(decisions)
+    print(f"ran: {decisions:,} decisions of PumaDamp, {share:.0%} of 100 episodes solved")
+    if decisions >= DECISIONS and share < 0.95:
+        sys.exit("a whole training should solve 95 %")

@@ -3,10 +3,8 @@
 # ///
 """PumaDamp by rsl_rl's PPO: `python rsl_rl_ppo.py [DECISIONS]`."""
 
-import sys
-
 import torch
-from puma_damp import BATCH, DECISIONS, ENVS, EPOCHS, HOLD, RATE, ROLLOUT, solved, vector
+from puma_damp import BATCH, DECISIONS, ENVS, EPOCHS, HOLD, RATE, ROLLOUT, run, solved, vector
 from rsl_rl.env import VecEnv
 from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
@@ -72,4 +70,4 @@ def main(decisions: int = DECISIONS) -> float:
 
 
 if __name__ == "__main__":
-    print(f"solved {main(*map(int, sys.argv[1:])):.0%}")
+    run(main)

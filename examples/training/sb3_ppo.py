@@ -3,10 +3,20 @@
 # ///
 """PumaDamp by Stable-Baselines3's PPO: `python sb3_ppo.py [DECISIONS]`."""
 
-import sys
-
 import gymnasium as gym
-from puma_damp import BATCH, DECISIONS, ENVS, EPOCHS, HOLD, ID, RATE, ROLLOUT, SCALE, solved
+from puma_damp import (
+    BATCH,
+    DECISIONS,
+    ENVS,
+    EPOCHS,
+    HOLD,
+    ID,
+    RATE,
+    ROLLOUT,
+    SCALE,
+    run,
+    solved,
+)
 from stable_baselines3 import PPO
 
 from ves_gym.baselines import Sb3VecEnv, from_sb3, save_policy
@@ -32,4 +42,4 @@ def main(decisions: int = DECISIONS) -> float:
 
 
 if __name__ == "__main__":
-    print(f"solved {main(*map(int, sys.argv[1:])):.0%}")
+    run(main)

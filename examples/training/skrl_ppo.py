@@ -3,10 +3,8 @@
 # ///
 """PumaDamp by skrl's PPO: `python skrl_ppo.py [DECISIONS]`."""
 
-import sys
-
 import torch
-from puma_damp import BATCH, DECISIONS, ENVS, EPOCHS, RATE, ROLLOUT, solved, vector
+from puma_damp import BATCH, DECISIONS, ENVS, EPOCHS, RATE, ROLLOUT, run, solved, vector
 from skrl.agents.torch.ppo import PPO
 from skrl.envs.wrappers.torch import wrap_env
 from skrl.memories.torch import RandomMemory
@@ -89,4 +87,4 @@ def main(decisions: int = DECISIONS) -> float:
 
 
 if __name__ == "__main__":
-    print(f"solved {main(*map(int, sys.argv[1:])):.0%}")
+    run(main)

@@ -3,12 +3,11 @@
 # ///
 """PumaDamp by Tianshou's PPO: `python tianshou_ppo.py [DECISIONS]`."""
 
-import sys
 from typing import Any
 
 import numpy as np
 import torch
-from puma_damp import BATCH, DECISIONS, ENVS, EPOCHS, RATE, ROLLOUT, solved, vector
+from puma_damp import BATCH, DECISIONS, ENVS, EPOCHS, RATE, ROLLOUT, run, solved, vector
 from tianshou.algorithm import PPO
 from tianshou.algorithm.modelfree.reinforce import ProbabilisticActorPolicy
 from tianshou.algorithm.optim import AdamOptimizerFactory, LRSchedulerFactoryLinear
@@ -100,4 +99,4 @@ def main(decisions: int = DECISIONS) -> float:
 
 
 if __name__ == "__main__":
-    print(f"solved {main(*map(int, sys.argv[1:])):.0%}")
+    run(main)

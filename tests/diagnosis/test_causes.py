@@ -41,27 +41,54 @@ def named(found):
     return [f.candidate.kind for f in found.explanations]
 
 
+@pytest.fixture(scope="module")
+def of_two_causes():
+    return told(BIAS, *RUBBING)
+
+
 @pytest.mark.slow
-def test_a_bias_of_all_six_signals_is_one_cause_and_friction_of_all_joints_another():
+def test_a_bias_of_all_six_signals_is_one_cause_and_friction_of_all_joints_another(
+    of_two_causes,
+):
     """With their twelve numbers, which the better description has and reads back."""
-    found = told(BIAS, *RUBBING)
+    found = of_two_causes
     by_kind = {f.candidate.kind: f for f in found.explanations}
     assert by_kind.keys() == {"sensor/bias", FRICTION}, found.sentence
     bias = [*BIAS.force, *BIAS.moment]
-    assert by_kind["sensor/bias"].values == pytest.approx(bias, abs=0.2)
+    mine = by_kind["sensor/bias"]
+    assert (np.abs(mine.values - bias) < mine.std).all()
     assert by_kind[FRICTION].values == pytest.approx([*VISCOUS, *COULOMB], rel=0.2)
     assert all(signal in found.sentence for signal in WRENCH)
     written = {e.kind: e for e in found.system.effects}
     assert written.keys() == {"joint/viscous", "joint/coulomb", "sensor/bias"}
     assert written["joint/viscous"].damping == pytest.approx(VISCOUS, rel=0.2)
     better = written["sensor/bias"]
-    assert [*better.force, *better.moment] == pytest.approx(bias, abs=0.2)
+    assert [*better.force, *better.moment] == pytest.approx(mine.values)
     assert vg.System.from_dict(found.system.to_dict()) == found.system
     before, after = (
         max(getattr(g, side) for g in found.gaps if g.port == "joint")
         for side in ("before", "after")
     )
     assert before > 30 and after < 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "i",
+    [
+        *(k for k in range(6) if k != 2),
+        pytest.param(
+            2,
+            marks=pytest.mark.xfail(
+                strict=True, reason="F_z misses by 0.15 N of 1.5: its noise may wander"
+            ),
+        ),
+    ],
+)
+def test_a_bias_beside_friction_is_told_to_a_tenth(of_two_causes, i):
+    by_kind = {f.candidate.kind: f for f in of_two_causes.explanations}
+    bias = [*BIAS.force, *BIAS.moment]
+    assert by_kind["sensor/bias"].values[i] == pytest.approx(bias[i], abs=0.1)
 
 
 # a box of 2 kg beside the tool: its inertia is about the origin of the last link's frame

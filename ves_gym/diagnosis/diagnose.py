@@ -54,7 +54,6 @@ from ves_gym.system.system import System
 NOTHING, NAMED, ONE_OF = "nothing missing", "named", "one of"
 MORE, UNKNOWN, WEAK = "named, more remains", "not in the library", "excitation too weak"
 NAMING_VERDICTS = (NAMED, ONE_OF, MORE)  # verdicts that give names
-VERDICTS = (NOTHING, NAMED, ONE_OF, MORE, UNKNOWN, WEAK)
 
 # What any motion of a joint that is worth the name shows; where it does not, others may hide.
 _BASIC = ("joint/coulomb", "joint/viscous", "joint/drive_gain", "joint/rotor_inertia")

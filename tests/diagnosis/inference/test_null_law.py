@@ -176,10 +176,11 @@ def test_a_wander_of_most_channels_is_noise_and_not_a_gap(healthy, memory, monke
     assert share(at_servos(still)) < 0.05
     residuals = at_servos(moved)
     found = slow_noise(residuals)
-    assert 0.02 < found["servo"].share <= MOST
+    assert 0 < found["servo"].share <= MOST
     lowest = [k for k, g in enumerate(residuals.groups) if g.low == 0]
     before, after = (fit(r, (), ()).size[lowest] for r in (residuals, at_servos(moved, found)))
-    assert before.mean() > 2 > after.mean()
+    # share and memory trade off: what they do to the lowest frequencies is what can be told
+    assert before.mean() > 4 and 0.6 < after.mean() < 1.2
     # as on an axis alone, where the median may be friction that was taken for a wander
     monkeypatch.setattr("ves_gym.diagnosis.inference.slow_noise._FEWEST", 4)
     assert slow_noise(residuals) == {}
