@@ -235,7 +235,9 @@ def killed(config, folder, delays):
         process.send_signal(signal.SIGKILL)
         out, err = process.communicate()
         assert process.returncode in (-signal.SIGKILL, 0), err.decode()
-        assert out == err == b"" or process.returncode == 0
+        # the signal may come between the last line and the exit
+        silent_or_whole = out == b"" or out.endswith(b"best.json\n")
+        assert (err == b"" and silent_or_whole) or process.returncode == 0
 
 
 @pytest.mark.slow
