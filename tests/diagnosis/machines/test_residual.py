@@ -14,6 +14,8 @@ import scipy
 from scipy.spatial.transform import Rotation
 
 from examples import force_plate
+from examples.linear_plant import StateSpace, linear_machine, structure
+from examples.static_tool import StaticTool
 from tests.diagnosis.machines import rigid_arm
 from ves_gym import diagnosis as vd
 from ves_gym._util.params import ParameterError
@@ -21,9 +23,7 @@ from ves_gym.cli.main import main
 from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis.data.measured_run import run_of_signals
 from ves_gym.diagnosis.data.sanity_checks import suspected_mistake
-from ves_gym.diagnosis.machines.linear_plant import StateSpace, linear_machine, structure
 from ves_gym.diagnosis.machines.mapping import read_machine
-from ves_gym.diagnosis.machines.static_poses import StaticTool
 
 ROOT = Path(__file__).parents[3]
 ZERO = np.zeros(6)

@@ -15,13 +15,10 @@ from ves_gym._util.params import (
     Array,
     ParameterError,
     from_plain,
-    require_one_of,
     require_positive,
     unit,
 )
 from ves_gym.diagnosis.data.measured_run import BAND, Run, require_steady
-from ves_gym.diagnosis.machines import linear_plant as linear_plant  # registers itself
-from ves_gym.diagnosis.machines import static_poses as static_poses
 from ves_gym.diagnosis.machines.mjcf_mapping import Clock, Column, sampled_run
 from ves_gym.diagnosis.machines.residual import MACHINES, ResidualMachine, samples
 
@@ -46,7 +43,9 @@ class ResidualFile:
     unexplained: float = 0.0
 
     def __post_init__(self) -> None:
-        require_one_of("machine", self.machine, sorted(MACHINES))
+        if self.machine not in MACHINES:
+            filed = ", ".join(sorted(MACHINES)) or "those of a file that is imported (--import)"
+            raise ParameterError(f"machine must be one of {filed}, got {self.machine!r}")
         require_positive(self, "band")
 
     def found(self, folder: Path) -> ResidualMachine:

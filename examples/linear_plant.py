@@ -1,7 +1,10 @@
 """A linear plant, x' = A x + B u, y = C x + D u, run on its measured input.
 
 Signals: `input` (T, m), `output` (T, p). Every run has a start of its own. A structure by
-M, D, K is the same with forces on some coordinates and some of them measured.
+M, D, K is the same with forces on some coordinates and some of them measured. A mapping file
+(docs/own_machine.md) names it after
+
+    ves-gym diagnose run.csv --import linear_plant.py --machine plant.toml
 """
 
 from __future__ import annotations
@@ -15,16 +18,17 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ves_gym._util.params import Array, ParameterError, require_choice
-from ves_gym.diagnosis.data.measured_run import Run
-from ves_gym.diagnosis.machines.base import Port
-from ves_gym.diagnosis.machines.residual import (
+import ves_gym as vg
+from ves_gym import ParameterError
+from ves_gym.diagnosis import (
     Parameter,
+    Port,
     ResidualMachine,
-    Values,
     register_machine,
+    run_of_signals,
 )
 
+Array, Values = np.ndarray, dict[str, Any]
 Rows = tuple[tuple[float, ...], ...]
 _DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 _GRID = 16  # frequencies at which another mode is looked for
@@ -191,6 +195,8 @@ def structure(
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ stiffness, -inverse @ damping]])
     B = np.vstack([np.zeros_like(force), inverse @ force])
     C, D = np.hstack([measured, np.zeros_like(measured)]), np.zeros((len(measured), B.shape[1]))
+    if reads not in _DERIVATIVES:
+        raise ParameterError(f"reads must be one of {', '.join(_DERIVATIVES)}, got {reads!r}")
     for _ in range(_DERIVATIVES[reads]):
         C, D = C @ A, C @ B
     return StateSpace(A, B, C, D, _DERIVATIVES[reads])
@@ -233,10 +239,10 @@ def linear_machine(
             y = scipy.interpolate.CubicSpline(t, y)(np.maximum(t - p["delay"], 0.0))
         return np.asarray(p["gain"] * y + p["offset"])
 
-    def residual(p: Values, run: Run) -> dict[str, Array]:
+    def residual(p: Values, run: Any) -> dict[str, Array]:
         return {"output": run["output"] - output(p, run["input"], run.dt)}
 
-    def start(run: Run) -> Array:
+    def start(run: Any) -> Array:
         """States (n,), each of which moves the output by several times its own movement."""
         still, n = np.zeros_like(run["input"]), len(plant.A)
         moved = [output({**nominal, "start": k}, still, run.dt) for k in np.eye(n)]
@@ -324,9 +330,6 @@ class StructureMatrices:
     output: Rows  # (outputs, n)
     reads: str = "displacement"
 
-    def __post_init__(self) -> None:
-        require_choice(self, "reads", tuple(_DERIVATIVES))
-
     def plant(self) -> StateSpace:
         """Return the plant."""
         M, D, K = _matrix(self.M), _matrix(self.D), _matrix(self.K)
@@ -377,3 +380,26 @@ def _matrix(rows: Rows) -> Array:
     if not rows or len({len(row) for row in rows}) > 1:
         raise ParameterError(f"a matrix needs rows of one length, got {rows}")
     return np.array(rows, float)
+
+
+def pushed(plant: StateSpace, seed: int) -> Any:
+    """A run of 20 s at 100 Hz under a random force, with noise of 2e-6 of the output."""
+    rng = np.random.default_rng(seed)
+    t = 0.01 * np.arange(2000)
+    low = scipy.signal.butter(3, 8.0, fs=100.0)
+    u = scipy.signal.lfilter(*low, 50 * rng.standard_normal((2000, 1)), axis=0)
+    y = plant.output(u, 0.01, np.zeros(len(plant.A)), False)
+    y = y + 2e-6 * rng.standard_normal(y.shape)
+    return run_of_signals(
+        t, {"input": u, "output": y}, f"run {seed}", meta={"noise_std": {"output": 2e-6}}
+    )
+
+
+if __name__ == "__main__":
+    M, D, K = np.diag([10.0, 5.0]), 6.0 * np.eye(2), np.array([[6e3, -2e3], [-2e3, 2e3]])
+    described = structure(M, D, K, np.eye(2)[:, :1], np.eye(2)[1:], "displacement")
+    actual = described.with_mode(6.0, 0.01, 0.02)
+    found = vg.diagnose(
+        [pushed(actual, k) for k in range(3)], linear_machine(described, [("x2", "m")])
+    )
+    print(found.sentence)
