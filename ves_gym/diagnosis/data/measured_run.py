@@ -48,29 +48,31 @@ _SHORTEST = 15.0  # periods of the band's top: in less, slow motion is no more t
 
 
 def forget(remembered: dict[Any, Any], most: int = REMEMBERED) -> None:
-    """Drop the oldest of what is remembered but for the first, the description's own.
-
-    Args:
-        remembered: in a run's memory.
-        most: entries that stay.
-    """
+    """Drop the oldest of what is remembered but for the first, the description's own."""
     if len(remembered) > most:
         del remembered[list(remembered)[1]]
 
 
-def cached(memory: dict[Any, Any], kind: Hashable, key: Any, make: Callable[[], Any]) -> Any:
-    """Return what is remembered for a key, computed once while among the latest of its kind.
+def cached(
+    memory: dict[Any, Any],
+    kind: Hashable,
+    key: Any,
+    make: Callable[[], T],
+    most: int = REMEMBERED,
+) -> T:
+    """Return what a run remembers for a key, computed once while among the latest of its kind.
 
     Args:
-        memory: of a run.
+        memory: of the run.
         kind: of what is remembered.
         key: that it depends on.
         make: computes it.
+        most: entries of the kind that stay.
     """
-    entries = memory.setdefault(kind, {})
+    entries: dict[Any, T] = memory.setdefault(kind, {})
     if key not in entries:
         entries[key] = make()
-        forget(entries)
+        forget(entries, most)
     return entries[key]
 
 
@@ -181,18 +183,22 @@ class Run:
         """Measured base or platform pose with its rates and accelerations."""
         return Kinematics(*differentiated(self["y"], self.dt, self.band))
 
-    def derived(self, name: str, signals: Iterable[str], make: Callable[[], T]) -> T:
+    def derived(
+        self, name: str, signals: Iterable[str], make: Callable[[], T], near: bool = False
+    ) -> T:
         """Return what follows from some signals alone, computed once.
 
         Args:
             name: of the quantity.
             signals: names.
             make: computes it.
+            near: noise hardly moves it: a noisy copy takes that of the run itself.
         """
         key = Derived(name, frozenset(signals))
-        if key not in self.memory:
+        original = self.memory.get(NEAR, {}) if near else {}
+        if key not in self.memory and key not in original:
             self.memory[key] = make()
-        out: T = self.memory[key]
+        out: T = original[key] if key in original else self.memory[key]
         return out
 
     def with_signals(self, changes: Mapping[str, Array]) -> Run:

@@ -30,16 +30,6 @@ _NOISY = 2.0  # times noise drawn once, which scatters: what is below is no resi
 _MOVING = 0.1  # of the largest movement of its kind
 _HEARD = 3.0  # times the noise that a movement must have
 _LEAST = 0.02  # of a channel's movement: better does not count
-_SEEN = {  # port -> the signal that its residual is a part of
-    "joint": "tau",
-    "servo": "tau",
-    "wrench": "w",
-    "gravity": "weight",
-    "admittance": "wg",
-    "platform": "y",
-    "base": "w",
-    "velocity": "v",
-}
 _SLOW = ("joint", "platform")  # ports that take a hundred times as long as others
 _LATE = (0.04, 0.5)  # s; what a machine itself is late by is shorter, and an effect
 _RECORDED = (  # signals that one recorder reads, and their name
@@ -138,7 +128,7 @@ def suspected_mistake(
     """
     ports = testable(machine, [run])
     every = [p.name for p in ports]
-    signals = {p.name: p.signal or _SEEN[p.name] for p in ports}
+    signals = {p.name: p.signal for p in ports}
     tells = {name: _tells(run, signal) for name, signal in signals.items()}
     noise = _noise(machine, run, ports)
     current = _sizes(machine, run, every, tells, noise)
@@ -206,7 +196,7 @@ def _sizes(
     movement; 0 where a channel does not tell anything."""
     # a torque logged in another unit must not be told by what the controller asked
     residuals = machine.residuals(replace(run, by_log=True), [machine.nominal], ports)
-    logged_as = {p.name: p.signal or _SEEN.get(p.name, "") for p in machine.ports}
+    logged_as = {p.name: p.signal for p in machine.ports}
     out = {}
     for name in ports:
         residual_size, signal_size = (
@@ -222,7 +212,7 @@ def _sizes(
 def _lag(machine: Machine, run: Run, port: Port, tells: Array) -> int:
     """Return the samples by which a port's signal comes after what it is predicted to be."""
     residual = machine.residuals(replace(run, by_log=True), [machine.nominal], [port.name])
-    x = _logged(run, port.signal or _SEEN[port.name])
+    x = _logged(run, port.signal)
     most = min(round(_LATE[1] / run.dt), run.length // 4)
     likeness = np.zeros(2 * most + 1)
     for signal, left in zip(x.T[tells], residual[port.name][0].T[tells], strict=True):

@@ -31,7 +31,7 @@ class Port:
         False  # described numbers multiply noisy signals: errors in variables
     )
     answers: bool = False  # its noisy signals answer to the others, and are not their cause
-    signal: str = ""  # that the residual is a part of, where the port's name does not say it
+    signal: str = ""  # that its residual is a part of
 
 
 @dataclass(frozen=True)
@@ -58,11 +58,7 @@ class Machine(Protocol):
         """Tolerances."""
 
     def unknowns(self, run: Run) -> Sequence[Nuisance]:
-        """Return what a description says may be, but not how it was in a run: stated drift.
-
-        Args:
-            run: measured signals.
-        """
+        """Return what a description says may be, but not how it was in a run: stated drift."""
 
     def model(self, effects: Sequence[Effect]) -> Any:
         """The description with effects."""
@@ -72,59 +68,31 @@ class Machine(Protocol):
 
         Friction turns with the noise of a joint at rest, where more noise on noisy angles is
         not what noise did, and of angles and rates there is less than of accelerations.
-
-        Args:
-            model: as `model` makes it.
         """
 
     def residuals(
         self, run: Run, models: Sequence[Any], ports: Sequence[str]
     ) -> dict[str, Array]:
-        """Return (m, ..., T, c) per port: the residual under each of m models.
-
-        Args:
-            run: measured signals.
-            models: as `model` makes them.
-            ports: names.
-        """
+        """Return (m, ..., T, c) per port: the residual under each of m models."""
 
     def rings(self, runs: Sequence[Run], frequency: float) -> bool:
-        """Return True if the machine as described rings at a frequency by itself.
-
-        Args:
-            runs: measured signals.
-            frequency: Hz.
-        """
+        """Return True if the machine as described rings at a frequency [Hz] by itself."""
 
     def floor(self, run: Run, port: str) -> Array:
-        """Return (c,) standard deviation below which a residual of the port means nothing.
-
-        Args:
-            run: measured signals.
-            port: name.
-        """
-
-
-def testable(machine: Machine, runs: Sequence[Run]) -> tuple[Port, ...]:
-    """Return ports whose signals all runs hold.
-
-    Args:
-        machine: the description.
-        runs: measured.
-    """
-    return tuple(p for p in machine.ports if all(k in run for run in runs for k in p.needs))
+        """Return (c,) standard deviation below which a residual of the port means nothing."""
 
 
 def untestable(machine: Machine, runs: Sequence[Run]) -> dict[str, tuple[str, ...]]:
-    """Return signals that some run lacks, by port.
-
-    Args:
-        machine: the description.
-        runs: measured.
-    """
+    """Return signals that some run lacks, by port."""
     out = {}
     for port in machine.ports:
         lacks = tuple(k for k in port.needs if not all(k in run for run in runs))
         if lacks:
             out[port.name] = lacks
     return out
+
+
+def testable(machine: Machine, runs: Sequence[Run]) -> tuple[Port, ...]:
+    """Return ports whose signals all runs hold."""
+    lacking = untestable(machine, runs)
+    return tuple(p for p in machine.ports if p.name not in lacking)

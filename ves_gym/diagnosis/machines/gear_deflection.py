@@ -170,7 +170,7 @@ def _inertias(arm: Arm, run: Run) -> Array:
     def computed() -> Array:
         return inertia(arm, run["q"].reshape(-1, run.length, arm.n)[0])
 
-    return cached(run.memory, "inertias", key, computed)  # type: ignore[no-any-return]
+    return cached(run.memory, "inertias", key, computed)
 
 
 def _noise_through(arm: Arm, run: Run, top: float) -> Array:
@@ -180,4 +180,4 @@ def _noise_through(arm: Arm, run: Run, top: float) -> Array:
     noise = cached(
         run.memory, "noise through gears", key, lambda: winding_noise(run, rotors, top)
     )
-    return noise  # type: ignore[no-any-return]
+    return noise

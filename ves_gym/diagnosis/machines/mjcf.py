@@ -132,6 +132,7 @@ class MjcfMachine:
                     names,
                     tuple("N" if slide else "N m" for slide in slides),
                     ("q", "tau"),
+                    signal="tau",
                 )
             )
         ports.append(
@@ -141,6 +142,7 @@ class MjcfMachine:
                 names,
                 tuple("m/s" if slide else "rad/s" for slide in slides),
                 ("q", "v"),
+                signal="v",
             )
         )
         self.ports = tuple(ports)

@@ -23,7 +23,7 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym._util.signals import SensorNoiseModel
-from ves_gym.diagnosis.data.measured_run import NEAR, Derived, Run, forget
+from ves_gym.diagnosis.data.measured_run import Run, forget
 from ves_gym.diagnosis.machines.arm_load import bodies_of
 from ves_gym.diagnosis.machines.vehicle_force import dynamic_stiffness
 from ves_gym.mechanics.arm import Arm
@@ -122,12 +122,8 @@ def pose_noise(run: Run, floor: Callable[[], Array]) -> PoseNoise:
         run: with q, y and w.
         floor: computes that of port `wrench` (6,) [N, N m].
     """
-    key = Derived("pose noise", frozenset({"q", "y", "w"}))
-    near = run.memory.get(NEAR, {})
-    if key in near:
-        out: PoseNoise = near[key]
-        return out
-    return run.derived(*key, lambda: PoseNoise(run, floor()))
+    signals = ("q", "y", "w")
+    return run.derived("pose noise", signals, lambda: PoseNoise(run, floor()), near=True)
 
 
 def _density(noise: SensorNoiseModel, angle: Array) -> Array:

@@ -19,11 +19,9 @@ from ves_gym._util.signals import differentiated
 from ves_gym.diagnosis.data.measured_run import (
     COMMANDED,
     NEAR,
-    Derived,
     Kinematics,
     Run,
     cached,
-    forget,
 )
 from ves_gym.diagnosis.machines.admittance import force_gap
 from ves_gym.diagnosis.machines.arm_load import (
@@ -76,7 +74,6 @@ from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import BaseEffect, Effect, TorqueEffect, joint_torque
 from ves_gym.system.system import System
 
-_N, _M = ("N",) * 3 + ("N m",) * 3, ("m",) * 3 + ("rad",) * 3
 # Of a channel's own movement: no description is better. A vehicle is never quite six
 # coordinates, and what the computer takes in and gives out is known to the last digit.
 _FLOOR = {"admittance": 8e-3}
@@ -86,16 +83,6 @@ _SWUNG = 0.3
 _OF_THE_SERVO = (*COMMANDED, "q", "tau", "controller")  # what its port needs
 _AT_REST = TorqueEffect, JointMemory  # frictions among them: they turn with noise
 _MOTIONS = 3  # remembered, each of another delay of the joints' sensors
-_SEEN = {  # port -> the signal that its residual is a part of
-    "joint": "tau",
-    "servo": "tau",
-    "velocity": "v",
-    "wrench": "w",
-    "gravity": "weight",
-    "admittance": "w",
-    "platform": "y",
-    "base": "w",
-}
 
 
 @dataclass(frozen=True)
@@ -113,6 +100,42 @@ class SystemVariant:
     clock: ClockError | None = None  # of a recorder, in a single run
 
 
+def _ports(system: System) -> Iterator[Port]:
+    """Yield the ports of a system in its mode."""
+    n = system.arm.n
+    tau, v = ((tuple(f"{k}_{i + 1}" for i in range(n))) for k in ("tau", "v"))
+    torque = tau, ("N m",) * n
+    wrench = WRENCH, ("N",) * 3 + ("N m",) * 3
+    needs: tuple[str, ...] = ("q", "tau", "y")
+    text = "motor torque less what the motion takes"
+    yield Port("joint", text, *torque, needs, COMMANDED, differentiates=True, signal="tau")
+    text = "motor torque less what the controller asks"
+    yield Port(
+        "servo", text, *torque, _OF_THE_SERVO, COMMANDED, differentiates=True, signal="tau"
+    )
+    text = "rate logged less the rate of the angle logged"
+    yield Port("velocity", text, v, ("rad/s",) * n, ("q", "v"), signal="v")
+    text, needs = "sensor reading less the arm's wrench", ("q", "y", "w")
+    yield Port("wrench", text, *wrench, needs, differentiates=True, signal="w")
+    if system.mode == "ideal":
+        text = "arm's wrench less what moves the vehicle"
+        yield Port(
+            "base", text, *wrench, ("y", "w"), differentiates=True, answers=True, signal="w"
+        )
+        return
+    settings = system.emulator_settings
+    if settings.operation == "microgravity":
+        text, needs = "weight estimate subtracted less the stated one", ("q", "y", "weight")
+        yield Port("gravity", text, *wrench, needs, signal="weight")
+    if settings.operation != "position":
+        beside = ("q", "controller") if settings.payload_compensation else ()
+        text, exact = "wrench taken in less what moves the vehicle", ("w", "weight", "q")
+        needs = ("w", "weight", "y_cmd", *beside)
+        yield Port("admittance", text, *wrench, needs, exact, signal="wg")
+    text, units = "pose less the platform's answer to its command", ("m",) * 3 + ("rad",) * 3
+    yield Port("platform", text, AXES, units, ("y", "y_cmd"), ("y_cmd",), signal="y")
+
+
 class SystemMachine:
     """Ports of a system in either mode."""
 
@@ -123,90 +146,8 @@ class SystemMachine:
         self._stated = stated or StatedErrors()
         self.system = system
         self.nominal = SystemVariant(system)
-        n = system.arm.n
-        joints = tuple(f"tau_{i + 1}" for i in range(n))
         self.name = f"{system.arm.name} on {system.vehicle.kind}, {system.mode}"
-        ports = [
-            Port(
-                "joint",
-                "motor torque less what the motion takes",
-                joints,
-                ("N m",) * n,
-                ("q", "tau", "y"),
-                COMMANDED,
-                differentiates=True,
-            ),
-            Port(
-                "servo",
-                "motor torque less what the controller asks",
-                joints,
-                ("N m",) * n,
-                _OF_THE_SERVO,
-                COMMANDED,
-                differentiates=True,
-            ),
-            Port(
-                "velocity",
-                "rate logged less the rate of the angle logged",
-                tuple(f"v_{i + 1}" for i in range(n)),
-                ("rad/s",) * n,
-                ("q", "v"),
-            ),
-            Port(
-                "wrench",
-                "sensor reading less the arm's wrench",
-                WRENCH,
-                _N,
-                ("q", "y", "w"),
-                differentiates=True,
-            ),
-        ]
-        if system.mode == "emulated" and system.emulator_settings.operation == "microgravity":
-            ports.append(
-                Port(
-                    "gravity",
-                    "weight estimate subtracted less the stated one",
-                    WRENCH,
-                    _N,
-                    ("q", "y", "weight"),
-                )
-            )
-        if system.mode == "emulated":
-            if system.emulator_settings.operation != "position":
-                beside = ("q", "controller") if _compensates(system) else ()
-                ports.append(
-                    Port(
-                        "admittance",
-                        "wrench taken in less what moves the vehicle",
-                        WRENCH,
-                        _N,
-                        ("w", "weight", "y_cmd", *beside),
-                        ("w", "weight", "q"),
-                    )
-                )
-            ports.append(
-                Port(
-                    "platform",
-                    "pose less the platform's answer to its command",
-                    AXES,
-                    _M,
-                    ("y", "y_cmd"),
-                    ("y_cmd",),
-                )
-            )
-        else:
-            ports.append(
-                Port(
-                    "base",
-                    "arm's wrench less what moves the vehicle",
-                    WRENCH,
-                    _N,
-                    ("y", "w"),
-                    differentiates=True,
-                    answers=True,
-                )
-            )
-        self.ports = tuple(ports)
+        self.ports = tuple(_ports(system))
 
     def model(
         self, effects: Sequence[Effect | SlowPath | Presliding | CompositeCause]
@@ -233,8 +174,8 @@ class SystemMachine:
 
     def floor(self, run: Run, port: str) -> Array:
         """Return (c,) standard deviation below which a residual of the port means nothing."""
-        signal = run[_SEEN[port]]
-        size = np.asarray(signal.std(axis=-2))
+        signal = next(p.signal for p in self.ports if p.name == port)
+        size = np.asarray(run["w" if signal == "wg" else signal].std(axis=-2))
         kinds = np.array_split(size, max(1, len(size) // 3))  # forces and moments apart
         share = _FLOOR.get(port, _LEAST)
         least = share * np.concatenate([np.full(len(k), max(k.max(), 1e-12)) for k in kinds])
@@ -345,26 +286,17 @@ class SystemMachine:
             single = [self._of_clock(run, m, ports) for m in models]
             return {p: np.concatenate([k[p] for k in single]) for p in ports}
         systems = [m.system for m in models]
-        residual_of = {
-            "wrench": self._wrench,
-            "gravity": self._gravity,
-            "base": lambda run, system: self._base(run, system)[0],
+        residual_of: dict[str, Callable[[], Any]] = {
+            "joint": lambda: [self._joint(run, m) for m in models],
+            "servo": lambda: [self._servo(run, m) for m in models],
+            "velocity": lambda: [self._velocity(run, s) for s in systems],
+            "wrench": lambda: [self._wrench(run, s) for s in systems],
+            "gravity": lambda: [self._gravity(run, s) for s in systems],
+            "base": lambda: [self._base(run, s)[0] for s in systems],
+            "admittance": lambda: force_gap(run, systems, self.system),
+            "platform": lambda: platform_gap(run, systems, self.system),
         }
-        out = {
-            name: np.stack([residual_of[name](run, system) for system in systems])
-            for name in ports
-            if name in residual_of
-        }
-        if "servo" in ports:
-            out["servo"] = np.stack([self._servo(run, model) for model in models])
-        if "velocity" in ports:
-            out["velocity"] = np.stack([self._velocity(run, system) for system in systems])
-        if "joint" in ports:
-            out["joint"] = np.stack([self._joint(run, model) for model in models])
-        if "admittance" in ports:
-            out["admittance"] = force_gap(run, systems, self.system)
-        if "platform" in ports:
-            out["platform"] = platform_gap(run, systems, self.system)
+        out = {port: np.stack(residual_of[port]()) for port in ports}
         for k, model in enumerate(models):
             for path in model.paths if "wrench" in ports else ():
                 direction = self._to_wrench[:, path.channel]
@@ -423,8 +355,8 @@ class SystemMachine:
 
     def _added(self, run: Run, effects: Sequence[Effect], tau: Array) -> Array:
         """Return what effects add to the motors' torques (..., T, n)."""
-        law_torque = self._law(run, effects, run.turning_rate, tau)
-        return np.asarray(law_torque + remembered_friction(run, effects))
+        out = self._law(run, effects, run.turning_rate, tau)
+        return np.asarray(out + remembered_friction(run, effects))
 
     def _told_too_much(self, run: Run, model: SystemVariant) -> Array:
         """Return what a log's torques are above the best estimate of them (..., T, n) [N m].
@@ -438,8 +370,7 @@ class SystemMachine:
         """Return (n,) what the asked counts for beside the log; none where it is not known."""
         if run.by_log or not all(k in run for k in _OF_THE_SERVO):
             return np.zeros(self.system.arm.n)
-        key = Derived("share of the asked", frozenset[str]())
-        return run.derived(*key, lambda: commanded_torque_weight(run))
+        return run.derived("share of the asked", (), lambda: commanded_torque_weight(run))
 
     def _wrench(self, run: Run, system: System) -> Array:
         """Sensor reading less the arm's wrench (..., T, 6)."""
@@ -462,7 +393,7 @@ class SystemMachine:
         def in_the_torque() -> Array:
             return noise.in_torque(arm, run["w"] - self._load(run, system)[1])
 
-        return cached(run.memory, "seen in torque", key, in_the_torque)  # type: ignore[no-any-return]
+        return cached(run.memory, "seen in torque", key, in_the_torque)
 
     def _base(self, run: Run, system: System) -> tuple[Array, System]:
         """Return the arm's wrench less what moves the vehicle (..., T, 6).
@@ -494,19 +425,16 @@ class SystemMachine:
 
     def _between(self, run: Run) -> BetweenSamples:
         """Effect of the platform's swing, as described, between the samples of a log."""
-        key = Derived("between samples", frozenset({*followed(run, self.system), "q"}))
-        near = run.memory.get(NEAR, {})  # noise hardly moves it
-        if key in near:
-            return near[key]  # type: ignore[no-any-return]
-        return run.derived(*key, lambda: between_samples(run, self.system))
+        signals = {*followed(run, self.system), "q"}
+        return run.derived(
+            "between samples", signals, lambda: between_samples(run, self.system), near=True
+        )
 
     def _reading_between(self, run: Run, system: System, loop: LoopParameters) -> Array:
         """Return what the sensor reads of the platform's swing between samples (T, 6)."""
         cutoff, platform = float(loop.sensor.cutoff[0]), _platform_of(loop)
         key = cutoff, platform
-        near = run.memory.get(NEAR, {}).get("swing", {})
-        if key in near:
-            return near[key]  # type: ignore[no-any-return]
+        near: dict[Any, Array] = run.memory.get(NEAR, {}).get("swing", {})
 
         def read() -> Array:
             between = self._between(run)
@@ -514,7 +442,7 @@ class SystemMachine:
                 between = between.on(run, system)
             return between.reading(cutoff)
 
-        return cached(run.memory, "swing", key, read)  # type: ignore[no-any-return]
+        return near[key] if key in near else cached(run.memory, "swing", key, read)
 
     @cached_property
     def _platform(self) -> tuple[float, float]:
@@ -549,33 +477,28 @@ class SystemMachine:
         return float(delays.measurement[0]), command_delay, _hardening(system), geared
 
     def _load_of(self, run: Run, system: System, arm: Arm) -> Load:
-        loads = _memoized(run, "loads", dict)
-        load_key = self._told_load(run, system, arm)
-        key, old, geared = (arm, *load_key), load_key[0], load_key[-1]
-        if key not in loads:
-            motions = _memoized(run, "motions", dict)
-            if old not in motions:
-                motions[old] = self._motion(run, old)
-                forget(motions, _MOTIONS)
-            described = self.system.actual.arm.links[-1].inertial
-            if geared:
-                loads[key] = self._load_of_geared(run, system, arm, motions[old])
-            elif arm.links[-1].inertial == described:
-                loads[key] = motions[old].load(arm)
-            else:  # forces are linear in a body's numbers
-                plain = self._load_of(run, system, with_last(arm, described))
-                loaded_body, described_body = map(
-                    numbers_of_body, (arm.links[-1].inertial, described)
-                )
-                beyond = motions[old].load_of_last(arm, loaded_body - described_body)
-                loads[key] = plain[0] + beyond[0], plain[1] + beyond[1]
-            forget(loads)
-        return loads[key]  # type: ignore[no-any-return]
+        key = (arm, *self._told_load(run, system, arm))
+        return cached(run.memory, "loads", key, lambda: self._new_load(run, system, arm))
+
+    def _new_load(self, run: Run, system: System, arm: Arm) -> Load:
+        age, *_, geared = self._told_load(run, system, arm)
+        motion = cached(
+            run.memory, "motions", age, lambda: self._motion(run, age), most=_MOTIONS
+        )
+        described, last = (a.links[-1].inertial for a in (self.system.actual.arm, arm))
+        if geared:
+            return self._load_of_geared(run, system, arm, motion)
+        if last == described:
+            return motion.load(arm)
+        # forces are linear in a body's numbers
+        plain = self._load_of(run, system, with_last(arm, described))
+        beyond = motion.load_of_last(arm, numbers_of_body(last) - numbers_of_body(described))
+        return plain[0] + beyond[0], plain[1] + beyond[1]
 
     def _motion(self, run: Run, old: float) -> MeasuredMotion:
         """Return the motion of a run whose joint measurements are this old [s]."""
         joints = run.joints_ahead(old) if old else run.joints
-        base = _memoized(run, "base", lambda: base_motion(run.base))
+        base = cached(run.memory, "base", (), lambda: base_motion(run.base))
         weighty = self.system.mode == "emulated"
         balanced = weighty and self.system.emulator_settings.joint_balance
         return MeasuredMotion(joints, run.base.x, base, weighty, balanced)
@@ -625,7 +548,7 @@ class SystemMachine:
             swing = self._between(run).rate
             return servo_gap(run, model.system, self.system.arm, model.gains, swing)
 
-        return cached(run.memory, "servo", key, gap)  # type: ignore[no-any-return]
+        return cached(run.memory, "servo", key, gap)
 
     def _velocity(self, run: Run, system: System) -> Array:
         """Rate logged less the rate of the angle logged (..., T, n) [rad/s]."""
@@ -668,13 +591,6 @@ class SystemMachine:
         return np.asarray(run["weight"] - estimate)
 
 
-def _memoized(run: Run, key: Any, make: Callable[[], Any]) -> Any:
-    """Return a quantity that follows from a run's signals alone, computed once."""
-    if key not in run.memory:
-        run.memory[key] = make()
-    return run.memory[key]
-
-
 def _platform_of(loop: LoopParameters) -> tuple[float, float]:
     """Return how much faster, and more damped, a platform is than stated."""
     return float(loop.bandwidth[0]), float(loop.damping[0])
@@ -694,11 +610,6 @@ def _without_new_modes(system: System) -> tuple[System, InternalModes | None]:
     return system.replace(effects=kept_effects), InternalModes.of(
         tuple(e.oscillator for e in new)
     )
-
-
-def _compensates(system: System) -> bool:
-    """Return True if the loop of a system predicts what the arm's inertia does."""
-    return system.emulator_settings.payload_compensation
 
 
 def _hardening(system: System) -> tuple[int, ...]:
