@@ -27,6 +27,11 @@ REACH = 1.0  # m: the mass of what is fixed to a tool is on average no farther f
 _ROUNDING = 1e-9
 _TRIES = 200
 _LOWER = np.tril_indices(4)
+# Masses of 1 kg, far and near along the axes and between them: their numbers span all ten.
+POINT_MASSES = tuple(
+    Inertial(mass=1.0, com=tuple(place), inertia=((0.0,) * 3,) * 3)
+    for place in np.vstack([np.zeros(3), np.eye(3), -np.eye(3), 1 - np.eye(3)]).tolist()
+)
 
 
 def inertia_matrix(numbers: npt.ArrayLike) -> Array:
@@ -42,6 +47,11 @@ def numbers_of_body(body: Inertial) -> Array:
     c = np.array(body.com)
     about = np.array(body.inertia) + body.mass * (c @ c * np.eye(3) - np.outer(c, c))
     return np.array([body.mass, *(body.mass * c), *(about[i, j] for i, j in PLACES)])
+
+
+def per_number() -> Array:
+    """Return (10, 10) shares of each of `POINT_MASSES` in one unit of each number."""
+    return np.linalg.inv(np.stack([numbers_of_body(point) for point in POINT_MASSES]))
 
 
 def pseudo_inertia(numbers: npt.ArrayLike) -> Array:

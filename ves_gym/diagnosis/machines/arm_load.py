@@ -19,7 +19,7 @@ from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import Kinematics, forget
 from ves_gym.engine.kernel.maps import motion_loads
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.body_numbers import numbers_of_body
+from ves_gym.mechanics.body_numbers import POINT_MASSES, per_number
 from ves_gym.mechanics.dynamics import newton_euler
 from ves_gym.mechanics.gravity import gravity_vector, mass_parameters, moment_regressor
 from ves_gym.mechanics.link import Inertial
@@ -27,9 +27,6 @@ from ves_gym.mechanics.spatial import twist, twist_rate
 
 _MANY = 300  # instants from which compiled code is faster than NumPy
 _NONE = ((0.0,) * 3,) * 3
-# Masses of 1 kg, far and near along the axes and between them: their numbers span all ten.
-_PLACES = (*np.vstack([np.zeros(3), np.eye(3), -np.eye(3), 1 - np.eye(3)]).tolist(),)
-_POINTS = tuple(Inertial(mass=1.0, com=tuple(place), inertia=_NONE) for place in _PLACES)
 _NOTHING = Inertial(mass=0.0, com=(0.0,) * 3, inertia=_NONE)
 
 BaseMotion = tuple[Array, Array, Array]
@@ -144,10 +141,9 @@ class MeasuredMotion:
             )
             loads = [
                 np.concatenate(self._load_without_rotors(with_last(empty, point)), axis=-1)
-                for point in _POINTS
+                for point in POINT_MASSES
             ]
-            numbers = np.stack([numbers_of_body(point) for point in _POINTS])
-            self._last[key] = np.tensordot(np.linalg.inv(numbers), np.stack(loads), 1)
+            self._last[key] = np.tensordot(per_number(), np.stack(loads), 1)
         both = np.tensordot(beyond, self._last[key], 1)
         return both[..., : arm.n], both[..., arm.n :]
 

@@ -8,18 +8,17 @@ without moment of inertia, or with base parameters alone) is good enough here.
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
-from xml.etree.ElementTree import Element
 
 import mujoco
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import named, read_xml
-from ves_gym.mechanics.body_numbers import PLACES
+from ves_gym.mechanics.body_numbers import POINT_MASSES, per_number
 
 JOINT_PROPERTIES = ("damping", "frictionloss", "armature")  # that laws of the library say, too
 _OFF = {  # flags that take it away
@@ -33,7 +32,6 @@ _TYPES = {
     int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
     int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
 }
-_REACH = 0.3  # m: of point masses that a body's parameters are put together from
 
 
 @dataclass(frozen=True)
@@ -52,19 +50,10 @@ class RigidBodies(Protocol):
     last: int  # the body farthest from the base that the joints move, with or without mass
 
     def load(self, q: Array, v: Array, a: Array, changes: Sequence[BodyChange] = ()) -> Array:
-        """Return (T, n) forces at the joints that a motion takes [N m, N].
-
-        Args:
-            q, v, a: (T, n) positions, rates, accelerations of the joints.
-            changes: bodies otherwise than described.
-        """
+        """Return (T, n) forces at the joints [N m, N] that a motion (T, n) takes."""
 
     def payload(self, q: Array, v: Array, a: Array) -> Array:
-        """Return (T, n, 10) forces per unit of each of `PARAMETERS` added to the last body.
-
-        Args:
-            q, v, a: (T, n) positions, rates, accelerations of the joints.
-        """
+        """Return (T, n, 10) forces per unit of each of `PARAMETERS` added to the last body."""
 
     def properties(self) -> dict[str, Array]:
         """Return (n,) each of `JOINT_PROPERTIES`."""
@@ -109,29 +98,13 @@ class MjcfBodies:
         return self._inverse(model, q, v, a)
 
     def payload(self, q: Array, v: Array, a: Array) -> Array:
-        """Return as `RigidBodies.payload`: put together from point masses, in which forces
-        are linear."""
-        none = self._inverse(self._bare(), q, v, a)
-
-        def point(*place: float) -> Array:
-            """Forces of 1 kg at a place of the last body's frame."""
+        """Return as `RigidBodies.payload`: forces of point masses span it."""
+        empty, forces = self._inverse(self._bare(), q, v, a), []
+        for point in POINT_MASSES:
             model = self._bare()
-            _add_point(model, self.last, np.array(place) * _REACH)
-            return self._inverse(model, q, v, a) - none
-
-        origin, eye = point(0, 0, 0), np.eye(3)
-        ahead, back = ([point(*(s * e)) for e in eye] for s in (1, -1))
-        moment = [(x - y) / (2 * _REACH) for x, y in zip(ahead, back, strict=True)]
-        second = {  # of the mass distribution: per sum of m x_i x_j
-            (i, i): (ahead[i] + back[i] - 2 * origin) / (2 * _REACH**2) for i in range(3)
-        }
-        for i, j in ((0, 1), (0, 2), (1, 2)):
-            both = point(*(eye[i] + eye[j]))
-            mixed = (both - ahead[i] - ahead[j] + origin) / _REACH**2
-            second[i, j] = mixed  # m x_i x_j counts twice in it, as the matrix has it twice
-        trace = sum(second[i, i] for i in range(3)) / 2
-        inertia = [trace - second[i, i] if i == j else -second[i, j] for i, j in PLACES]
-        return np.stack([origin, *moment, *inertia], axis=-1)
+            _add_point(model, self.last, np.array(point.com))
+            forces.append(self._inverse(model, q, v, a) - empty)
+        return np.moveaxis(np.tensordot(per_number(), np.stack(forces), 1), 0, -1)
 
     def _bare(self) -> mujoco.MjModel:
         model = copy.copy(self.model)
@@ -170,43 +143,39 @@ class UrdfBodies:
 
         self._pin, self.path = pin, path
         with named(f"model {path}"):
-            root = read_xml(path)
+            read_xml(path)
             try:
                 model = pin.buildModelFromUrdf(str(path))
             except (ValueError, RuntimeError) as error:
                 raise ParameterError(f"cannot be read: {error}") from None
         names = list(model.names)[1:]
-        for name in (*locked, *(j for j, _ in joints)):
-            if name not in names:
-                raise ParameterError(
-                    f"the model has no joint {name!r}; it has {', '.join(names)}"
-                )
+        for name in (k for k in locked if k not in names):
+            raise ParameterError(_lacking(name, names))
         if locked:
             ids = [model.getJointId(name) for name in locked]
             model = pin.buildReducedModel(model, ids, pin.neutral(model))
-        beside = sorted(set(names) - {j for j, _ in joints} - set(locked))
-        if beside:
-            raise ParameterError(
-                f"joints of the model without columns: {', '.join(beside)}; give their columns,"
-                " or name them in `locked`"
-            )
+        kinds = {}
+        for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
+            slides = "JointModelP" in joint.shortname()
+            kinds[name] = "" if joint.nv != 1 else "slide" if slides else "hinge"
+        _require_joints(kinds, joints, "; give their columns, or name them in `locked`")
         self._model, self._data = model, model.createData()
         self._ids = [model.getJointId(j) for j, _ in joints]
-        for (name, kind), i in zip(joints, self._ids, strict=True):
-            short = model.joints[i].shortname()
-            actual = "slide" if "JointModelP" in short else "hinge"
-            if model.joints[i].nv != 1 or actual != kind:
-                raise ParameterError(f"joint {name} is a {actual} in the model, a {kind} here")
         self._at_v = np.array([model.joints[i].idx_v for i in self._ids])
         self._massive = [i for i in range(1, model.njoints) if model.inertias[i].mass > 0]
-        links = {j.get("name"): _child(j) for j in root.iter("joint")}
-        self.bodies = tuple(links[model.names[i]] for i in self._massive)
+        links = {
+            f.parentJoint: f.name
+            for f in reversed(list(model.frames))
+            if f.type == pin.FrameType.BODY
+        }
+        self.bodies = tuple(links[i] for i in self._massive)
         self.last = int(max(range(1, model.njoints), key=lambda i: len(model.supports[i])))
-        self._joint_properties = _urdf_properties(root, [j for j, _ in joints])
 
     def properties(self) -> dict[str, Array]:
-        """Return (n,) each of `JOINT_PROPERTIES`."""
-        return self._joint_properties
+        """Return (n,) each of `JOINT_PROPERTIES`; a URDF has no armature."""
+        model = self._model
+        every = (model.damping, model.friction, np.zeros(model.nv))
+        return {k: x[self._at_v] for k, x in zip(JOINT_PROPERTIES, every, strict=True)}
 
     def load(self, q: Array, v: Array, a: Array, changes: Sequence[BodyChange] = ()) -> Array:
         """Return as `RigidBodies.load`."""
@@ -215,10 +184,8 @@ class UrdfBodies:
             model = self._model.copy()
             for change in changes:
                 inertial = model.inertias[self._massive[change.body]]
-                inertial.mass, inertial.inertia = (
-                    change.scale * inertial.mass,
-                    change.scale * inertial.inertia,
-                )
+                inertial.mass = change.scale * inertial.mass
+                inertial.inertia = change.scale * inertial.inertia
                 inertial.lever = inertial.lever + np.array(change.shift)
         Q, V, A = self._ordered(q, v, a)
         rnea, data = self._pin.rnea, self._data
@@ -276,15 +243,7 @@ def visible_parameters(bodies: RigidBodies, n: int) -> tuple[list[int], Array]:
 
 
 def joint_property(model: mujoco.MjModel, name: str) -> Array:
-    """Return a property as far as it acts and is one number per joint.
-
-    Args:
-        model: compiled.
-        name: damping, frictionloss or armature.
-
-    Returns:
-        (nv,).
-    """
+    """Return one of `JOINT_PROPERTIES` (nv,), as far as it acts and is one number a joint."""
     value = np.array(getattr(model, f"dof_{name}"))
     if any(model.opt.disableflags & int(flag) for flag in _OFF.get(name, ())):
         value[:] = 0.0
@@ -296,25 +255,34 @@ def joint_property(model: mujoco.MjModel, name: str) -> Array:
 def _addresses(model: mujoco.MjModel, joints: Sequence[tuple[str, str]]) -> tuple[Any, Any]:
     """Return the place of each joint in qpos and in qvel, (n,) each."""
     indices = {model.joint(i).name: i for i in range(model.njnt)}
-    for name, i in indices.items():
-        if int(model.jnt_type[i]) not in _TYPES:
-            raise ParameterError(
-                f"joint {name or i} of the model is neither hinge nor slide: only machines on"
-                " a fixed base, of hinges and slides, are understood"
-            )
-    for name, kind in joints:
-        if name not in indices:
-            raise ParameterError(
-                f"the model has no joint {name!r}; it has {', '.join(indices)}"
-            )
-        actual = _TYPES[int(model.jnt_type[indices[name]])]
-        if actual != kind:
-            raise ParameterError(f"joint {name} is a {actual} in the model, a {kind} here")
-    beside = sorted(set(indices) - {j for j, _ in joints})
-    if beside:
-        raise ParameterError(f"joints of the model without columns: {', '.join(beside)}")
+    kinds = {k: _TYPES.get(int(model.jnt_type[i]), "") for k, i in indices.items()}
+    _require_joints(kinds, joints)
     ids = [indices[j] for j, _ in joints]
     return model.jnt_qposadr[ids].copy(), model.jnt_dofadr[ids].copy()
+
+
+def _require_joints(
+    kinds: Mapping[str, str], joints: Sequence[tuple[str, str]], remedy: str = ""
+) -> None:
+    """Refuse joints (name, type) that a model lacks, has besides, or has of another type."""
+    for name in (k for k, kind in kinds.items() if not kind):
+        raise ParameterError(
+            f"joint {name} of the model is neither hinge nor slide: only machines on a fixed"
+            " base, of hinges and slides, are understood"
+        )
+    for name, kind in joints:
+        if name not in kinds:
+            raise ParameterError(_lacking(name, kinds))
+        if kinds[name] != kind:
+            raise ParameterError(f"joint {name} is a {kinds[name]} in the model, a {kind} here")
+    if beside := sorted(set(kinds) - {j for j, _ in joints}):
+        raise ParameterError(
+            f"joints of the model without columns: {', '.join(beside)}{remedy}"
+        )
+
+
+def _lacking(name: str, names: Iterable[str]) -> str:
+    return f"the model has no joint {name!r}; it has {', '.join(names)}"
 
 
 def _add_point(model: mujoco.MjModel, body: int, place: Array) -> None:
@@ -344,29 +312,3 @@ def _moved_apart(model: mujoco.MjModel, body: int) -> None:
     """
     model.body_sameframe[body] = 0
     model.body_simple[body] = 0
-
-
-def _child(joint: Element) -> str:
-    link = joint.find("child")
-    return "" if link is None else link.get("link", "")
-
-
-def _urdf_properties(root: Element, joints: Sequence[str]) -> dict[str, Array]:
-    """Return what <dynamics> of each joint says (n,); a URDF has no armature."""
-    dynamics = {j.get("name"): j.find("dynamics") for j in root.iter("joint")}
-
-    def number(joint: str, key: str) -> float:
-        element = dynamics.get(joint)
-        text = "0" if element is None else element.get(key, "0")
-        try:
-            return float(text)
-        except ValueError:
-            raise ParameterError(
-                f"joint {joint}: {key} must be a number, got {text!r}"
-            ) from None
-
-    return {
-        "damping": np.array([number(j, "damping") for j in joints]),
-        "frictionloss": np.array([number(j, "friction") for j in joints]),
-        "armature": np.zeros(len(joints)),
-    }
