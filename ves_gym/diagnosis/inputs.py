@@ -23,8 +23,8 @@ from ves_gym.diagnosis.machines.residual import ResidualMachine
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.diagnosis.machines.tolerances import StatedErrors
 from ves_gym.diagnosis.output.common import DescriptionFiles
+from ves_gym.diagnosis.output.mapping_file import write_parameters
 from ves_gym.diagnosis.output.mjcf_file import described, write_machine
-from ves_gym.diagnosis.output.residual_file import write_parameters
 from ves_gym.diagnosis.output.system_file import write_system
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.link import Inertial

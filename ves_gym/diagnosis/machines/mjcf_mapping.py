@@ -5,10 +5,10 @@ examples.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
@@ -33,6 +33,7 @@ from ves_gym.diagnosis.machines.tolerances import Tolerance
 from ves_gym.system.effect import Effect
 
 SCHEMA = "ves-machine/1"
+T = TypeVar("T")
 Loader = Callable[[str | os.PathLike[str]], Run]
 _MOST_PER_BAND = 100.0  # samples per period of the band's top: more say nothing more
 _PARTS = ("position", "velocity", "force")
@@ -46,18 +47,9 @@ class Column:
     gain: float = 1.0
     offset: float = 0.0
 
-    def of(self, columns: dict[str, Array], where: str, missing: bool = False) -> Array:
-        """Return the quantity (T,).
-
-        Args:
-            columns: of the file, by name.
-            where: the file, in messages.
-            missing: samples may be missing, NaN.
-
-        Raises:
-            ParameterError: the column is not there, or not finite.
-        """
-        return self.gain * column_of(columns, self.column, where, missing) + self.offset
+    def of(self, columns: dict[str, Array], where: str) -> Array:
+        """Return the quantity (T,), NaN where a sample is missing."""
+        return self.gain * column_of(columns, self.column, where, missing=True) + self.offset
 
 
 @dataclass(frozen=True)
@@ -78,13 +70,7 @@ class Clock:
             require_positive(self, "step")
 
     def of(self, columns: dict[str, Array], rows: int, where: str) -> tuple[Array, slice]:
-        """Return stamps (T,) of all rows and the rows that are used.
-
-        Args:
-            columns: of the file, by name.
-            rows: of the other columns, for a file without a clock.
-            where: the file, in messages.
-        """
+        """Return stamps (T,) of all rows and those that are used, of a file called `where`."""
         if self.column is None:
             t = float(self.step or 0.0) * np.arange(rows) + self.offset
         else:
@@ -169,11 +155,7 @@ class MachineFile:
                 raise ParameterError(f"joint {lacks} has no {what}, others have")
 
     def machine(self, model: mujoco.MjModel | RigidBodies | None) -> MjcfMachine:
-        """The machine.
-
-        Raises:
-            ParameterError: nothing of it can be compared.
-        """
+        """The machine, if something of it can be compared."""
         rates, forces = (any(getattr(j, k) for j in self.joint) for k in ("velocity", "force"))
         if not rates and (model is None or not forces):
             raise ParameterError(
@@ -208,50 +190,68 @@ class MachineFile:
         return tuple(out)
 
     def run(self, columns: dict[str, Array], name: str) -> Run:
-        """A run from the columns of a file, sampled at most `_MOST_PER_BAND` times the band.
-
-        Rows in which a joint lacks a number are left out, and a note counts them.
+        """Return a run from the columns of a file.
 
         Raises:
-            ParameterError: columns missing, not finite or of different lengths, a clock that
-                runs backwards or has gaps, or too slow or short for the band.
+            ParameterError: as `read_signals`; too slow or short for the band.
         """
-        parts = {"q": [sum_of(j.position, columns, name) for j in self.joint]}
-        if self.joint[0].velocity:
-            parts["v"] = [sum_of(j.velocity, columns, name) for j in self.joint]
-        if self.joint[0].force:
-            parts["tau"] = [sum_of(j.force, columns, name) for j in self.joint]
-        t, used = self.time.of(columns, len(parts["q"][0]), name)
-        for key, series in parts.items():
-            for joint, x in zip(self.joint, series, strict=True):
-                if x.shape != t.shape:
-                    raise ParameterError(
-                        f"{name}: {key} of {joint.name} has {len(x)} rows, the clock {len(t)}"
-                    )
-        signals = {key: np.stack(series, axis=1)[used] for key, series in parts.items()}
-        complete = np.all([np.isfinite(x).all(axis=1) for x in signals.values()], axis=0)
-        meta: dict[str, Any] = {"noise_std": self.noise.by_signal}
-        if lacking := int(np.sum(~complete)):
-            text = f"{name}: {lacking} of {len(complete)} rows lack a number and are left out"
-            meta["notes"] = [text]
-        t = t[used][complete]
-        if len(t) < 2:
-            raise ParameterError(f"{name}: no row has a number in every column that is used")
-        require_steady(t, name)
-        signals = {key: x[complete] for key, x in signals.items()}
+        has = {"q": "position", "v": "velocity", "tau": "force"}
+        channels = {
+            key: [getattr(joint, what) for joint in self.joint]
+            for key, what in has.items()
+            if getattr(self.joint[0], what)
+        }
+        t, signals, notes = read_signals(channels, self.time, columns, name)
+        meta = {"noise_std": self.noise.by_signal, "notes": notes}
         return sampled_run(t, signals, name, self.band, meta)
+
+
+def read_signals(
+    channels: Mapping[str, Sequence[Sequence[Column]]],
+    clock: Clock | None,
+    columns: dict[str, Array],
+    name: str,
+) -> tuple[Array, dict[str, Array], list[str]]:
+    """Return stamps (T,), signals (T, c) and notes; rows that lack a number are left out.
+
+    Args:
+        channels: columns that add up to each channel of a signal.
+        clock: None: samples without one, whose stamps are their numbers.
+        columns: of the file, by name.
+        name: of the file, in messages.
+
+    Raises:
+        ParameterError: columns missing, infinite or of different lengths, a clock that runs
+            backwards or has gaps.
+    """
+    signals: dict[str, Array] = {}
+    rows = [len(x) for x in columns.values()]
+    for key, listed in channels.items():
+        parts = [[c.of(columns, name) for c in channel] for channel in listed]
+        rows = [len(x) for channel in parts for x in channel]
+        if len(set(rows)) > 1:
+            raise ParameterError(f"{name}: columns of {key} have {sorted(set(rows))} rows")
+        signals[key] = np.stack([np.sum(channel, axis=0) for channel in parts], axis=1)
+    t, used = np.arange(rows[0], dtype=float), slice(None)
+    if clock is not None:
+        t, used = clock.of(columns, rows[0], name)
+    for key, x in signals.items():
+        if len(x) != len(t):
+            raise ParameterError(f"{name}: {key} has {len(x)} rows, the clock {len(t)}")
+    whole = np.all([np.isfinite(x[used]).all(axis=1) for x in signals.values()], axis=0)
+    lacking = int(np.sum(~whole))
+    text = f"{name}: {lacking} of {len(whole)} rows lack a number and are left out"
+    t = t[used][whole]
+    if len(t) < 2:
+        raise ParameterError(f"{name}: no row has a number in every column that is used")
+    require_steady(t, name)
+    return t, {k: x[used][whole] for k, x in signals.items()}, [text] * bool(lacking)
 
 
 def sampled_run(
     t: Array, signals: dict[str, Array], name: str, band: float, meta: dict[str, Any]
 ) -> Run:
-    """Return a run; signals sampled far faster than the band are down-sampled first.
-
-    Args:
-        t: (T,) time stamps [s].
-        signals: (T, c) each.
-        name, band, meta: as of `run_of_signals`.
-    """
+    """Return a run, down-sampled first to at most `_MOST_PER_BAND` times the band."""
     rate = (len(t) - 1) / float(t[-1] - t[0])
     factor = int(rate // (_MOST_PER_BAND * band))
     if factor > 1:
@@ -268,36 +268,25 @@ def sampled_run(
     return run_of_signals(t, signals, name, band, meta)
 
 
-def sum_of(parts: tuple[Column, ...], columns: dict[str, Array], where: str) -> Array:
-    """Return the sum (T,) of several columns, NaN where a sample is missing.
-
-    Args:
-        parts: to add up.
-        columns: of the file, by name.
-        where: the file, in messages.
-    """
-    values = [part.of(columns, where, missing=True) for part in parts]
-    return np.asarray(np.sum(values, axis=0))
-
-
-def machine_of(table: dict[str, Any], path: Path) -> tuple[MachineFile, MjcfMachine]:
-    """Return the content of a mapping file that is, or would be, at `path`, and its machine.
-
-    Args:
-        table: content as plain data.
-        path: models are found from its folder.
-
-    Raises:
-        ParameterError: naming file and key.
-    """
+def read_as(read: Callable[[], T], path: Path) -> T:
+    """Return what is read, with the file's name in front of what is wrong with it."""
     try:
-        file: MachineFile = from_plain(MachineFile, _listed(table), str(path))
-        return file, file.machine(_model_of(file, path.parent))
+        return read()
     except ParameterError as error:
         text = str(error)
         raise ParameterError(
             text if text.startswith(str(path)) else f"{path}: {text}"
         ) from None
+
+
+def machine_of(table: dict[str, Any], path: Path) -> tuple[MachineFile, MjcfMachine]:
+    """Return the content of a mapping file that is, or would be, at `path`, and its machine."""
+
+    def read() -> tuple[MachineFile, MjcfMachine]:
+        file: MachineFile = from_plain(MachineFile, _listed(table), str(path))
+        return file, file.machine(_model_of(file, path.parent))
+
+    return read_as(read, path)
 
 
 def _listed(table: dict[str, Any]) -> dict[str, Any]:

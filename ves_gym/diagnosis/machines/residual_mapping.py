@@ -18,8 +18,14 @@ from ves_gym._util.params import (
     require_positive,
     unit,
 )
-from ves_gym.diagnosis.data.measured_run import BAND, Run, require_steady
-from ves_gym.diagnosis.machines.mjcf_mapping import Clock, Column, sampled_run
+from ves_gym.diagnosis.data.measured_run import BAND, Run
+from ves_gym.diagnosis.machines.mjcf_mapping import (
+    Clock,
+    Column,
+    read_as,
+    read_signals,
+    sampled_run,
+)
 from ves_gym.diagnosis.machines.residual import MACHINES, ResidualMachine, samples
 
 SCHEMA = "ves-residual/1"
@@ -57,26 +63,14 @@ class ResidualFile:
         )
 
     def run(self, columns: dict[str, Array], name: str) -> Run:
-        """Return a run from the columns of a file.
-
-        Raises:
-            ParameterError: columns missing or of different lengths, a clock with gaps.
-        """
-        parts = {
-            key: [c.of(columns, name) for c in listed] for key, listed in self.signals.items()
-        }
-        lengths = {len(x) for series in parts.values() for x in series}
-        if len(lengths) > 1:
-            raise ParameterError(f"{name}: columns have {sorted(lengths)} rows")
-        signals = {key: np.stack(series, axis=1) for key, series in parts.items()}
+        """Return a run from the columns of a file; as `MachineFile.run`."""
+        channels = {key: [(c,) for c in listed] for key, listed in self.signals.items()}
+        t, signals, notes = read_signals(channels, self.time, columns, name)
         if self.time is None:
             return samples(name, signals, self.noise)
-        t, used = self.time.of(columns, max(lengths), name)
-        t = t[used]
-        require_steady(t, name)
-        signals = {key: x[used] for key, x in signals.items()}
         noise = {**self._at_rest(t, signals, name), **self.noise}
-        return sampled_run(t, signals, name, self.band, {"noise_std": noise})
+        meta = {"noise_std": noise, "notes": notes}
+        return sampled_run(t, signals, name, self.band, meta)
 
     def _at_rest(self, t: Array, signals: dict[str, Array], name: str) -> dict[str, Any]:
         """Standard deviations of all signals while nothing moves."""
@@ -91,20 +85,10 @@ class ResidualFile:
 def residual_machine_of(
     table: dict[str, Any], path: Path
 ) -> tuple[ResidualFile, ResidualMachine]:
-    """Return the content of a mapping file that is, or would be, at `path`, and its machine.
+    """Return the content of a mapping file that is, or would be, at `path`, and its machine."""
 
-    Args:
-        table: content as plain data.
-        path: files that it names are found from its folder.
-
-    Raises:
-        ParameterError: naming file and key.
-    """
-    try:
+    def read() -> tuple[ResidualFile, ResidualMachine]:
         file: ResidualFile = from_plain(ResidualFile, table, str(path))
         return file, file.found(path.parent)
-    except ParameterError as error:
-        text = str(error)
-        raise ParameterError(
-            text if text.startswith(str(path)) else f"{path}: {text}"
-        ) from None
+
+    return read_as(read, path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,23 +33,15 @@ class DescriptionFiles:
 def difference(
     machine: Machine, model: Any, other: Machine, other_model: Any, runs: Sequence[Run]
 ) -> float:
-    """Return the largest difference of any port's residual under two models.
+    """Return the largest difference of any port's residual under two models of two machines.
 
-    Args:
-        machine, model: one description.
-        other, other_model: the other.
-        runs: that the ports play.
-
-    Returns:
-        In parts of the largest number of its channel's kind that the ports see.
+    It is in parts of the largest number of its channel's kind that the ports see.
     """
     worst = 0.0
     ports = [p.name for p in testable(machine, runs)]
     for run in runs:
-        a, b = (
-            machine.residuals(run, [model], ports),
-            other.residuals(run, [other_model], ports),
-        )
+        a = machine.residuals(run, [model], ports)
+        b = other.residuals(run, [other_model], ports)
         for name in ports:
             size = machine.floor(run, name) * 1e3  # the floor is a thousandth of what is seen
             worst = max(worst, float(np.max(np.abs(a[name] - b[name]) / size)))
@@ -58,11 +49,7 @@ def difference(
 
 
 def require_same(deviation: float, where: Path) -> None:
-    """Refuse a file that does not reproduce the diagnosis.
-
-    Args:
-        deviation: of residuals after reading back, see `difference`.
-        where: the file, in the message.
+    """Refuse a file whose residuals deviate from those found, see `difference`.
 
     Raises:
         ParameterError: the deviation is above `SAME`.
@@ -75,17 +62,6 @@ def require_same(deviation: float, where: Path) -> None:
 
 
 def unified_diff(old: str, new: str, names: tuple[str, str]) -> str:
-    """Return a unified diff.
-
-    Args:
-        old, new: texts.
-        names: of the two.
-    """
+    """Return a unified diff of two texts with these names."""
     lines = difflib.unified_diff(old.splitlines(), new.splitlines(), *names, n=2, lineterm="")
     return "\n".join(lines)
-
-
-def rename_files(pairs: Sequence[tuple[Path, Path]]) -> None:
-    """Give files their final names, the last one last: pairs (written, final)."""
-    for source, target in pairs:
-        os.replace(source, target)

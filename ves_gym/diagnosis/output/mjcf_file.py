@@ -11,9 +11,6 @@ rest, and all that a machine in URDF lacks, into the mapping file.
 from __future__ import annotations
 
 import copy
-import os
-import tempfile
-import tomllib
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,30 +19,17 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import (
-    Array,
-    ParameterError,
-    content_hash,
-    read_table,
-    to_plain,
-    write_text,
-)
+from ves_gym._util.params import Array, ParameterError, content_hash, read_table, to_plain
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.machines.causes import split
 from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
 from ves_gym.diagnosis.machines.mjcf_mapping import machine_of
 from ves_gym.diagnosis.machines.rigid_bodies import joint_property
-from ves_gym.diagnosis.output.common import (
-    DescriptionFiles,
-    difference,
-    rename_files,
-    require_same,
-    unified_diff,
-)
+from ves_gym.diagnosis.output.common import DescriptionFiles
+from ves_gym.diagnosis.output.mapping_file import MAPPING, MODEL, path_from, write_mapping
 from ves_gym.system.effect import Effect
 
-MAPPING, MODEL = "machine.toml", "model.xml"
 _MJCF_ATTRIBUTES = {  # effect -> (its numbers, attribute of a joint, power of a slide's radius)
     "joint/viscous": ("damping", "damping", -2),
     "joint/coulomb": ("torque", "frictionloss", -1),
@@ -59,9 +43,9 @@ _FOLDERS = ("assetdir", "meshdir", "texturedir")
 class _Split:
     """Effects by the file that holds them."""
 
-    model: ET.Element | None  # changed
-    table: tuple[Effect, ...]
-    notes: tuple[str, ...]
+    model: ET.Element | None  # changed; None: there is no MJCF
+    table: Sequence[Effect]
+    notes: Sequence[str]
 
 
 def write_machine(
@@ -81,86 +65,34 @@ def write_machine(
         ParameterError: the folder holds the files that are read; what is read back differs.
     """
     table = read_table(mapping)
-    source = None if machine.mjcf is None else mapping.parent / table["model"]
-    for name, read in ((MAPPING, mapping), (MODEL, source)):
-        if read is not None and (folder / name).resolve() == read.resolve():
-            raise ParameterError(f"--out {folder} would overwrite {read}: take another folder")
-    changes = [e for e in split(effects) if isinstance(e, (RateError, CarriedBody, Shaft))]
-    model_effects = [e for e in split(effects) if e not in changes]
-    variant = machine.model(effects)
-    inside = _split(source, machine, model_effects)
-    beside = (
-        _Split(None, tuple(model_effects), tuple(f"{_kind(e)}: in {MAPPING}" for e in effects))
-        if source is None
-        else _plain(source, model_effects)
-    )
-    last: ParameterError | None = None
-    for part in (inside, beside) if inside.model is not None else (beside,):
+    source = mapping.parent / table["model"] if machine.mjcf else None
+    changes = [e for e in split(effects) if type(e) in _TABLES]
+    laws = [e for e in split(effects) if type(e) not in _TABLES]
+    notes = [f"{_kind(e)}: in {MAPPING}" for e in effects]
+    parts = [_Split(None if source is None else _read(source), laws, notes)]
+    if source is not None and (inside := _split(source, machine, laws)):
+        parts.insert(0, inside)
+    for part in parts:
+        additions = {key: list(table.get(key, ())) for key in ("effect", *_TABLES.values())}
+        additions["effect"] += map(to_plain, part.table)
+        for change in changes:
+            additions[_TABLES[type(change)]].append(to_plain(change))
+        new = {**table, **{key: entries for key, entries in additions.items() if entries}}
+        model = None
+        if source is not None and part.model is not None:
+            new["model"] = MODEL
+            moved = _text(_moved(part.model, source.parent, folder))
+            model = source, _text(_read(source)), moved
+        elif machine.bodies is not None:  # a URDF stays where it is
+            new["model"] = path_from(folder, mapping.parent / table["model"])
         try:
-            return _written(
-                table, mapping, source, part, changes, folder, machine, variant, runs
+            return write_mapping(
+                mapping, new, machine_of, machine, effects, folder, runs, part.notes, model
             )
-        except ParameterError as error:
-            last = error
-    assert last is not None
-    raise last
-
-
-def _written(
-    table: dict[str, Any],
-    mapping: Path,
-    source: Path | None,
-    part: _Split,
-    changes: Sequence[RateError | CarriedBody | Shaft],
-    folder: Path,
-    machine: MjcfMachine,
-    variant: Any,
-    runs: Sequence[Run],
-) -> DescriptionFiles:
-    import tomli_w
-
-    additions: dict[str, list[Any]] = {
-        key: list(table.get(key, ())) for key in ("effect", "rate", "payload", "shaft")
-    }
-    additions["effect"] += map(to_plain, part.table)
-    for change in changes:
-        additions[_TABLES[type(change)]].append(to_plain(change))
-    new = {**table, **{key: entries for key, entries in additions.items() if entries}}
-    if source is not None:
-        new["model"] = MODEL
-    elif machine.bodies is not None:  # a URDF stays where it is
-        there = (mapping.parent / table["model"]).resolve()
-        new["model"] = Path(os.path.relpath(there, folder.resolve())).as_posix()
-    text = tomli_w.dumps(new)
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as inner:
-        pairs = [(Path(inner) / MAPPING, folder / MAPPING)]
-        model_text = ""
-        if source is not None:
-            assert part.model is not None
-            near = Path(inner) / MODEL  # files it names are found from where it will be
-            model_text = _text(_moved(part.model, source.parent, folder))
-            write_text(near, _text(_moved(part.model, source.parent, Path(inner))))
-            pairs.insert(0, (near, folder / MODEL))
-        write_text(pairs[-1][0], text)
-        where = pairs[-1][0] if source is not None else folder / MAPPING
-        reloaded = machine_of(tomllib.loads(text), where)[1]
-        deviation = difference(machine, variant, reloaded, reloaded.nominal, runs)
-        require_same(deviation, folder / MAPPING)
-        if source is not None:
-            write_text(pairs[0][0], model_text)
-        rename_files(pairs)
-    diff = [unified_diff(tomli_w.dumps(table), text, (mapping.name, MAPPING))]
-    if source is not None:
-        diff.append(unified_diff(_text(_read(source)), model_text, (source.name, MODEL)))
-    files = tuple(there for _, there in reversed(pairs))
-    return DescriptionFiles(
-        files=files,
-        digest=content_hash([new, model_text]),
-        plain={"machine_file": new, "model": model_text},
-        diff="\n".join(d for d in diff if d),
-        difference=deviation,
-        notes=part.notes,
-    )
+        except ParameterError:
+            if part is parts[-1]:
+                raise
+    raise AssertionError("no part")
 
 
 def described(mapping: Path) -> str:
@@ -175,12 +107,6 @@ def described(mapping: Path) -> str:
 # -------------------------------------------------------------------------- the model
 
 
-def _plain(source: Path, effects: Sequence[Effect]) -> _Split:
-    """The model as it is, all effects in the mapping file."""
-    notes = tuple(f"{e.kind}: in {MAPPING}" for e in effects)
-    return _Split(_read(source), tuple(effects), notes)
-
-
 def _kind(effect: Any) -> str:
     """Kind of an effect, or what a change of the machine is called."""
     return getattr(effect, "kind", "") or " and ".join(
@@ -188,10 +114,9 @@ def _kind(effect: Any) -> str:
     )
 
 
-def _split(source: Path | None, machine: MjcfMachine, effects: Sequence[Effect]) -> _Split:
-    """The model with what it can hold."""
-    if source is None or machine.mjcf is None:
-        return _Split(None, tuple(effects), ())
+def _split(source: Path, machine: MjcfMachine, effects: Sequence[Effect]) -> _Split | None:
+    """The model with what it can hold; None where it cannot hold an effect."""
+    assert machine.mjcf is not None
     root = _read(source)
     joints = [_only(root, j.name) for j in machine.joints]
     radius = np.array([j.radius for j in machine.joints])
@@ -215,10 +140,10 @@ def _split(source: Path | None, machine: MjcfMachine, effects: Sequence[Effect])
         present = joint_property(machine.mjcf.model, attribute)[machine.mjcf.dof]
         for joint, base_value, add in zip(joints, present, value, strict=True):
             if add and joint is None:  # named by <attach> or <replicate>
-                return _Split(None, tuple(effects), ())
+                return None
             if add and joint is not None:
                 joint.set(attribute, repr(float(base_value + add)))
-    return _Split(root, tuple(remaining), tuple(notes))
+    return _Split(root, remaining, notes)
 
 
 def _only(root: ET.Element, name: str) -> ET.Element | None:
@@ -281,7 +206,7 @@ def _moved(root: ET.Element, old: Path, new: Path) -> ET.Element:
     def there(folder: str) -> str:
         if Path(folder).is_absolute():
             return folder
-        return Path(os.path.relpath((old / folder).resolve(), new.resolve())).as_posix()
+        return path_from(new, old / folder)
 
     declared = False
     for compiler in root.iter("compiler"):

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import tempfile
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
+from ves_gym._util.params import to_plain, toml
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.diagnosis.output.closed_loop_replay import compare_replays
 from ves_gym.diagnosis.output.common import (
     DescriptionFiles,
     difference,
-    rename_files,
     require_same,
     unified_diff,
 )
@@ -42,26 +42,19 @@ def write_system(
     Raises:
         ParameterError: what is read back plays otherwise.
     """
-    import tomli_w
-
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as inner:
-        near = Path(inner) / NAME
-        better.save(near)
-        reloaded = System.load(near)
-        original, restored = SystemMachine(better), SystemMachine(reloaded)
-        deviation = difference(
-            original, original.nominal, restored, restored.nominal, [*runs, *final]
-        )
-        require_same(deviation, folder / NAME)
-        played = (
-            compare_replays(described, better, reloaded, final or runs[:1]) if free else None
-        )
-        if played is not None and played.gaps:
-            require_same(played.difference, folder / NAME)
-        rename_files([(near, folder / NAME)])
-    old, new = (tomli_w.dumps(s.to_dict()) for s in (described, better))
+    old, new = (toml(to_plain(s)) for s in (described, better))
+    target = folder / NAME
+    reloaded = System.from_dict(tomllib.loads(new), str(target))
+    original, restored = SystemMachine(better), SystemMachine(reloaded)
+    every = [*runs, *final]
+    deviation = difference(original, original.nominal, restored, restored.nominal, every)
+    require_same(deviation, target)
+    played = compare_replays(described, better, reloaded, final or runs[:1]) if free else None
+    if played is not None and played.gaps:
+        require_same(played.difference, target)
+    better.save(target)
     return DescriptionFiles(
-        files=(folder / NAME,),
+        files=(target,),
         digest=better.hash,
         plain={"system": better.to_dict()},
         diff=unified_diff(old, new, ("described", NAME)),
