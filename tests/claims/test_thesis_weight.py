@@ -22,7 +22,7 @@ from examples.thesis_weight.diagnose import (
     write_logs,
 )
 from ves_gym.diagnosis.constants import EXCESS
-from ves_gym.diagnosis.diagnose import MORE, UNKNOWN, added
+from ves_gym.diagnosis.diagnose import MORE, UNKNOWN
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.gravity import GravityModel, minimal_model
 from ves_gym.simulation.gravity_calibration import calibration_poses
@@ -81,7 +81,7 @@ def test_what_is_missing_is_not_in_the_library(files):
     found = verdict(MEASURED, files)
     print(found.sentence, [f.candidate.name for f in found.explanations], stretched(found))
     assert found.verdict == UNKNOWN
-    assert added(found) == ()
+    assert found.effects == ()
     # where it went beside: into tolerances of the arm, far beyond what those allow
     name, size = stretched(found)[0]
     assert name.startswith("centre of mass") and size >= 4.6

@@ -116,7 +116,7 @@ def test_a_gain_is_named_and_the_gap_shrinks(found):
     assert found.final[worst].port == "joint" and found.final[worst].channel == "tau_2"
     assert after[worst] ** 2 - 1 < 0.1 * (before[worst] ** 2 - 1)
     assert (after <= 1.02 * np.maximum(before, 1)).all()  # no other channel is worse
-    better = found.residuals.machine.model(d.added(found)).system
+    better = found.residuals.machine.model(found.effects).system
     assert System.from_dict(better.to_dict()) == better
 
 
@@ -152,7 +152,7 @@ def test_what_is_chosen_but_scores_too_low_alone_is_fitted_alone(found, monkeypa
 
 
 def test_rivals_come_with_an_experiment_and_the_map_with_every_group(found):
-    told = d.plain(found)
+    told = found.to_dict()
     assert {g["port"] for g in told["where"]} == {p.name for p in found.residuals.ports}
     worst = max(told["where"], key=lambda g: g["before"])
     assert (worst["port"], worst["channel"]) == ("joint", "tau_2")

@@ -48,7 +48,7 @@ def test_friction_of_the_emps_axis_is_named():
     assert named["joint/asymmetry"][1] == pytest.approx((166.7 - 240.4) / 2, rel=0.05)
     assert named["joint/measurement_delay"][0] == pytest.approx(0.84e-3, rel=0.1)
     error = runpy.run_path(str(ROOT / "examples" / "emps" / "diagnose.py"))["force_error"]
-    better = machine.model(d.added(found))
+    better = machine.model(found.effects)
     assert error(machine, final, machine.nominal) > 0.6
     assert error(machine, final, better) <= 0.03
 

@@ -32,7 +32,6 @@ from ves_gym.cli.flags import (
     text,
 )
 from ves_gym.cli.machine import EFFECT, arm_flags
-from ves_gym.mechanics.servo import JointServo
 from ves_gym.planners.case import Case
 from ves_gym.system.system import System
 from ves_gym.system.system_library import get_system
@@ -133,7 +132,7 @@ def diagnose(
         raise
     late = () if as_logged else inputs.final
     doubts = [suspected_mistake(inputs.machine, run, inputs.mistakes) for run in late]
-    written = inputs.write(d.added(diagnosis), folder, not no_free_run)
+    written = inputs.write(diagnosis.effects, folder, not no_free_run)
     designed = None
     if not no_experiment:
         designed = _next_motion(at, diagnosis, system, log, folder)
@@ -199,8 +198,8 @@ def _next_motion(
         system=system or diagnosis.system, motion=designed.motion, seed=at.seed, log=log
     )
     run = diagnosis.residuals.runs[0]
-    if "controller" in run:
-        case = replace(case, servo=JointServo(**run.meta["controller"]))
+    if run.servo is not None:
+        case = replace(case, servo=run.servo)
     case.save(file)
     write_text(table, designed.table(diagnosis.residuals.machine.system.control_dt))
     words = ["ves-gym", "simulate", "--case", str(file), "--settle", "0"]

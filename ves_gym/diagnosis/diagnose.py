@@ -116,8 +116,16 @@ class Diagnosis(Viewable):
 
     @property
     def effects(self) -> tuple[Any, ...]:
-        """Effects that a better description has beside those described."""
-        return added(self)
+        """Effects that a better description has beside those described.
+
+        The course of a drift becomes its size. Where there is no name, the best that the
+        library can do is not added; a torque that holds on the runs held back is, as
+        `joint/unknown`.
+        """
+        if self.verdict not in (*NAMING_VERDICTS, UNKNOWN):
+            return ()
+        effects = split((self.unnamed or self.selection.fit).effects)
+        return tuple(e.effect if isinstance(e, SlowPath) else e for e in effects)
 
     @property
     def system(self) -> System:
@@ -137,7 +145,7 @@ class Diagnosis(Viewable):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data; a number that is not known is None."""
-        return plain(self)
+        return _to_plain(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write verdict and numbers as JSON; `system.save` writes the better description."""
@@ -434,20 +442,7 @@ def _verdict_despite_faults(
     return MORE if verdict in NAMING_VERDICTS and not all(f.shared for f in faulty) else verdict
 
 
-def added(diagnosis: Diagnosis) -> tuple[Any, ...]:
-    """Return the effects that a better description has; the course of a drift becomes its size.
-
-    Where there is no name, the best that the library can do is not added; a torque that holds
-    on the runs held back is, as `joint/unknown`.
-    """
-    if diagnosis.verdict not in (*NAMING_VERDICTS, UNKNOWN):
-        return ()
-    fitted = diagnosis.unnamed or diagnosis.selection.fit
-    return tuple(e.effect if isinstance(e, SlowPath) else e for e in split(fitted.effects))
-
-
-def plain(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return the diagnosis as data for JSON; a number that is not known is None."""
+def _to_plain(diagnosis: Diagnosis) -> dict[str, Any]:
     ranking = ranked(
         diagnosis.signatures,
         diagnosis.selection.null,
@@ -491,15 +486,11 @@ def plain(diagnosis: Diagnosis) -> dict[str, Any]:
         "off": [dataclasses.asdict(e) for e in diagnosis.off],
         "remaining": diagnosis.remaining,
         "remaining_allowed": EXCESS,
-        "gap_before": {f"{g.port}/{g.channel}": g.before for g in diagnosis.gaps},
-        "gap_after": {f"{g.port}/{g.channel}": g.after for g in diagnosis.gaps},
-        "gap_intervals": _intervals(diagnosis.gaps),
-        "final_intervals": _intervals(diagnosis.final),
+        **_gaps_to_plain("gap", diagnosis.gaps),
+        **_gaps_to_plain("final", diagnosis.final),
         "worse": [
             f"{g.port}/{g.channel}" for g in diagnosis.final or diagnosis.gaps if g.worse
         ],
-        "final_before": {f"{g.port}/{g.channel}": g.before for g in diagnosis.final},
-        "final_after": {f"{g.port}/{g.channel}": g.after for g in diagnosis.final},
         "untestable": {
             port: [_LOGGED.get(k, k) for k in lacks]
             for port, lacks in diagnosis.untestable.items()
@@ -529,24 +520,21 @@ def _null_to_plain(diagnosis: Diagnosis) -> dict[str, Any]:
 
 def _row_to_plain(row: Hypothesis) -> dict[str, Any]:
     """A row of the table; evidence is -2 log p."""
-    return {
-        "names": list(row.names),
-        "unnamed": list(row.unnamed),
-        "fitted": row.fitted,
-        "held_back": row.held_back,
-        "probability": row.probability,
-    }
+    out: dict[str, Any] = {"names": list(row.names), "unnamed": list(row.unnamed)}
+    return out | {k: getattr(row, k) for k in ("fitted", "held_back", "probability")}
 
 
-def _intervals(gaps: Sequence[Gap]) -> dict[str, dict[str, tuple[float, float]]]:
-    """95 % of each gap before, after, and of their ratio."""
+def _gaps_to_plain(of: str, gaps: Sequence[Gap]) -> dict[str, Any]:
+    """Gap of every channel before and after, and 95 % of these and of their ratio."""
+    named = {f"{g.port}/{g.channel}": g for g in gaps}
+    parts = ("before", "after", "ratio")
     return {
-        f"{g.port}/{g.channel}": {
-            "before": g.before_interval,
-            "after": g.after_interval,
-            "ratio": g.ratio_interval,
-        }
-        for g in gaps
+        f"{of}_before": {k: g.before for k, g in named.items()},
+        f"{of}_after": {k: g.after for k, g in named.items()},
+        f"{of}_intervals": {
+            k: {part: getattr(g, f"{part}_interval") for part in parts}
+            for k, g in named.items()
+        },
     }
 
 
@@ -557,7 +545,9 @@ def _explanation_to_plain(f: Explanation) -> dict[str, Any]:
         "slot": c.slot,
         "name": c.name,
         "value": dict(zip(c.names, f.values.tolist(), strict=True)),
-        "std": dict(zip(c.names, map(_finite, f.std), strict=True)),
+        "std": dict(
+            zip(c.names, (x if np.isfinite(x) else None for x in f.std.tolist()), strict=True)
+        ),
         "interval": dict(zip(c.names, _intervals_90(f), strict=True)),  # 90 %
         "unit": dict(zip(c.names, c.units, strict=True)),
         "gain": f.gain,
@@ -568,17 +558,10 @@ def _explanation_to_plain(f: Explanation) -> dict[str, Any]:
 
 def _intervals_90(f: Explanation) -> list[tuple[float, float] | None]:
     """Return 90 % intervals within the bounds; None where a number has no finite deviation."""
-    out: list[tuple[float, float] | None] = []
-    for x, std, low, high in zip(
-        f.values.tolist(), f.std.tolist(), f.candidate.low, f.candidate.high, strict=True
-    ):
-        finite = np.isfinite(std)
-        out.append((max(low, x - WIDE * std), min(high, x + WIDE * std)) if finite else None)
-    return out
-
-
-def _finite(x: float) -> float | None:
-    return float(x) if np.isfinite(x) else None
+    low = np.maximum(f.candidate.low, f.values - WIDE * f.std).tolist()
+    high = np.minimum(f.candidate.high, f.values + WIDE * f.std).tolist()
+    ends = zip(low, high, np.isfinite(f.std), strict=True)
+    return [(a, b) if finite else None for a, b, finite in ends]
 
 
 def _ranked_to_plain(r: RankedCandidate, diagnosis: Diagnosis) -> dict[str, Any]:

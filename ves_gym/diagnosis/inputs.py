@@ -108,22 +108,25 @@ def system_inputs(
         for log, path in zip(logs, paths, strict=True)
     ]
     nominal, ports = machine.system, [p.name for p in machine.ports]
-    fitted_runs = [runs[i] for i in fitted]
-    names = [r.name for r in fitted_runs]
-    stretch = machine.stretch(fitted_runs)
-    travel = machine.travel(fitted_runs)
-    candidates = library(nominal.arm.n, ports, nominal.mode, names, stretch, nominal, travel)
+    fitted_runs, final_runs = ([runs[i] for i in k] for k in (fitted, held_back))
+    candidates = library(
+        nominal.arm.n,
+        ports,
+        nominal.mode,
+        [r.name for r in fitted_runs],
+        machine.stretch(fitted_runs),
+        nominal,
+        machine.travel(fitted_runs),
+    )
 
     def write(effects: Sequence[Any], folder: Path, free: bool) -> DescriptionFiles:
         better = machine.model(effects).system
-        return write_system(
-            nominal, better, folder, fitted_runs, [runs[i] for i in held_back], free
-        )
+        return write_system(nominal, better, folder, fitted_runs, final_runs, free)
 
     return DiagnosisInputs(
         machine=machine,
         runs=tuple(fitted_runs),
-        final=tuple(runs[i] for i in held_back),
+        final=tuple(final_runs),
         candidates=tuple(without(candidates, leave_out)),
         digests={p.name: log.digest for p, log in zip(paths, logs, strict=True)},
         described=nominal.hash,
@@ -153,29 +156,15 @@ def mjcf_inputs(
     paths = [Path(text) for text in sources]
     _require_distinct(paths)
     logged = [load(path) for path in paths]
-    fitted, held_back = _split(len(logged), (), final)
-    runs, gains = logged, list[str]()
-    mistakes: tuple[tuple[str, Machine], ...] = ()
-    if isinstance(machine, MjcfMachine):
-        runs, gains = with_drive_gains(machine, logged, fitted)
-        mistakes = tuple((text, machine.heavier(factor)) for text, factor in _MASSES)
+    inputs = machine_inputs(machine, logged, final=final, leave_out=leave_out)
+    runs = (*inputs.runs, *inputs.final)
 
     def write(effects: Sequence[Any], folder: Path, free: bool) -> DescriptionFiles:
-        if isinstance(machine, ResidualMachine):
-            return write_parameters(Path(mapping), machine, effects, folder, runs)
-        return write_machine(Path(mapping), machine, effects, folder, runs)
+        writer = write_parameters if isinstance(machine, ResidualMachine) else write_machine
+        return writer(Path(mapping), machine, effects, folder, runs)
 
-    return DiagnosisInputs(
-        machine=machine,
-        runs=tuple(runs[i] for i in fitted),
-        final=tuple(runs[i] for i in held_back),
-        candidates=tuple(without(machine.candidates(), leave_out)),
-        digests={run.name: digest_of(run) for run in runs},
-        described=described(Path(mapping)),
-        write=write,
-        mistakes=mistakes,
-        notes=(*(note for run in runs for note in run.meta.get("notes", ())), *gains),
-    )
+    notes = (*(note for run in runs for note in run.meta.get("notes", ())), *inputs.notes)
+    return replace(inputs, described=described(Path(mapping)), write=write, notes=notes)
 
 
 def _logs(sources: Sequence[Source]) -> tuple[list[Path], list[RunLog]]:
@@ -222,14 +211,17 @@ def machine_inputs(
         raise ParameterError(f"{machine.name} has no candidates()")
     fitted, held_back = _split(len(runs), (), final)
     notes: list[str] = []
+    mistakes: tuple[tuple[str, Machine], ...] = ()
     if isinstance(machine, MjcfMachine):
         runs, notes = with_drive_gains(machine, runs, fitted)
+        mistakes = tuple((text, machine.heavier(factor)) for text, factor in _MASSES)
     return DiagnosisInputs(
         machine=machine,
         runs=tuple(runs[i] for i in fitted),
         final=tuple(runs[i] for i in held_back),
         candidates=tuple(without(offered(), leave_out)),
         notes=tuple(notes),
+        mistakes=mistakes,
         digests={run.name: digest_of(run) for run in runs},
         described=machine.name,
         write=_unwritten,

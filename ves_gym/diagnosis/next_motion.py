@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import Array, ParameterError, to_plain
 from ves_gym.diagnosis.constants import ALIKE
 from ves_gym.diagnosis.data.measured_run import Run, run_of
 from ves_gym.diagnosis.diagnose import NAMING_VERDICTS, NOTHING, WEAK, Diagnosis
@@ -36,7 +37,7 @@ from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.drift import SlowPath
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.servo import OWN_GAINS, JointServo
+from ves_gym.mechanics.servo import OWN_GAINS
 from ves_gym.simulation.machines import Divergence
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.recording import Recording
@@ -91,17 +92,9 @@ class NextMotion:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
-        return {
-            "between": list(self.between),
-            "separates": self.separates,
-            "sigma": [list(row) for row in self.sigma],
-            "least": self.least,
-            "at_hand": self.at_hand,
-            "limits": self.limits,
-            "tried": self.tried,
-            "duration": self.motion.duration,
-            "sentence": self.sentence,
-        }
+        numbers = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        duration = numbers.pop("motion").duration
+        return {**to_plain(numbers), "duration": duration, "sentence": self.sentence}
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,13 +146,10 @@ def next_motion(
     drawn = [m(arm, duration, rng) for _ in range(pool) for m in (drawn_motion, drawn_series)]
     brisk = pool // 2 if search.faint else 0  # rivals are of what shows already
     drawn += [drawn_motion(arm, duration, rng, brisk=True) for _ in range(brisk)]
-    total = len(hand) + len(drawn) + rounds * _CHILDREN + 1
-    done = 0
+    total, done = len(hand) + len(drawn) + rounds * _CHILDREN + 1, itertools.count(1)
 
     def advance() -> None:
-        nonlocal done
-        done += 1
-        progress(done / total)
+        progress(next(done) / total)
 
     repeated = search.ranked(hand, advance, strict=False)
     search.allow_again(repeated)
@@ -171,12 +161,8 @@ def next_motion(
         )
     for _ in range(rounds):
         options.sort(key=lambda r: -r.worth)
-        children = [
-            child
-            for child in (_child(arm, options[:_PARENTS], rng) for _ in range(_CHILDREN))
-            if child is not None
-        ]
-        options += search.ranked(children, advance)
+        children = (_child(arm, options[:_PARENTS], rng) for _ in range(_CHILDREN))
+        options += search.ranked([c for c in children if c is not None], advance)
     best = max(options, key=lambda r: r.worth)
     return search.result(best, repeated, len(options))
 
@@ -224,10 +210,7 @@ class _Search:
     ) -> list[_Ranked]:
         """Return motions as the most probable rival runs them, with what they are worth.
 
-        Args:
-            motions: any number.
-            advance: called after each.
-            strict: leave those out that break a limit.
+        Where `strict` those that break a limit are left out.
         """
         out = []
         for played in self.played(self.rivals[0], motions):
@@ -244,9 +227,6 @@ class _Search:
         """Let a motion come as close to a limit as every one at hand did.
 
         A drive that is weaker than said is at its limit in any motion.
-
-        Args:
-            hand: the motions at hand.
         """
         for kind in hand[0].played.limits if hand else ():
             least = min(r.played.limits[kind] for r in hand)
@@ -353,23 +333,9 @@ def _lockstep(
     if not motions:
         return []
     base = system.physics_dt if system.mode == "ideal" else system.control_dt
-    servo = OWN_GAINS
-    if "controller" in like:
-        gains = like.meta["controller"]
-        servo = JointServo(
-            kp=tuple(gains["kp"]),
-            kd=tuple(gains["kd"]),
-            feedforward=gains.get("feedforward", False),
-            moving_base=gains.get("moving_base", False),
-        )
+    step, servo = base * max(1, round(like.dt / base)), like.servo or OWN_GAINS
     try:
-        recording = play_motions(
-            system,
-            motions,
-            servo=servo,
-            settle=0.0,
-            record_dt=base * max(1, round(like.dt / base)),
-        )
+        recording = play_motions(system, motions, servo=servo, settle=0.0, record_dt=step)
     except Divergence:
         alone = [_lockstep(system, [m], like) for m in motions if len(motions) > 1]
         return [group for groups in alone for group in groups]

@@ -24,6 +24,7 @@ from ves_gym._util.signals import (
     rate_crossover,
     repeats,
 )
+from ves_gym.mechanics.servo import JointServo
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
@@ -125,6 +126,11 @@ class Run:
         if name == "controller":
             return {"kp", "kd"} <= set(self.meta.get("controller", {}))
         return name in self.signals
+
+    @property
+    def servo(self) -> JointServo | None:
+        """The controller of the joints, where the log names it."""
+        return JointServo(**self.meta["controller"]) if "controller" in self else None
 
     @cached_property
     def angles(self) -> Kinematics:

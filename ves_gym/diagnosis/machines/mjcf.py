@@ -12,7 +12,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
@@ -49,6 +49,7 @@ from ves_gym.effects import (
 )
 from ves_gym.system.effect import EFFECTS, Effect, joint_torque
 
+T = TypeVar("T")
 _FOUND_GAIN = 0.05  # of a drive whose scale was found in the data
 
 
@@ -56,23 +57,16 @@ _FOUND_GAIN = 0.05  # of a drive whose scale was found in the data
 class MjcfVariant:
     """The description with effects and bodies that are otherwise."""
 
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[Any, ...] = ()  # of the library, `RateError`, `CarriedBody`, `Shaft`
     bodies: tuple[BodyChange, ...] = ()
-    rates: tuple[RateError, ...] = ()
-    payloads: tuple[CarriedBody, ...] = ()
-    shafts: tuple[Shaft, ...] = ()
+
+    def of(self, kind: type[T]) -> list[T]:
+        """Return the effects of a type."""
+        return [e for e in self.effects if isinstance(e, kind)]
 
     def added(self, effects: Sequence[Any]) -> MjcfVariant:
         """Return the description with effects added."""
-        every = split(effects)
-        beside = (RateError, CarriedBody, Shaft)
-        return dataclasses.replace(
-            self,
-            effects=(*self.effects, *(e for e in every if not isinstance(e, beside))),
-            rates=(*self.rates, *(e for e in every if isinstance(e, RateError))),
-            payloads=(*self.payloads, *(e for e in every if isinstance(e, CarriedBody))),
-            shafts=(*self.shafts, *(e for e in every if isinstance(e, Shaft))),
-        )
+        return dataclasses.replace(self, effects=(*self.effects, *split(effects)))
 
 
 class MjcfMachine:
@@ -85,7 +79,6 @@ class MjcfMachine:
             of the library: friction as MuJoCo's solver has it depends on the step.
         effects: what the description has besides the model: effects of the library,
             `RateError`, `CarriedBody`, `Shaft`.
-        rates: `RateError` beside them.
         couplings: (n,) each, rates of shafts that several joints turn per rate of each joint.
         known: standard deviations of single tolerances, see `with_known`.
 
@@ -101,7 +94,6 @@ class MjcfMachine:
         model: mujoco.MjModel | RigidBodies | None = None,
         tolerance: Tolerance | None = None,
         effects: Sequence[Any] = (),
-        rates: Sequence[RateError] = (),
         *,
         couplings: Sequence[Sequence[float]] = (),
         known: Mapping[str, float] | None = None,
@@ -109,15 +101,20 @@ class MjcfMachine:
         self.name, self.joints = name, tuple(joints)
         self.tolerance, self.known = tolerance or Tolerance(), dict(known or {})
         self.couplings = tuple(tuple(float(r) for r in row) for row in couplings)
-        self.nominal = MjcfVariant().added([*effects, *rates])
+        self.nominal = MjcfVariant().added(effects)
         _require_computed(self.nominal, self.couplings, len(self.joints))
         self._radius = np.array([j.radius for j in self.joints])
         names = tuple(j.name for j in self.joints)
         if len(set(names)) < len(names) or not names:
             raise ParameterError(f"joints must have names, each its own, got {names}")
         slides = [j.type == "slide" for j in self.joints]
-        ports = []
         self.bodies: RigidBodies | None = None
+        ports = []
+
+        def port(name: str, title: str, signal: str, units: tuple[str, str]) -> None:
+            every = tuple(units[slide] for slide in slides)
+            ports.append(Port(name, title, names, every, ("q", signal), signal=signal))
+
         if model is not None:
             typed = [(j.name, j.type) for j in self.joints]
             in_mjcf = isinstance(model, mujoco.MjModel)
@@ -125,26 +122,9 @@ class MjcfMachine:
             self.joint_properties = self.bodies.properties()
             rotors = np.array([j.rotor for j in self.joints])
             self.joint_properties["armature"] = self.joint_properties["armature"] + rotors
-            ports.append(
-                Port(
-                    "joint",
-                    "motor force less what the motion takes",
-                    names,
-                    tuple("N" if slide else "N m" for slide in slides),
-                    ("q", "tau"),
-                    signal="tau",
-                )
-            )
-        ports.append(
-            Port(
-                "velocity",
-                "rate logged less the rate of the position logged",
-                names,
-                tuple("m/s" if slide else "rad/s" for slide in slides),
-                ("q", "v"),
-                signal="v",
-            )
-        )
+            port("joint", "motor force less what the motion takes", "tau", ("N m", "N"))
+        title = "rate logged less the rate of the position logged"
+        port("velocity", title, "v", ("rad/s", "m/s"))
         self.ports = tuple(ports)
         _ = self.nuisances  # a name in `known` that nothing has is refused here
 
@@ -203,16 +183,22 @@ class MjcfMachine:
         allowed, n = self.tolerance, len(self.joints)
         out: list[Nuisance] = []
 
-        def changed(name: str, body: int, step: float, std: float, **change: Any) -> None:
-            model = dataclasses.replace(self.nominal, bodies=(BodyChange(body, **change),))
-            out.append(Nuisance(name, ("joint",), model, step, std))
+        def tolerance(
+            name: str, port: str, model: MjcfVariant, step: float, std: float
+        ) -> None:
+            out.append(Nuisance(name, (port,), model, step, std))
 
         for body, where in enumerate(() if self.bodies is None else self.bodies.bodies):
-            changed(f"inertia of {where}", body, 0.01, allowed.inertia, scale=1.01)
-            for axis, unit_vector in zip("xyz", np.eye(3) * 1e-3, strict=True):
-                shift = tuple(unit_vector.tolist())
+            shifts = (1e-3 * np.eye(3)).tolist()
+            changes = [BodyChange(body, shift=tuple(shift)) for shift in shifts]
+            scaled, *shifted = (
+                dataclasses.replace(self.nominal, bodies=(change,))
+                for change in (BodyChange(body, scale=1.01), *changes)
+            )
+            tolerance(f"inertia of {where}", "joint", scaled, 0.01, allowed.inertia)
+            for axis, model in zip("xyz", shifted, strict=True):
                 name = f"centre of mass {axis} of {where}"
-                changed(name, body, 1e-3, allowed.centre, shift=shift)
+                tolerance(name, "joint", model, 1e-3, allowed.centre)
         for i, joint in enumerate(self.joints):
 
             def at_joint(value: float, i: int = i) -> tuple[float, ...]:
@@ -229,11 +215,11 @@ class MjcfMachine:
             ):
                 if what == "rotor" and not small:
                     continue
-                model, name = self.nominal.added([effect]), f"{what} of {joint.name}"
-                out.append(Nuisance(name, ("joint",), model, step, std))
+                model = self.nominal.added([effect])
+                tolerance(f"{what} of {joint.name}", "joint", model, step, std)
             model = self.nominal.added([RateError(at_joint(0.01), at_joint(0.0))])
             name = f"gain of the rate of {joint.name}"
-            out.append(Nuisance(name, ("velocity",), model, 0.01, allowed.gain))
+            tolerance(name, "velocity", model, 0.01, allowed.gain)
         return out
 
     def residuals(
@@ -264,12 +250,12 @@ class MjcfMachine:
             + self.joint_properties["damping"] * v
         )
         needed = needed - dry.law(q / r, v / r, np.zeros(1))
-        for shaft in variant.shafts:
+        for shaft in variant.of(Shaft):
             needed = needed + shaft.needed(v, a)
         # what the force does not scale stays out of differences by the force
-        steady = [e for e in variant.effects if not scales(e)]
-        needed = needed - _laws(steady, q / r, v / r, tau * r) / r
-        scaling = [e for e in variant.effects if scales(e)]
+        every = variant.of(Effect)
+        needed = needed - _laws([e for e in every if not scales(e)], q / r, v / r, tau * r) / r
+        scaling = [e for e in every if scales(e)]
 
         def laws(force: Array) -> Array:
             return _laws(scaling, q / r, v / r, force * r) / r
@@ -285,23 +271,24 @@ class MjcfMachine:
         if key not in run.memory:
             run.memory[key] = self.bodies.load(q, v, a, variant.bodies).reshape(shape)
         load = np.asarray(run.memory[key])
-        if variant.payloads:
+        if payloads := variant.of(CarriedBody):
             if "payload" not in run.memory:
                 columns = self.bodies.payload(q, v, a)
                 run.memory["payload"] = columns.reshape(*shape, columns.shape[-1])
-            carried = sum(p.parameters for p in variant.payloads)
+            carried = sum(p.parameters for p in payloads)
             load = load + run.memory["payload"] @ carried
         return load
 
     def _velocity(self, run: Run, variant: MjcfVariant) -> Array:
         """Rate logged less the rate of the position logged (..., T, n)."""
         logged, rate = run["v"], run.joints.v.copy()
-        delay = np.sum([e.delay for e in variant.rates], axis=0)
+        errors = variant.of(RateError)
+        delay = np.sum([e.delay for e in errors], axis=0)
         for i in np.flatnonzero(delay):
             position = run["q"][..., i : i + 1]
             late = differentiated(position, run.dt, run.band, ahead=-float(delay[i]))[1]
             rate[..., i] = late[..., 0]
-        rate = rate * (1 + np.sum([e.gain for e in variant.rates], axis=0))
+        rate = rate * (1 + np.sum([e.gain for e in errors], axis=0))
         lag = np.broadcast_to(
             _total(variant, "joint/velocity_lag", "time_constant"), self._radius.shape
         )
@@ -311,19 +298,19 @@ class MjcfMachine:
 def _require_computed(
     variant: MjcfVariant, couplings: Sequence[Sequence[float]], joints: int
 ) -> None:
-    for effect in variant.effects:
+    for effect in variant.of(Effect):
         if not is_computed(type(effect)):
             known = ", ".join(sorted(k for k, cls in EFFECTS.items() if is_computed(cls)))
             raise ParameterError(
                 f"effect {effect.kind} is not computed for MJCF; these are: {known}"
             )
-    for entry in (*variant.effects, *variant.rates, *variant.shafts):
-        for field in dataclasses.fields(entry):  # type: ignore[arg-type]
-            value = getattr(entry, field.name)
-            if isinstance(value, tuple) and len(value) != joints:
+    for entry in variant.effects:
+        for name, value in vars(entry).items():
+            alike = isinstance(value, tuple) and not isinstance(entry, CarriedBody)
+            if alike and len(value) != joints:
                 kind = getattr(entry, "kind", type(entry).__name__.lower())
                 raise ParameterError(
-                    f"effect {kind}.{field.name} must have {joints} numbers, got {len(value)}"
+                    f"effect {kind}.{name} must have {joints} numbers, got {len(value)}"
                 )
     for ratio in couplings:
         if len(ratio) != joints:
@@ -337,5 +324,5 @@ def _laws(effects: Sequence[Effect], q: Array, v: Array, tau: Array) -> Array:
 
 def _total(variant: MjcfVariant, kind: str, field: str) -> Any:
     """Sum of a field over the effects of a kind; 0.0 where there is none."""
-    parts = [np.array(getattr(e, field), float) for e in variant.effects if e.kind == kind]
+    parts = [np.array(getattr(e, field), float) for e in variant.of(Effect) if e.kind == kind]
     return sum(parts[1:], parts[0]) if parts else 0.0

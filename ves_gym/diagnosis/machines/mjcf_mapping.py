@@ -167,8 +167,7 @@ class MachineFile:
             [j.joint for j in self.joint],
             model,
             self.tolerance,
-            (*self.effect, *self.payload, *self.shaft),
-            self.rate,
+            (*self.effect, *self.rate, *self.payload, *self.shaft),
             couplings=self.couplings,
             known=self.known,
         )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -17,10 +16,7 @@ _DAMPED = 0.05  # ratio: a mode with more rings too briefly to be taken for a to
 
 
 def loop_rings(
-    system: System,
-    gains: Mapping[str, Any] | None,
-    angles: Sequence[Array],
-    frequency: float,
+    system: System, servo: JointServo | None, angles: Sequence[Array], frequency: float
 ) -> bool:
     """Return True if the linearised system has a hardly damped mode at a frequency.
 
@@ -29,11 +25,10 @@ def loop_rings(
 
     Args:
         system: as described.
-        gains: kp and kd of the joint servo, (joints,) each; None where the drive has none.
+        servo: of the joints; None where the drive has none.
         angles: (joints,) configurations at which to look [rad].
         frequency: Hz.
     """
-    servo = None if gains is None else JointServo(kp=tuple(gains["kp"]), kd=tuple(gains["kd"]))
     if system.mode == "emulated" and (
         servo is None or system.emulator_settings.operation == "position"
     ):

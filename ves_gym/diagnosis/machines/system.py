@@ -187,9 +187,8 @@ class SystemMachine:
 
     def rings(self, runs: Sequence[Run], frequency: float) -> bool:
         """Return True if the system as described rings at a frequency."""
-        gains = runs[0].meta["controller"] if "controller" in runs[0] else None
         angles = [run["q"][k] for run in runs for k in (0, -1)]
-        return loop_rings(self.system, gains, angles, frequency)
+        return loop_rings(self.system, runs[0].servo, angles, frequency)
 
     def stretch(self, runs: Sequence[Run]) -> float:
         """Return the part of its stroke that a leg uses at most in the runs; 0 without legs."""

@@ -15,7 +15,6 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.diagnosis.data.measured_run import Run
 from ves_gym.diagnosis.machines.base import WRENCH
 from ves_gym.mechanics.motion import Samples
-from ves_gym.mechanics.servo import JointServo
 from ves_gym.mechanics.spatial import AXES
 from ves_gym.simulation.machines import Divergence
 from ves_gym.simulation.playback import base_wrench
@@ -52,16 +51,11 @@ class ReplayGap:
 
 
 def why_not(system: System, runs: Sequence[Run]) -> str:
-    """Return the reason why runs cannot be replayed; empty where they can.
-
-    Args:
-        system: the machine.
-        runs: measured.
-    """
+    """Return the reason why runs cannot be replayed; empty where they can."""
     if system.drive != "motor":
         return f"the drive is {system.drive}"
-    controllers = [run.meta["controller"] for run in runs if "controller" in run]
-    if len(controllers) < len(runs) or any(k != controllers[0] for k in controllers):
+    servo = runs[0].servo
+    if servo is None or any(run.servo != servo for run in runs):
         return "the logs do not name one controller"
     posed = system.mode == "emulated" and system.emulator_settings.operation == "position"
     if posed and not all("y_cmd" in run for run in runs):
@@ -92,12 +86,8 @@ def replay_runs(
     lacks = why_not(system, runs)
     if lacks:
         raise ParameterError(f"no free run: {lacks}")
-    gains = runs[0].meta["controller"]
-    servo = JointServo(
-        kp=tuple(gains["kp"]),
-        kd=tuple(gains["kd"]),
-        feedforward=gains.get("feedforward", False),
-    )
+    servo = runs[0].servo
+    assert servo is not None
     sim, k = Simulator(system, len(runs), servo=servo, warn_at=None), system.substeps
     q, v, y, yd = (np.stack(series) for series in zip(*map(_start, runs), strict=True))
     sim.reset(q=q, v=v, y=y, yd=yd)
@@ -144,12 +134,7 @@ def replay_runs(
 def compare_replays(
     described: System, better: System, reloaded: System, runs: Sequence[Run]
 ) -> ClosedLoopReplay:
-    """Replay the description, the better one, and the better one as read back.
-
-    Args:
-        described, better, reloaded: systems; the last for its first seconds only.
-        runs: measured.
-    """
+    """Replay the description, the better one, and first seconds of the better as read back."""
     names = tuple(run.name for run in runs)
     lacks = why_not(described, runs)
     if lacks:
@@ -194,12 +179,7 @@ def replay_gaps(
     before: Sequence[Mapping[str, Array]],
     after: Sequence[Mapping[str, Array]],
 ) -> tuple[ReplayGap, ...]:
-    """Return measured less simulated, over all runs, of the channels that the logs hold.
-
-    Args:
-        runs: measured.
-        before, after: of each run, simulated signals of the description and the better one.
-    """
+    """Return measured less simulated, before and after, of the channels that all runs hold."""
     out = []
     n = runs[0]["q"].shape[1]
     joints = tuple(str(i + 1) for i in range(n))
