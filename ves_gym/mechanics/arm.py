@@ -415,15 +415,8 @@ class Arm:
         return self.base.mass + sum(link.inertial.mass for link in self.links) + followed
 
     def require_within_limits(self, q: object, name: str = "q") -> Array:
-        """Return joint angles as an array inside the joint limits.
-
-        Args:
-            q: (n,) angles [rad].
-            name: of the angles, for the message.
-
-        Raises:
-            ParameterError: names the joint, its angle and its limits.
-        """
+        """Return joint angles (n,) [rad] as an array, refused outside the joint limits by
+        `name`."""
         array = finite(q, (self.n,), name)
         for i, link in enumerate(self.links):
             if not link.q_min - 1e-9 <= array[i] <= link.q_max + 1e-9:
@@ -439,15 +432,8 @@ class Arm:
         return array
 
     def at(self, position: Vector, angles: Vector = (0.0, 0.0, 0.0)) -> Arm:
-        """Return this arm, with its base link, elsewhere on the base.
-
-        Args:
-            position: (3,) of its platform-top frame in the base's [m].
-            angles: (3,) of it about x, then y, then z [rad].
-
-        Raises:
-            ParameterError: not finite; links that bend, or several arms.
-        """
+        """Return this arm, with its base link, elsewhere on the base: its platform-top frame at
+        a position (3,) [m], turned by angles (3,) about x, then y, then z [rad]."""
         arm: Arm = import_module("ves_gym.mechanics.side_by_side").placed(
             self, position, angles
         )
@@ -502,27 +488,18 @@ class Arm:
         return arm
 
     def to_urdf(self, path: str | os.PathLike[str]) -> None:
-        """Write a URDF file: `from_file` gives this arm back, a capsule as three shapes.
-
-        Raises:
-            ParameterError: gears that give way, for which URDF has no words.
-        """
+        """Write a URDF file: `from_file` gives this arm back, a capsule as three shapes. URDF
+        has no words for gears that give way."""
         write_text(path, _files().urdf_text(self))
 
     def to_mjcf(self, path: str | os.PathLike[str]) -> None:
-        """Write an MJCF file: `from_file` gives this arm back.
-
-        Raises:
-            ParameterError: gears that give way.
-        """
+        """Write an MJCF file: `from_file` gives this arm back. No words for gears that give
+        way."""
         write_text(path, _files().mjcf_text(self))
 
     def to_pinocchio(self) -> pinocchio.Model:
-        """Return the arm on a base that stands still in Pinocchio, its tool the frame `tool`.
-
-        Raises:
-            MissingPackageError: Pinocchio is not installed.
-        """
+        """Return the arm on a base that stands still in Pinocchio, its tool the frame
+        `tool`."""
         model: pinocchio.Model = _files().pinocchio_model(self)
         return model
 

@@ -99,14 +99,8 @@ def _bodies(arm: Arm) -> list[tuple[Inertial, tuple[Capsule, ...]]]:
 
 
 def urdf_text(arm: Arm) -> str:
-    """Return an arm as URDF.
-
-    Rotor inertias are written as Drake has them, in a <transmission> of each joint; an
-    `ExportWarning` names what other readers leave out.
-
-    Args:
-        arm: without gears.
-    """
+    """Return an arm without gears as URDF, its rotors in a <transmission> each, as Drake has
+    them; an `ExportWarning` names what other readers leave out."""
     _require_rigid(arm, "URDF")
     _warn_of_losses(arm)
     robot = Element("robot", {"name": arm.name, "xmlns:drake": "http://drake.mit.edu"})
@@ -319,20 +313,12 @@ def _mjcf_body(
 
 
 def pinocchio_model(arm: Arm, base: BaseModel | None = None) -> pinocchio.Model:
-    """Return the arm in Pinocchio, its rotors as armature; flexures are joints of their own.
+    """Return the arm in Pinocchio, its rotors as armature; flexures are joints of their own,
+    and a joint that follows one other is a mimic joint.
 
-    On a base that stands still, gravity Pinocchio's; or without gravity on the base's six
-    joints, in MuJoCo's order. The constant M of a base is not a body: add it to the base block
-    of the inertia matrix in Y.
-
-    A joint that follows one other is Pinocchio's mimic joint.
-
-    Args:
-        arm: the arm.
-        base: the vehicle; None: it stands still.
-
-    Raises:
-        MissingPackageError: Pinocchio is not installed.
+    On a base that stands still (None), gravity Pinocchio's; or without gravity on the base's
+    six joints, in MuJoCo's order. The constant M of a base is not a body: add it to the base
+    block of the inertia matrix in Y.
     """
     require("Arm.to_pinocchio" if base is None else "pinocchio_model", "pinocchio")
     import pinocchio as pin

@@ -44,12 +44,7 @@ def get_arm(name: str | os.PathLike[str], **choice: Any) -> Arm:
             panda_description, or `example-robot-data`, like ur5_robot; or a file: .toml or
             .json that mirrors `Arm`, .urdf, .mjcf or .xml; FILE#LINK names the link (or site)
             that is the tool.
-        choice: how a URDF or MJCF file is read: `tip`, `root`, `locked`, `massless`, `repair`
-            and others of `Arm.from_file`.
-
-    Raises:
-        ParameterError: neither a known name nor a readable file; what is wrong with one names
-            the link.
+        choice: how a URDF or MJCF file is read, as `Arm.from_file` takes it.
     """
     text = os.fspath(name)
     file, _, tip = text.partition("#")

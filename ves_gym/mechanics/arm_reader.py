@@ -30,15 +30,8 @@ _ROUND = 1e-12  # of an inertia's largest number
 
 
 def arm_of_tree(tree: Tree, choice: ChainChoice) -> Arm:
-    """Return the arm that a chain of a tree is, or the arms of several on one base.
-
-    Args:
-        tree: of a file.
-        choice: the chain in it.
-
-    Raises:
-        ParameterError: names the body or the joint, and what is wrong with it.
-    """
+    """Return the arm that a chain of a tree is, or the arms of several on one base; refusals
+    name the body or the joint."""
     tips = [choice.tip] if choice.tip is None or isinstance(choice.tip, str) else choice.tip
     if len(tips) == 1:
         return _arm_of_chain(tree, choice, tips[0])

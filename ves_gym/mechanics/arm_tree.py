@@ -106,10 +106,8 @@ class Tree(ABC):
         return tops[0]
 
     def tip(self, tip: str | None, root: str) -> tuple[str, str]:
-        """Return the body that has the tool, and the tool's name.
-
-        The one named, or the only end that a joint moves.
-        """
+        """Return the body that has the tool, and the tool's name: the one named, or the only
+        end that a joint moves."""
         if tip is not None:
             return self.require(tip, "tip"), tip
         moving = {j.name for joints in self.joints.values() for j in joints if not j.fixed}
@@ -154,11 +152,8 @@ class Tree(ABC):
 
     @abstractmethod
     def place(self, root: str, at: Mapping[str, float]) -> None:
-        """Place all bodies, seen from the root, the joints where `at` says.
-
-        Raises:
-            ParameterError: a loop closes over joints that move.
-        """
+        """Place all bodies, seen from the root, the joints where `at` says; refuse a loop that
+        closes over joints that move."""
 
     def rest(self, joint: str) -> float:
         """Return where a joint stands still of which nothing is said."""

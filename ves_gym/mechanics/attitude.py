@@ -21,11 +21,8 @@ _SMALL = 1e-4  # rad: below it two terms of a sine's series are exact to roundin
 
 
 def product(p: npt.ArrayLike, q: npt.ArrayLike) -> Array:
-    """Return Hamilton's product p q: the attitude q, seen from where p is seen from.
-
-    Args:
-        p, q: (..., 4).
-    """
+    """Return Hamilton's product p q (..., 4): the attitude q, seen from where p is seen
+    from."""
     a, b = numbers(p), numbers(q)
     pw, px, py, pz = (a[..., k] for k in range(4))
     qw, qx, qy, qz = (b[..., k] for k in range(4))
@@ -94,12 +91,7 @@ def from_matrix(matrix: npt.ArrayLike) -> Array:
 
 
 def rotate(q: npt.ArrayLike, vector: npt.ArrayLike) -> Array:
-    """Return a vector of body axes in inertial axes.
-
-    Args:
-        q: (..., 4) attitude.
-        vector: (..., 3).
-    """
+    """Return a vector (..., 3) of body axes of attitude q in inertial axes."""
     return matvec(to_matrix(q), numbers(vector))
 
 
@@ -126,14 +118,8 @@ def log(q: npt.ArrayLike) -> Array:
 
 
 def difference(target: npt.ArrayLike, q: npt.ArrayLike) -> Array:
-    """Return the rotation vector, in the body's axes, that turns an attitude into another.
-
-    Args:
-        target, q: (..., 4) attitudes: target = q exp(difference).
-
-    Returns:
-        (..., 3) [rad], the shorter way round.
-    """
+    """Return the rotation vector (..., 3) [rad], in the body's axes, that turns an attitude
+    into another the shorter way: target = q exp(difference)."""
     return log(product(conjugate(q), target))
 
 
@@ -162,15 +148,8 @@ def to_angles(q: npt.ArrayLike) -> Array:
 
 
 def angle_rates(phi: npt.ArrayLike, w: npt.ArrayLike) -> Array:
-    """Return the rates of Z-Y-X angles of a body that turns; infinite at phi_y = +-pi/2.
-
-    Args:
-        phi: (..., 3) [rad].
-        w: (..., 3) angular velocity in the body's axes [rad/s].
-
-    Returns:
-        (..., 3) [rad/s].
-    """
+    """Return the rates (..., 3) of Z-Y-X angles phi of a body of angular velocity w in its axes
+    [rad/s]; infinite at phi_y = +-pi/2."""
     angles, spin = np.asarray(phi, float), np.asarray(w, float)
     sx, cx = np.sin(angles[..., 0]), np.cos(angles[..., 0])
     about_z = (sx * spin[..., 1] + cx * spin[..., 2]) / np.cos(angles[..., 1])
@@ -187,14 +166,9 @@ def torque_free_step(
     attitude is integrated (a Runge-Kutta step in rotation vectors, after Munthe-Kaas): the
     momentum stays to rounding and the quaternion stays of unit length.
 
-    Args:
-        q: (..., 4) attitude.
-        w: (..., 3) angular velocity in the body's axes [rad/s].
-        inertia: (..., 3, 3) at the centre of mass, in the body's axes [kg m^2].
-        time: step [s], one or (..., 1); the error grows as (|w| time)^5.
-
-    Returns:
-        Attitude (..., 4) and angular velocity (..., 3) at the end.
+    Of attitude (..., 4), angular velocity (..., 3) in the body's axes, inertia (..., 3, 3) at
+    the centre of mass there, and step [s], one or (..., 1): attitude and angular velocity at
+    the end. The error grows as (|w| time)^5.
     """
     start, spin, J = numbers(q), numbers(w), numbers(inertia)
     momentum = matvec(J, spin)  # in the axes at the start, where it stays

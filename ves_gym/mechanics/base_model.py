@@ -253,11 +253,8 @@ class BaseModel:
     def scaled(
         self, mass: float = 1.0, damping: float = 1.0, stiffness: float = 1.0
     ) -> BaseModel:
-        """Return the base with all its mass, damping or stiffness multiplied.
-
-        Args:
-            mass, damping, stiffness: factors of M, D, K over (Y, u) and of the body [1].
-        """
+        """Return the base with all its mass (its body's too), damping or stiffness over (Y, u)
+        multiplied [1]."""
         body, internal = self.body, self.internal
         if body is not None and mass != 1:
             moments = matrix(np.array(body.inertia) * mass)
@@ -284,12 +281,8 @@ class BaseModel:
 
 
 def carried(coupling: Array, y: Array) -> Array:
-    """Return coordinates u (..., m) of modes at rest on bases at Y; rates likewise.
-
-    Args:
-        coupling: (..., 6, m) of every base, or of all.
-        y: (..., 6) Y.
-    """
+    """Return coordinates u (..., m) of modes at rest on bases at Y (..., 6), or rates; coupling
+    is (6, m), or (..., 6, m) of each."""
     out = np.zeros((*y.shape[:-1], coupling.shape[-1]))
     for k in range(6):  # sum by sum: every simulation of a batch rounds alike
         out += coupling[..., k, :] * y[..., k, None]
@@ -297,10 +290,5 @@ def carried(coupling: Array, y: Array) -> Array:
 
 
 def elementwise_damping(M: Array, K: Array, ratio: float) -> Array:
-    """Return the thesis's B = 2 zeta sqrt(K M), read by elements on the diagonal (App. A.2).
-
-    Args:
-        M, K: (6, 6) mass and stiffness.
-        ratio: zeta [1].
-    """
+    """Return the thesis's B = 2 zeta sqrt(K M), read by elements on the diagonal (App. A.2)."""
     return np.diag(2 * ratio * np.sqrt(np.diag(K) * np.diag(M)))

@@ -82,14 +82,9 @@ def nearest_body(
 ) -> Array:
     """Return what is seen of the body whose numbers are the most probable.
 
-    Args:
-        numbers: (k,) estimated.
-        precision: (k, k), the inverse of their covariance.
-        combinations: (k, 10) which combinations of `PARAMETERS` they are.
-
-    Returns:
-        (k,) numbers that a body has, its radius of gyration 1 mm along each axis or more and,
-        about the frame's origin, `REACH` or less.
+    Of (k,) estimated numbers, combinations (k, 10) of `PARAMETERS`, and the inverse (k, k) of
+    their covariance: (k,) numbers that a body has, its radius of gyration 1 mm along each axis
+    or more and, about the frame's origin, `REACH` or less.
     """
     x = np.asarray(numbers, float)
     weight = np.asarray(precision, float)

@@ -223,14 +223,8 @@ class Boom:
         return tuple(joint for member in self.members for joint in member.joints)
 
     def carry(self, arm: Arm) -> Arm:
-        """Return boom and arm as one arm: joints of both driven, members bending.
-
-        Args:
-            arm: stands on the flange.
-
-        Raises:
-            ParameterError: the boom has no joints (`braked` needs none).
-        """
+        """Return boom and arm, which stands on the flange, as one arm: joints of both driven,
+        members bending. Without joints use `braked`."""
         arm.require_alone("a boom that is driven")
         arm.require_uncoupled("a boom that is driven")
         if not self.joints:
@@ -271,14 +265,10 @@ class Boom:
         )
 
     def braked(self, q: npt.ArrayLike, arm: Arm) -> Arm:
-        """Return the arm on the boom, whose joints are on their brakes at q.
+        """Return the arm on the boom, whose joints are on their brakes at q (joints,) [rad].
 
-        A braked joint is a spring and a damper at its angle, as a hinge of a member is: all
-        of the boom is a base link that bends.
-
-        Args:
-            q: (joints,) where the boom's joints stand [rad].
-            arm: stands on the flange.
+        A braked joint is a spring and a damper at its angle, as a hinge of a member is: all of
+        the boom is a base link that bends.
         """
         events, flange, _ = self._pose(q)
         events[-1].body.add_body(arm.base, *flange)
@@ -303,19 +293,13 @@ class Boom:
 
     @on_one_thread(scipy=False)
     def at(self, q: npt.ArrayLike, modes: int = 6, fastest: float = REACH) -> FlexibleBase:
-        """Return the braked boom at q as a linear flexible base: flange and internal modes.
+        """Return the braked boom at q (joints,) [rad] as a linear flexible base: flange and
+        internal modes.
 
         The linear motion of all hinges and brakes, by Craig and Bampton's reduction to the
-        flange's pose. In axes of the flange at rest; its root is fixed.
-
-        Args:
-            q: (joints,) where the joints stand [rad].
-            modes: internal modes to keep, all where there are fewer.
-            fastest: modes faster than this follow the flange [rad/s].
-
-        Raises:
-            ParameterError: the flange cannot move along some direction, as that of a straight
-                boom along itself.
+        flange's pose, in axes of the flange at rest; its root is fixed. Kept are `modes` of the
+        internal modes, and of these the ones not faster than `fastest` [rad/s]. Refused where
+        the flange cannot move along some direction, as that of a straight boom along itself.
         """
         beam = expand(self.braked(q, NO_ARM))
         events, flange, centreline = self._pose(q)
@@ -522,11 +506,7 @@ BOOMS: dict[str, Boom] = {SHUTTLE_LIKE.name: SHUTTLE_LIKE}
 
 
 def get_boom(name: str) -> Boom:
-    """Return a boom that comes with the package, by name.
-
-    Raises:
-        ParameterError: an unknown name.
-    """
+    """Return a boom that comes with the package, by name."""
     if name not in BOOMS:
         raise ParameterError(
             f"boom must be one of {', '.join(BOOMS)}, got {name!r}{did_you_mean(name, BOOMS)}"

@@ -117,11 +117,8 @@ def _about(axis: Array, angle: Array) -> Array:
 
 
 def placed(part: Any, at: Array) -> tuple[Array, Array]:
-    """Return centre of mass (..., 3) and inertia about it (..., 6) of an appendage.
-
-    Args:
-        part, at: see `inertia_of`.
-    """
+    """Return centre of mass (..., 3) and inertia about it (..., 6) of an appendage, see
+    `inertia_of`."""
     com, inertia = np.asanyarray(part.body.com), np.asanyarray(part.body.inertia)
     axis = np.array(part.axis)
     if part.joint == "slide":
@@ -131,12 +128,8 @@ def placed(part: Any, at: Array) -> tuple[Array, Array]:
 
 
 def inertia_of(part: Any, at: Array) -> CarriedInertia:
-    """Return a carried body's part of the inertia matrix.
-
-    Args:
-        part: a `ReactionWheel` or `Appendage`, or the same with symbols for numbers.
-        at: (...) angle or way of its joint.
-    """
+    """Return the part of the inertia matrix of a `ReactionWheel` or `Appendage`, or the same
+    with symbols for numbers, its joint at an angle or way (...)."""
     axis = np.array(part.axis)
     if part.kind == "wheel":
         spun = np.concatenate([np.zeros(3), np.asanyarray(part.inertia)[None] * axis])
@@ -164,16 +157,11 @@ def _side_by_side(a: Array, b: Array) -> Array:
 def load_of(
     part: Any, at: Array, rate: Array, spin: Array, turn: Array, accel: Array
 ) -> tuple[Array, Array]:
-    """Return what a carried body's motion takes, the rate of its joint constant.
+    """Return what a carried body's motion takes, the rate (...) of its joint constant: wrench
+    (..., 6) on it at the platform's origin [N, N m], and effort (...) of its joint.
 
-    Args:
-        part, at: see `inertia_of`.
-        rate: (...) of its joint.
-        spin, turn: (..., 3) angular velocity and acceleration of the platform, its axes.
-        accel: (..., 3) acceleration of its origin, its axes.
-
-    Returns:
-        Wrench (..., 6) on it at the platform's origin [N, N m], and effort (...) of its joint.
+    In axes of the platform, of angular velocity `spin` and acceleration `turn`, whose origin
+    has the acceleration `accel` (..., 3).
     """
     axis = np.array(part.axis)
     if part.kind == "wheel":
@@ -197,11 +185,7 @@ def load_of(
 
 
 def passive_effort(part: Any, at: Array, rate: Array) -> Any:
-    """Return the effort of spring and damper on a carried body's joint [N m, N].
-
-    Args:
-        part, at, rate: see `load_of`.
-    """
+    """Return the effort of spring and damper on a carried body's joint [N m, N]."""
     if part.kind == "appendage":
         return -part.stiffness * at - part.damping * rate
     return -part.viscous * rate
@@ -211,15 +195,8 @@ def passive_effort(part: Any, at: Array, rate: Array) -> Any:
 
 
 def carried_inertia(carried: tuple[Carried, ...], at: Array) -> tuple[Array, Array, Array]:
-    """Return the parts of all carried bodies of the inertia matrix.
-
-    Args:
-        carried: k of them.
-        at: (..., k) angles and ways of their joints.
-
-    Returns:
-        Sum of the locked ones (..., 6, 6), across (..., 6, k), joints (..., k).
-    """
+    """Return the parts of k carried bodies of the inertia matrix, their joints `at` (..., k):
+    sum of the locked ones (..., 6, 6), across (..., 6, k), joints (..., k)."""
     shape, k = at.shape[:-1], len(carried)
     locked, across = np.zeros((*shape, 6, 6)), np.zeros((*shape, 6, k))
     joints = np.zeros((*shape, k))
@@ -232,10 +209,8 @@ def carried_inertia(carried: tuple[Carried, ...], at: Array) -> tuple[Array, Arr
 
 
 def linear_joints(carried: tuple[Carried, ...]) -> tuple[Array, Array, Array, Array]:
-    """Return momentum per rate across (6, k), inertia, damping and stiffness of k joints (k,).
-
-    Near rest: a wheel's Coulomb friction is left out.
-    """
+    """Return momentum per rate across (6, k), inertia, damping and stiffness of k joints (k,)
+    near rest: a wheel's Coulomb friction is left out."""
     at = np.zeros(len(carried))
     _, across, inertia = carried_inertia(carried, at)
     damping, stiffness = at.copy(), at.copy()
@@ -248,16 +223,9 @@ def linear_joints(carried: tuple[Carried, ...]) -> tuple[Array, Array, Array, Ar
 def carried_energy(
     carried: tuple[Carried, ...], twist: Array, at: Array, rate: Array
 ) -> tuple[Array, Array, Array]:
-    """Return strain energy, kinetic energy and power lost of carried bodies [J], [W].
-
-    Args:
-        carried: k of them.
-        twist: (..., 6) of the platform in its axes.
-        at, rate: (..., k) of their joints.
-
-    Returns:
-        (...,) each; the kinetic energy is what they add to that of the satellite's body.
-    """
+    """Return strain energy, kinetic energy and power lost (...) of k carried bodies [J], [W],
+    their joints and rates (..., k), the platform's twist (..., 6) in its axes; the kinetic
+    energy is what they add to that of the satellite's body."""
     locked, across, joints = carried_inertia(carried, at)
     kinetic = 0.5 * np.einsum("...i,...ij,...j->...", twist, locked, twist)
     kinetic += np.einsum("...i,...ij,...j->...", twist, across, rate)
@@ -279,16 +247,13 @@ def carried_wrench(
     twist_rate: Array,
     motor: Array,
 ) -> Array:
-    """Return the wrench that the motion of carried bodies takes at the platform's origin.
+    """Return the wrench (n, 6) that the motion of carried bodies takes at the platform's
+    origin, its axes [N, N m].
 
     Args:
-        carried: k of them, the w wheels first.
-        at, rate: (n, k) of their joints.
+        carried: k of them, the w wheels first; `at` and `rate` (n, k) are of their joints.
         twist, twist_rate: (n, 6) of the platform and its rate, components in its axes.
         motor: (n, w) torque of the wheels' motors [N m].
-
-    Returns:
-        (n, 6) in platform axes [N, N m].
     """
     out = np.zeros(twist.shape)
     spin, turn = twist[:, 3:], twist_rate[:, 3:]

@@ -76,13 +76,8 @@ class Lump:
     def add_body(
         self, body: Inertial, R: Array = _UPRIGHT, p: Array = _ORIGIN, sign: float = 1.0
     ) -> None:
-        """Add a body, or take it away (sign -1).
-
-        Args:
-            body: its mass properties in its own frame.
-            R, p: rotation (3, 3) and position (3,) of that frame.
-            sign: 1 or -1.
-        """
+        """Add a body whose frame has rotation R (3, 3) and position p (3,), or take it away
+        (sign -1)."""
         moments = sign * (R @ np.array(body.inertia) @ R.T)
         self.add(LinkMass("", sign * body.mass, p + R @ np.array(body.com), moments))
 
@@ -197,16 +192,12 @@ def arm_of(
     """Return the arm of joint axes and bodies at zero.
 
     Args:
-        name: of the arm.
+        name, bandwidth: of the arm, and of its servos [Hz].
         root: what stands on the platform.
         joints: from root to tip, then those beside them, each after what it stands on.
         tool: rotation (3, 3) and position (3,) [m] of the tool.
         source: where it comes from; what is derived is added.
         collision: False: leave the shapes out.
-        bandwidth: of the servos [Hz].
-
-    Raises:
-        ParameterError: names the joint.
     """
     along, driven = (
         [k for k in joints if not k.beside],
@@ -301,12 +292,8 @@ def _mount(R: Array, p: Array) -> Mount | None:
 
 
 def far_end(p: Array, axis: Array) -> dict[str, float]:
-    """d, a, alpha, beta and offset of a link.
-
-    Args:
-        p: (3,) far end in the frame at the joint, at zero [m].
-        axis: (3,) z of the frame there.
-    """
+    """d, a, alpha, beta and offset of a link whose far end is at p (3,) [m] in the frame at its
+    joint, at zero, with z of the frame there along an axis (3,)."""
     a = math.hypot(p[0], p[1])
     if a < _ZERO:
         slant = math.hypot(axis[0], axis[1])
@@ -411,17 +398,10 @@ def _down(value: float) -> float:
 
 
 def flexures_as_links(arm: Arm) -> tuple[Arm, list[int], list[int], list[Flexure]]:
-    """Return the rigid arm in which each flexure is a joint of its own.
+    """Return the rigid arm of n + p links in which each of p flexures is a joint of its own.
 
-    Args:
-        arm: with n links that bend in p flexures.
-
-    Returns:
-        The arm of n + p links, places of the driven joints and of the flexures among them,
-        and the flexures.
-
-    Raises:
-        ParameterError: the parts beyond the flexures weigh more than their link.
+    Then the places of the driven joints and of the flexures among them, and the flexures.
+    Refused where parts beyond flexures weigh more than their link.
     """
     links: list[Link] = []
     driven: list[int] = []

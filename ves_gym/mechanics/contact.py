@@ -140,13 +140,8 @@ class Touch(NamedTuple):
 
 
 def touches(contact: Contact, place: Array, turn: Array) -> Iterator[Touch]:
-    """Yield every point where shapes may touch.
-
-    Args:
-        contact: the shapes.
-        place: (..., 3) of the tool in the target's axes [m].
-        turn: (..., 3, 3) from the tool's axes to the target's.
-    """
+    """Yield every point where shapes may touch, the tool at a place (..., 3) and turn (..., 3,
+    3) in the target's axes."""
     origin, identity = np.zeros(3), np.eye(3)
     for a in contact.tool:
         for b in contact.target:
@@ -261,11 +256,8 @@ def contact_wrench(
 ) -> tuple[Array, Array]:
     """Return the wrench on the tool (..., 6), about it, and what the springs store (...,) [J].
 
-    Args:
-        contact: the shapes.
-        law: of the force.
-        place, turn: (..., 3) and (..., 3, 3), pose of the tool in the target's axes.
-        motion: (..., 6) twist of the tool against the target, at the tool, in these axes.
+    Place (..., 3), turn (..., 3, 3) and twist (..., 6) of the tool against the target, at the
+    tool, are in the target's axes.
     """
     force, moment, energy = 0.0 * place, 0.0 * place, 0.0 * place[..., 0]
     for gap, normal, at in touches(contact, place, turn):
@@ -320,11 +312,8 @@ def contact_load(
 ) -> ContactLoad:
     """Return what contact does to arm, base and payload.
 
-    Args:
-        model: the contact.
-        chain: joints of the arm, those of its springs too.
-        z, zd: (..., 6 + joints of the chain) state and its rate.
-        b, bd: (..., 7) of the payload: centre of mass, quaternion, and their rates; (..., 0).
+    Of state and rate (..., 6 + joints of the chain, those of its springs too), and of the
+    payload's centre of mass and quaternion and their rates (..., 7), or (..., 0).
     """
     at, T, R = frames(chain, z[..., 6:]), rate_matrix(z[..., :6]), rotation(z[..., :6])
     along = tool_motions(chain, at)
@@ -379,13 +368,8 @@ def _target(model: ContactModel, b: Array, bd: Array) -> _Target:
 def _seen(
     target: _Target, y: Array, R: Array, tool: Pose, motion: Array
 ) -> tuple[Array, Array, Array]:
-    """Pose and twist of the tool against a target, in its axes.
-
-    Args:
-        target: in space.
-        y, R: (..., 3) and (..., 3, 3), pose of the base.
-        tool, motion: in the base's axes.
-    """
+    """Pose and twist of the tool, given in the base's axes, against a target in space, in its
+    axes; y (..., 3) and R (..., 3, 3) are the base's pose."""
     back = np.swapaxes(target.turn, -1, -2)
     turn, (place, axes) = back @ R, tool
     here = matvec(back, y + matvec(R, place) - target.place)
@@ -405,12 +389,8 @@ def payload_attitude(b: Array, bd: Array) -> tuple[Array, Array]:
 
 
 def payload_coordinates(bodies: Array, com: Array) -> tuple[Array, Array]:
-    """Return the coordinates (..., 7) of payloads and their rates.
-
-    Args:
-        bodies: (..., 13) rows of `latch.BODY`.
-        com: (..., 3) in own axes [m].
-    """
+    """Return the coordinates (..., 7) of payloads and their rates, of rows (..., 13) of
+    `latch.BODY` and centres of mass (..., 3) in own axes [m]."""
     place, q, velocity, spin = np.split(bodies, [3, 7, 10], axis=-1)
     rate = 0.5 * product(q, np.concatenate([0.0 * spin[..., :1], spin], axis=-1))
     centre = place + matvec(to_matrix(q), com)
@@ -418,12 +398,8 @@ def payload_coordinates(bodies: Array, com: Array) -> tuple[Array, Array]:
 
 
 def payload_of(b: Array, bd: Array, com: Array) -> Array:
-    """Return payloads as rows of `latch.BODY` (..., 13) from their coordinates.
-
-    Args:
-        b, bd: (..., 7) and their rates.
-        com: (..., 3) own axes [m].
-    """
+    """Return payloads as rows of `latch.BODY` (..., 13) from their coordinates and rates (...,
+    7)."""
     q, spin = payload_attitude(b, bd)
     origin = b[..., :3] - matvec(to_matrix(q), com)
     return np.concatenate([origin, q, bd[..., :3], spin], axis=-1)

@@ -71,38 +71,22 @@ class Reduction:
         return self.truncated(int(np.searchsorted(self.omega, fastest, side="right")))
 
     def modal_damping(self, ratios: float | Array) -> Array:
-        """Return the damping that gives the whole, with its interface free, these ratios.
-
-        Args:
-            ratios: one for all, or (6 + m,) of the modes of (K_z, M_z), slowest first [1].
-
-        Returns:
-            (6 + m, 6 + m) over (Y', eta').
-        """
+        """Return the damping (6 + m, 6 + m) over (Y', eta') that gives the whole, its interface
+        free, these ratios: one for all, or (6 + m,) of the modes of (K_z, M_z), slowest first
+        [1]."""
         return modal_damping(*self.matrices(), ratios)
 
     def absolute(self, damping: Array) -> tuple[Array, Array]:
-        """Return the mass beside the modes, and a damping, over (Y, u), u = eta + P^T Y.
-
-        Args:
-            damping: (6 + m, 6 + m) over (Y', eta').
-
-        Returns:
-            M - P P^T (6, 6), and the damping over (Y', u') (6 + m, 6 + m).
-        """
+        """Return M - P P^T (6, 6), the mass beside the modes, and a damping (6 + m, 6 + m)
+        given over (Y', eta') over (Y', u'), u = eta + P^T Y."""
         mass = self.M - self.coupling @ self.coupling.T
         change = np.eye(6 + self.m)
         change[6:, :6] = -self.coupling.T
         return (mass + mass.T) / 2, change.T @ damping @ change
 
     def rescaled(self, length: float, mass: float, time: float) -> Reduction:
-        """Return the reduction of a structure in other units in SI.
-
-        Args:
-            length: of one unit [m].
-            mass: of one unit [kg].
-            time: of one unit [s].
-        """
+        """Return the reduction in SI of a structure whose units are `length` m, `mass` kg and
+        `time` s."""
         m = self.m
         way = np.r_[np.full(3, length), np.ones(3)]  # of Y
         modal = np.full(m, length * np.sqrt(mass))  # of eta
@@ -150,19 +134,14 @@ def reduce(
 ) -> Reduction:
     """Reduce a structure to the six freedoms of one node and its slowest internal modes.
 
+    Rows of the result's `static` and `shapes` are all n freedoms, held ones zero.
+
     Args:
         mass, stiffness: (n, n) dense or sparse, symmetric; SI units, or `rescaled` after.
         interface: (6,) freedoms of the node in order x, y, z, phi_x, phi_y, phi_z.
         modes: to keep.
         damping: (n, n), if the structure has one.
         held: freedoms that do not move (a clamp).
-
-    Returns:
-        The reduction; rows of `static` and `shapes` are all n freedoms, held ones zero.
-
-    Raises:
-        ParameterError: freedoms that are not there or given twice, more modes than the
-            structure has, or one that still moves freely with the interface held.
     """
     M, K, D = (_held_as(k) for k in (mass, stiffness, damping))
     size = K.shape[0]

@@ -64,12 +64,8 @@ def packed_matvec(matrix: Array, vector: Array) -> Array:
 
 
 def turned_inertia(rotation: Array, inertia: Array) -> Array:
-    """R I R^T (..., 6) of bodies about their centres of mass.
-
-    Args:
-        rotation: (..., 3, 3).
-        inertia: (..., 3, 3) in the bodies' axes.
-    """
+    """R I R^T (..., 6) of bodies about their centres of mass, I (..., 3, 3) in their own
+    axes."""
     diagonal = inertia.dtype != object and not packed(inertia)[..., 3:].any()
     if diagonal:
         half = rotation * packed(inertia)[..., None, :3]
@@ -82,13 +78,8 @@ def turned_inertia(rotation: Array, inertia: Array) -> Array:
 
 
 def moments(mass: Array, com: Array, turned: Array) -> tuple[Array, Array]:
-    """First moment (..., 3) and second moments (..., 6) of bodies about the origin.
-
-    Args:
-        mass: (...) kg.
-        com: (..., 3) m.
-        turned: (..., 6) of `turned_inertia`.
-    """
+    """First moment (..., 3) and second moments (..., 6) about the origin of bodies of mass
+    (...) [kg], centre (..., 3) [m] and `turned_inertia` (..., 6)."""
     first = mass[..., None] * com
     across = _products(first, com)
     second = turned - across
@@ -128,12 +119,8 @@ def body_loads(
 ) -> tuple[Array, Array]:
     """Force and moment about the origin (..., 3) that bodies' motions take.
 
-    Args:
-        mass: (...) kg.
-        com: (..., 3) place of the centre of mass [m].
-        turned: (..., 6) of `turned_inertia`.
-        w, dw: (..., 3) angular velocity and acceleration.
-        accel: (..., 3) of the centre of mass.
+    Of mass (...) [kg], centre of mass (..., 3) [m] and `turned_inertia` (..., 6), under angular
+    velocity w and acceleration dw and the centre's acceleration (..., 3).
     """
     force = mass[..., None] * accel
     spun = packed_matvec(turned, dw) + cross(w, packed_matvec(turned, w))
@@ -262,9 +249,8 @@ def inertia(arm: Arm, q: npt.ArrayLike) -> Array:
     """Inertia matrix of the arm and its base link, base at the origin, at joint angles q (...,
     n) [rad].
 
-    Returns:
-        (..., 6 + n, 6 + n): [[H_b, H_bm], [H_bm^T, H_m]] for the base twist (linear part
-        first, platform-top frame) and the joint rates; rotors included in H_m.
+    (..., 6 + n, 6 + n): [[H_b, H_bm], [H_bm^T, H_m]] for the base twist (linear part first,
+    platform-top frame) and the joint rates; rotors included in H_m.
     """
     angles, size = joint_values(arm, q), 6 + arm.n
     out = np.empty((*angles.shape[:-1], size, size))

@@ -184,15 +184,9 @@ def touch(model: Model, x: Array) -> ContactLoad | None:
 def momenta(
     model: Model, z: Array, zd: Array, hidden: Array, rate: Array
 ) -> tuple[Array, Array]:
-    """Return the momentum of arm and base about the origin (..., 6), and their kinetic energy.
-
-    [kg m/s, kg m^2/s] and [J]. Internal modes of the base have no part in it.
-
-    Args:
-        model: in space.
-        z, zd: (..., 6 + n) state and its rate.
-        hidden, rate: (..., h) what is hidden, and its rates.
-    """
+    """Return the momentum of arm and base in space about the origin (..., 6) [kg m/s, kg
+    m^2/s], and their kinetic energy [J], of a state and its rate (..., 6 + n) and what is
+    hidden and its (..., h). Internal modes of the base have no part in it."""
     (d, c, _), (dd, cd, _) = model.parted(hidden), model.parted(rate)
     pose, moving = along_the_chain(model, z, d), along_the_chain(model, zd, dd)
     none = 0.0 * moving
@@ -224,10 +218,8 @@ def body_fixed(model: Model, z: Array, force: Array) -> Array:
 
 
 def drive_torque(model: Model, z: Array, zd: Array, command: Array) -> tuple[Array, Array]:
-    """Return the torques (..., n) that the servos ask, and that the motors give [N m].
-
-    None where joints are prescribed: what holds them there follows from the motion.
-    """
+    """Return the torques (..., n) that the servos ask, and that the motors give [N m]; zero
+    where joints are prescribed: what holds them there follows from the motion."""
     if model.prescribed:
         return 0.0 * command, 0.0 * command
     ask = command - model.kp * z[..., 6:] - model.kd * zd[..., 6:]
@@ -243,13 +235,8 @@ def driven_torque(model: Model, z: Array, zd: Array, drive: Array) -> Array:
 
 
 def spring_torque(model: Model, d: Array, rate: Array) -> Array:
-    """Return the torque of gears and flexures on what is beyond them [N m].
-
-    Args:
-        model: with p of them.
-        d: (..., p) deflections [rad].
-        rate: (..., p) of these [rad/s].
-    """
+    """Return the torque of p gears and flexures on what is beyond them [N m], at deflections d
+    (..., p) [rad] and their rates."""
     stiffness, damping, gap, loose = model.springs
     if loose:
         d, half = d.copy(), gap[..., loose] / 2
@@ -258,13 +245,8 @@ def spring_torque(model: Model, d: Array, rate: Array) -> Array:
 
 
 def mode_forces(model: Model, z: Array, zd: Array, s: Array, sd: Array) -> tuple[Array, Array]:
-    """Return the generalised force of the base's modes on Y (..., 6), and their s'' (..., m).
-
-    Args:
-        model: with m modes.
-        z, zd: state (Y, q) and its rate.
-        s, sd: (..., m) coordinates and rates of the modes.
-    """
+    """Return the generalised force of the base's m modes on Y (..., 6), and their s'' (..., m),
+    from z = (Y, q), its rate, and their own coordinates and rates (..., m)."""
     if model.modes is None:
         return np.zeros(6), s
     coupling, stiffness, damping = model.modes
@@ -276,13 +258,8 @@ def mode_forces(model: Model, z: Array, zd: Array, s: Array, sd: Array) -> tuple
 def balance_of_forces(
     model: Model, z: Array, zd: Array, force: Array, tau: Array
 ) -> tuple[Array, Array]:
-    """Return mass matrix and loads of M z'' = loads in space.
-
-    Args:
-        z, zd: (..., 6 + joints of the chain) state and its rate.
-        force: (..., 6) generalised force on Y.
-        tau: (..., joints of the chain) torques.
-    """
+    """Return mass matrix and loads of M z'' = loads in space, at a state z and its rate (..., 6
+    + joints of the chain), under a generalised force (..., 6) on Y and torques tau."""
     H, T = inertia_parts(model.chain, z[..., 6:]), rate_matrix(z[..., :6])
     size = z.shape[-1]
     mass = room(T, *T.shape[:-2], size, size)
@@ -294,12 +271,8 @@ def balance_of_forces(
 
 
 def residual(model: Model, z: Array, zd: Array, zdd: Array, force: Array, tau: Array) -> Array:
-    """Return the imbalance of forces on z under accelerations z''.
-
-    Args:
-        model, z, zd, force, tau: see `balance_of_forces`.
-        zdd: accelerations.
-    """
+    """Return the imbalance of forces on z under accelerations z'', as `balance_of_forces` takes
+    the others."""
     y, yd, ydd = (k[..., :6] for k in (z, zd, zdd))
     T, spin, turn, accel = base_motion(y, yd, ydd)
     torque, wrench = newton_euler(
@@ -316,15 +289,10 @@ def solved(
 ) -> tuple[Array, Array]:
     """Return a of M a = loads, and the torque of the drives (..., n) [N m].
 
-    Prescribed joints have the acceleration that they are told; only the rest is solved for, and
-    what is then missing in the joints' own rows is their drives' torque.
-
-    Args:
-        model: whose joints lie from coordinate `first` on.
-        mass, loads: (..., m, m), (..., m); loads of prescribed joints are without their drives.
-        drive: (..., n) torque of motors, within `loads` [N m].
-        command: (..., n) accelerations of prescribed joints [rad/s^2].
-        first: place of the chain's first joint.
+    Prescribed joints have the acceleration that they are commanded [rad/s^2]; only the rest is
+    solved for, and what is then missing in the joints' own rows is their drives' torque. Loads
+    (..., m) of prescribed joints are without their drives; others' are with `drive` (..., n).
+    The chain's joints lie from coordinate `first` on.
     """
     if not model.prescribed:
         return solve_symmetric(mass, loads[..., None])[..., 0], drive
@@ -336,10 +304,8 @@ def solved(
 
 
 def _implicit(model: Model, ask: Array, step: float) -> Array:
-    """Mass that an implicit step adds for what resists motion: h (D + kd).
-
-    A motor at its limit resists no more.
-    """
+    """Mass that an implicit step adds for what resists motion, h (D + kd); a motor at its limit
+    resists no more."""
     size = 6 + model.n
     out = room(ask, *ask.shape[:-1], size, size)
     out[..., :6, :6] = step * model.D
@@ -351,15 +317,10 @@ def _implicit(model: Model, ask: Array, step: float) -> Array:
 def with_carried(
     model: Model, mass: Array, loads: Array, z: Array, zd: Array, at: Array, rate: Array
 ) -> tuple[Array, Array]:
-    """Return mass matrix and loads with the joints of wheels and appendages after z.
+    """Return mass matrix and loads of `balance_of_forces` with the k joints of wheels and
+    appendages after z, at their coordinates and rates (..., k).
 
     Each joint couples with the base alone, so the mass matrix has a diagonal more.
-
-    Args:
-        model: with k of them.
-        mass, loads: of `balance_of_forces`.
-        z, zd: state and its rate.
-        at, rate: (..., k) coordinates and rates of the joints.
     """
     size, k = mass.shape[-1], len(model.carried)
     T, spin, turn, accel = base_motion(z[..., :6], zd[..., :6], 0.0 * zd[..., :6])
@@ -392,14 +353,8 @@ def on_platform(
     command: Array,
     implicit: Array | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Return z'' of the arm on a moving platform under gravity, its drives' torque, its wrench.
-
-    Args:
-        model, z, zd, tau: see `balance_of_forces`.
-        ydd: (..., 6) of the platform.
-        drive, command: see `solved`.
-        implicit: added to the mass matrix by an implicit integrator.
-    """
+    """Return z'' of the arm on a platform that moves by ydd (..., 6) under gravity, its drives'
+    torque, its wrench; see `balance_of_forces`, `solved` and `_implicit`."""
     q, v, still = z[..., 6:], zd[..., 6:], 0.0 * zd[..., 6:]
     _, spin, turn, accel = base_motion(z[..., :6], zd[..., :6], ydd)
     lift = GRAVITY * rotation(z[..., :6])[..., 2, :]  # "up" in platform axes
@@ -419,12 +374,10 @@ def on_platform(
 def base_energy(
     model: Model, z: Array, zd: Array, hidden: Array, rate: Array
 ) -> tuple[Array, Array]:
-    """Return E = 1/2 Y'^T (M + H_b) Y' + strain energy, and the latter [J].
+    """Return E = 1/2 Y'^T (M + H_b) Y' + strain energy, and the latter [J], gears left out.
 
-    Args:
-        model: the system; gears are left out.
-        z, zd: (..., 6 + n) state and its rate.
-        hidden, rate: (..., h) flexures, wheels and appendages, modes of the base; their rates.
+    Of a state and its rate (..., 6 + n) and what is hidden and its (..., h): flexures, wheels
+    and appendages, modes of the base.
     """
     p, k = model.bends, model.bends + len(model.carried)
     d, c, s = hidden[..., :p], hidden[..., p:k], hidden[..., k:]

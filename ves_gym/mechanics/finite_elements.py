@@ -122,12 +122,8 @@ class Tube:
 
 
 def cowper(ratio: float, poisson: float) -> float:
-    """Return the shear coefficient of a round tube [1] (Cowper, J. Appl. Mech. 33, 1966).
-
-    Args:
-        ratio: inner over outer diameter [1].
-        poisson: Poisson's ratio [1].
-    """
+    """Return the shear coefficient of a tube of inner over outer diameter and Poisson's ratio
+    [1] (Cowper, J. Appl. Mech. 33, 1966)."""
     even, cross = (1 + ratio**2) ** 2, ratio**2
     return 6 * (1 + poisson) * even / ((7 + 6 * poisson) * even + (20 + 12 * poisson) * cross)
 
@@ -179,14 +175,8 @@ def _axes(x: Array, section: Section | Tube) -> Array:
 def element(
     length: float, section: Section | Tube, material: Material, rotary: bool = True
 ) -> tuple[Array, Array]:
-    """Return mass and stiffness of an element along local x, two (12, 12), read-only.
-
-    Args:
-        length: of the element [m].
-        section: its cross section.
-        material: its material.
-        rotary: sections that tilt have inertia.
-    """
+    """Return mass and stiffness of an element of a length [m] along local x, two (12, 12),
+    read-only; with `rotary` sections that tilt have inertia."""
     section = section.of(material)
     E, G, rho = material.youngs_modulus, material.shear_modulus, material.density
     area, polar = section.area, section.second_y + section.second_z

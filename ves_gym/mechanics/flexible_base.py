@@ -264,13 +264,8 @@ class Reduced:
         line: tuple[Array, Array, Array] | None = None,
         diameter: float | None = None,
     ) -> Reduced:
-        """Return the matrices of a reduction.
-
-        Args:
-            reduction: in SI units.
-            line: (k, 3) points to draw it by [m], their ways (3 k, 6) per Y, (3 k, m) per eta.
-            diameter: to draw it with [m].
-        """
+        """Return the matrices of a reduction in SI units, drawn with a diameter along a line of
+        (k, 3) points [m], their ways (3 k, 6) per Y and (3 k, m) per eta."""
         drawn = zip(("centreline", "static", "shapes"), map(matrix, line or ()), strict=False)
         return Reduced(
             K=matrix(reduction.K),
@@ -356,12 +351,8 @@ class FlexibleBase(Saved):
 
     @staticmethod
     def of(beam: Beam, modes: int) -> FlexibleBase:
-        """Return a condensed beam with its own modes and the same damping ratio.
-
-        Args:
-            beam: its shape, section, material, damping ratio and source are taken over.
-            modes: internal modes to keep.
-        """
+        """Return a condensed beam with so many modes of its own: its shape, section, material,
+        damping ratio and source."""
         return FlexibleBase(
             structure=Polyline.of(beam),
             modes=modes,
@@ -485,16 +476,11 @@ def _centreline(base: FlexibleBase) -> Centreline | None:
 def beam_line(
     vehicle: object, y: Array, u: Array | None = None, points: int = 7
 ) -> Array | None:
-    """Return the bent centreline of a beam or a flexible base.
+    """Return the bent centreline (N, k, 3) [m] of a beam or a flexible base; None of another
+    vehicle.
 
-    Args:
-        vehicle: what carries the arm.
-        y: (N, 6) poses of its flange [m, rad].
-        u: (N, m) internal modes [kg^(1/2) m]; None: they rest on the flange.
-        points: of each member of a polyline, both ends included.
-
-    Returns:
-        (N, k, 3) points [m], None of a vehicle without a line to draw.
+    At poses y (N, 6) of its flange and u (N, m) of internal modes [kg^(1/2) m] (None: at rest
+    on the flange), with so many points of each member of a polyline, both ends included.
     """
     base = FlexibleBase.of(vehicle, 0) if isinstance(vehicle, Beam) else vehicle
     centreline = base.centreline() if isinstance(base, FlexibleBase) else None

@@ -28,15 +28,8 @@ class ExpandedChain(NamedTuple):
     damping: Array  # (p,) [N m s/rad]
 
     def angles(self, q: npt.ArrayLike, d: npt.ArrayLike = 0.0) -> Array:
-        """Return driven and passive coordinates, or rates, in the order of the chain.
-
-        Args:
-            q: (..., n) of the driven joints.
-            d: (..., p) deflections.
-
-        Returns:
-            (..., n + p).
-        """
+        """Return coordinates, or rates, in the order of the chain (..., n + p), of driven
+        joints (..., n) and deflections (..., p)."""
         driven, bent = np.asarray(q, float), np.asarray(d, float)
         batch = np.broadcast_shapes(driven.shape[:-1], bent.shape[:-1])
         out = np.empty((*batch, self.arm.n))
@@ -44,40 +37,22 @@ class ExpandedChain(NamedTuple):
         return out
 
     def inertia(self, q: npt.ArrayLike, d: npt.ArrayLike) -> Array:
-        """Return the inertia matrix over base twist, flexures and driven joints.
-
-        Args:
-            q: (..., n) [rad].
-            d: (..., p) deflections [rad].
-
-        Returns:
-            (..., 6 + p + n, 6 + p + n), rows in this order.
-        """
+        """Return the inertia matrix (..., 6 + p + n, 6 + p + n) over base twist, flexures and
+        driven joints, at q (..., n) and deflections (..., p) [rad]."""
         order = np.r_[:6, 6 + np.array(self.passive, int), 6 + np.array(self.driven, int)]
         H = inertia(self.arm, self.angles(q, d))
         out: Array = H[..., order[:, None], order]
         return out
 
     def tool(self, q: npt.ArrayLike, d: npt.ArrayLike) -> Array:
-        """Return the tool's place in the platform-top frame.
-
-        Args:
-            q: (..., n) [rad].
-            d: (..., p) deflections [rad].
-
-        Returns:
-            (..., 3) [m].
-        """
+        """Return the tool's place (..., 3) in the platform-top frame [m], at q (..., n) and
+        deflections (..., p) [rad]."""
         return joint_positions(self.arm, self.angles(q, d))[..., -1, :]
 
 
 @lru_cache(maxsize=64)
 def expand(arm: Arm) -> ExpandedChain:
-    """Return the chain of all joints of an arm whose links may bend.
-
-    Raises:
-        ParameterError: the parts beyond the flexures weigh more than their link.
-    """
+    """Return the chain of all joints of an arm whose links may bend."""
     if not arm.bends:
         return ExpandedChain(arm, tuple(range(arm.n)), (), np.zeros(0), np.zeros(0))
     rigid, driven, passive, springs = flexures_as_links(arm)
@@ -88,13 +63,8 @@ def expand(arm: Arm) -> ExpandedChain:
 
 
 def link_frames(arm: Arm, q: npt.ArrayLike, u: Array | None = None) -> Frames:
-    """Return the frames of an arm's links, those between its flexures among them.
-
-    Args:
-        arm: that may bend.
-        q: (..., n) joint angles [rad].
-        u: (..., p + m) deflections of its p flexures, then others; None: it is straight.
-    """
+    """Return the frames of an arm's links, those between its flexures among them, at q (..., n)
+    and, of u (..., p + m), its p deflections [rad] (None: straight)."""
     if not arm.bends:
         return frames(arm, q)
     chain = expand(arm)

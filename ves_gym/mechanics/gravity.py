@@ -43,13 +43,11 @@ def mass_parameters(arm: Arm) -> Array:
 
 
 def moment_regressor(arm: Arm, q: npt.ArrayLike) -> Array:
-    """Return W (..., 3, 3 (n + 1) + n) with c(q) = W `mass_parameters(arm)` [kg m].
+    """Return W (..., 3, 3 (n + 1) + n) with c(q) = W `mass_parameters(arm)` [kg m] at q (...,
+    n).
 
-    c is the first moment of base and links about the platform origin. The thesis's matrix
-    of eq. 3.8 is that of c x g.
-
-    Args:
-        q: (..., n) joint angles [rad].
+    c is the first moment of base and links about the platform origin. The thesis's matrix of
+    eq. 3.8 is that of c x g.
     """
     n, at = arm.n, frames(arm, _joints(arm, q))
     out = np.zeros((*at.position.shape[:-2], 3, 3 * (n + 1) + n))
@@ -102,22 +100,13 @@ class MinimalModel:
         return np.ascontiguousarray(np.swapaxes(self._columns(q), -1, -2))
 
     def G(self, q: npt.ArrayLike, g: npt.ArrayLike) -> Array:
-        """Return G (..., 3, size) with moment = G P (thesis eq. 3.9).
-
-        Args:
-            q: (..., n) joint angles [rad].
-            g: (..., 3) gravity in platform axes [m/s^2].
-        """
+        """Return G (..., 3, size) with moment = G P (thesis eq. 3.9) at q (..., n) [rad],
+        gravity g (..., 3) in platform axes [m/s^2]."""
         C, gravity = self.regressor(q), np.asarray(g, float)[..., None]
         return np.cross(C, gravity, axis=-2)
 
     def first_moment(self, q: npt.ArrayLike, P: npt.ArrayLike) -> Array:
-        """Return c(q) = C P (..., 3) [kg m].
-
-        Args:
-            q: (..., n) joint angles [rad].
-            P: (..., size) parameters [kg m].
-        """
+        """Return c(q) = C P (..., 3) [kg m] of parameters P (..., size) [kg m]."""
         moment: Array = (self._columns(q) * numbers(P)[..., None]).sum(axis=-2)
         return moment
 
@@ -221,16 +210,11 @@ def _term(part: float, text: str) -> str:
 def gravity_wrench(
     arm: Arm, q: npt.ArrayLike, g_b: npt.ArrayLike, mass: npt.ArrayLike, P: npt.ArrayLike
 ) -> Array:
-    """Weight of the arm on its base at the platform origin (thesis eq. 3.3a, 3.9).
+    """Weight (..., 6) [N, N m] of the arm on its base at the platform origin (thesis eq. 3.3a,
+    3.9).
 
-    Args:
-        q: (..., n) joint angles [rad].
-        g_b: (..., 3) free fall in platform axes [m/s^2].
-        mass: (...) total mass [kg].
-        P: (..., size) minimal parameters [kg m], as in `minimal_model(arm)`.
-
-    Returns:
-        (..., 6) force [N] and moment [N m]; leading axes broadcast.
+    At q (..., n) [rad], free fall g_b (..., 3) in platform axes [m/s^2], of total mass (...)
+    [kg] and parameters P (..., size) [kg m] as in `minimal_model(arm)`; leading axes broadcast.
     """
     model = minimal_model(arm)
     joints, g, m, values = (numbers(k) for k in (q, g_b, mass, P))
@@ -264,13 +248,6 @@ class GravityModel:
         return GravityModel(mass=arm.mass, P=tuple(P.tolist()), source=f"masses of {arm.name}")
 
     def wrench(self, arm: Arm, q: npt.ArrayLike, y: npt.ArrayLike) -> Array:
-        """Return the estimated weight on the base.
-
-        Args:
-            q: (..., n) joint angles [rad].
-            y: (..., 6) pose [m, rad].
-
-        Returns:
-            (..., 6) wrench at the platform-top origin, in platform axes [N, N m].
-        """
+        """Return the estimated weight (..., 6) on the base at the platform-top origin, platform
+        axes [N, N m], at q (..., n) [rad] and pose y (..., 6)."""
         return gravity_wrench(arm, q, gravity_vector(y), self.mass, self.P)

@@ -63,10 +63,8 @@ class Frames(NamedTuple):
 
 
 def frame_rows(roots: Sequence[Root], n: int) -> tuple[Rows, Rows]:
-    """Return the rows of n joints' frames, and of their links', each arm's frame 0 among them.
-
-    Of one arm slices: its arrays are views.
-    """
+    """Return the rows of n joints' frames, and of their links', each arm's frame 0 among them;
+    of one arm slices: its arrays are views."""
     if len(roots) == 1:
         return slice(None, -1), slice(1, None)
     joints = [i + k for k, span in enumerate(spans(roots, n)) for i in range(n)[span]]
@@ -75,8 +73,7 @@ def frame_rows(roots: Sequence[Root], n: int) -> tuple[Rows, Rows]:
 
 def frames(arm: Mechanism, q: npt.ArrayLike) -> Frames:
     """Return the pose of every joint frame in the platform-top frame (thesis B.3), at joint
-    angles q (..., n) [rad].
-    """
+    angles q (..., n) [rad]."""
     angles, roots = np.asanyarray(numbers(q), order="F"), arm.roots
     if arm.coupling is not None:
         angles = arm.coupling.full(angles)
@@ -162,11 +159,8 @@ def _turned(pair: Array, turn: Turn) -> Array:
 
 
 def twists(arm: Mechanism, at: Frames) -> tuple[Array, Array]:
-    """Return the motion of what is beyond each joint, followers too, per rate of the joint.
-
-    Returns:
-        Velocity at the platform's origin, and angular velocity, (..., n, 3) each.
-    """
+    """Return velocity at the platform's origin, and angular velocity (..., n, 3), of what is
+    beyond each joint, followers too, per rate of the joint."""
     moving, turning = cross(at.origin, at.axis), at.axis
     if any(joint.slides for joint in arm.joints):
         turning = turning.copy()
@@ -177,12 +171,8 @@ def twists(arm: Mechanism, at: Frames) -> tuple[Array, Array]:
 
 
 def joint_positions(arm: Arm, q: npt.ArrayLike) -> Array:
-    """Return the origins of the platform frame and of every link frame, at joint angles q (...,
-    n) [rad].
-
-    Returns:
-        (..., n + 1, 3) points [m]; the last is the tool (the far end of the last link).
-    """
+    """Return the origins (..., n + 1, 3) [m] of the platform frame and of every link frame, at
+    joint angles q (..., n) [rad]; the last is the tool (the far end of the last link)."""
     at = frames(arm, joint_values(arm, q))
     out = np.ascontiguousarray(at.positions)
     if len(arm.roots) > 1 or arm.coupling is not None:
@@ -193,11 +183,7 @@ def joint_positions(arm: Arm, q: npt.ArrayLike) -> Array:
 
 
 def joint_values(arm: Arm, q: npt.ArrayLike, name: str = "q") -> Array:
-    """Return (..., n) values of the joints as an array.
-
-    Raises:
-        ParameterError: another number of joints; `name` is what they are called.
-    """
+    """Return (..., n) values of the joints as an array; refused by `name` of another number."""
     array = np.asarray(q, float)
     if array.ndim == 0 or array.shape[-1] != arm.n:
         raise ParameterError(f"{name} must have shape (..., {arm.n}), got {array.shape}")
@@ -247,23 +233,17 @@ def tool_motions(arm: Mechanism, at: Frames) -> Array:
 
 def tool_jacobian(arm: Arm, q: npt.ArrayLike) -> Array:
     """Return the velocity of the tool per joint rate (..., 3, n) [m/rad], base at rest, at
-    joint angles q (..., n) [rad].
-    """
+    joint angles q (..., n) [rad]."""
     motions = tool_motions(arm, frames(arm, joint_values(arm, q)))
     return np.ascontiguousarray(np.swapaxes(motions[..., :3], -1, -2))
 
 
 def dexterity(arm: Arm, q: npt.ArrayLike) -> Array:
-    """Return how far a configuration is from a singularity [m/rad].
+    """Return how far q (..., n) [rad] is from a singularity (...,) [m/rad]: 0 there, else at
+    most the tool's least speed per joint rate.
 
-    1 / |J^+| in the Frobenius norm: (sum of 1/s_i^2)^-1/2 of the singular values s_i. In
-    closed form det(A) / trace(adj(A)) = that squared, A = J J^T.
-
-    Args:
-        q: (..., n) joint angles [rad].
-
-    Returns:
-        (...,) 0 at a singularity, else at most the tool's least speed per joint rate.
+    1 / |J^+| in the Frobenius norm: (sum of 1/s_i^2)^-1/2 of the singular values s_i. In closed
+    form det(A) / trace(adj(A)) = that squared, A = J J^T.
     """
     J = tool_jacobian(arm, q)
     x, y, z = J[..., 0, :], J[..., 1, :], J[..., 2, :]
@@ -278,11 +258,7 @@ def dexterity(arm: Arm, q: npt.ArrayLike) -> Array:
 
 def tool_frame(arm: Arm, q: npt.ArrayLike) -> tuple[Array, Array]:
     """Return position and rotation of the tool in the platform-top frame, at joint angles q
-    (..., n) [rad].
-
-    Returns:
-        (..., 3) [m] and (..., 3, 3) from the tool's axes to the platform's.
-    """
+    (..., n) [rad]: (..., 3) [m] and (..., 3, 3) from the tool's axes to the platform's."""
     place, turn = _last(frames(arm, q))
     return place, turn @ arm.tool_rotation
 
@@ -297,27 +273,15 @@ def _last(at: Frames) -> tuple[Array, Array]:
 
 
 def tool_twists(arm: Arm, q: npt.ArrayLike) -> Array:
-    """Return velocity and rate of rotation of the tool per joint rate, base at rest, at joint
-    angles q (..., n) [rad].
-
-    Returns:
-        (..., 6, n) in the platform's axes: three rows [m/rad], three [1].
-    """
+    """Return velocity and rate of rotation of the tool per joint rate (..., 6, n) in the
+    platform's axes, base at rest, at joint angles q (..., n) [rad]."""
     motions = tool_motions(arm, frames(arm, np.asarray(q, float)))
     return np.ascontiguousarray(np.swapaxes(motions, -1, -2))
 
 
 def tool_speeds(arm: Arm, q: Array, v: Array, base: Array) -> Array:
-    """Return the squared speed and squared rate of turning of the tool in space.
-
-    Args:
-        q: (..., n) joint angles [rad].
-        v: (..., n) joint rates [rad/s].
-        base: (..., 6) twist of the base in its own axes [m/s, rad/s] (`spatial.twist`).
-
-    Returns:
-        (..., 2) [m^2/s^2, rad^2/s^2].
-    """
+    """Return the squared speed and squared rate of turning of the tool in space (..., 2), as
+    `tool_state` takes them."""
     _, motion = _moving(arm, q, v, base)
     squares: Array = motion**2
     out: Array = squares.reshape(*squares.shape[:-1], 2, 3).sum(axis=-1)
@@ -333,13 +297,8 @@ class ToolState(NamedTuple):
 
 
 def tool_state(arm: Arm, q: Array, v: Array, base: Array) -> ToolState:
-    """Return pose and twist of the tool.
-
-    Args:
-        q: (..., n) joint angles [rad].
-        v: (..., n) joint rates [rad/s].
-        base: (..., 6) twist of the base in its own axes [m/s, rad/s] (`spatial.twist`).
-    """
+    """Return pose and twist of the tool, at joint angles q (..., n) [rad] and rates v, on a
+    base of twist (..., 6) in its own axes (`spatial.twist`)."""
     at, motion = _moving(arm, q, v, base)
     place, turn = _last(at)
     return ToolState(place, turn @ arm.tool_rotation, motion)
@@ -354,17 +313,8 @@ def _moving(arm: Arm, q: Array, v: Array, base: Array) -> tuple[Frames, Array]:
 
 
 def pose_dexterity(arm: Arm, q: npt.ArrayLike, lever: float) -> Array:
-    """Return how far a configuration is from losing a direction of place or turn [m/rad].
-
-    1 / |J^+| in the Frobenius norm, as `kinematics.dexterity`, of place and turn together.
-
-    Args:
-        q: (..., n) joint angles [rad].
-        lever: place that a turn counts as [m/rad].
-
-    Returns:
-        (...,) 0 at a singularity, and with fewer than six joints.
-    """
+    """Return `dexterity` of place and turn together (...,) [m/rad], a turn counted as `lever`
+    [m/rad]: how far q (..., n) is from losing a direction; 0 with fewer than six joints."""
     J = tool_twists(arm, q)
     J[..., 3:, :] *= lever
     values = np.linalg.svd(J, compute_uv=False)

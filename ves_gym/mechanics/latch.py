@@ -52,8 +52,7 @@ def inelastic(
     twist dV along S away and with it the energy 1/2 (S^T dV)^T L (S^T dV).
 
     Args:
-        mass: (..., N, N) of the arm with its base.
-        rates: (..., N) before.
+        mass, rates: (..., N, N) of the arm with its base, and (..., N) before.
         J: (..., 6, N) twist of the tool, inertial axes, linear part first.
         body_mass: (..., 6, 6) of the target about its centre of mass, inertial axes.
         twist: (..., 6) of that point before [m/s, rad/s].
@@ -80,13 +79,8 @@ def inelastic(
 
 
 def response(mass: Array, impulse: Array, prescribed: Sequence[int] = ()) -> Array:
-    """Return the change of the rates (..., N, k) by impulses (..., N, k).
-
-    Args:
-        mass: (..., N, N).
-        impulse: on each coordinate.
-        prescribed: coordinates whose rates stay.
-    """
+    """Return the change of the rates by impulses (..., N, k) on each coordinate of a mass (...,
+    N, N); prescribed coordinates keep theirs."""
     free = np.setdiff1d(np.arange(mass.shape[-1]), prescribed)
     out = np.zeros(impulse.shape)
     out[..., free, :] = np.linalg.solve(mass[..., free[:, None], free], impulse[..., free, :])
@@ -94,14 +88,8 @@ def response(mass: Array, impulse: Array, prescribed: Sequence[int] = ()) -> Arr
 
 
 def directions_of(names: object) -> Array | None:
-    """Return directions by name as (6, k) columns; None stands for all six.
-
-    Args:
-        names: some of `DIRECTIONS`, or (6, k) numbers.
-
-    Raises:
-        ParameterError: unknown or repeated names, no direction, dependent columns.
-    """
+    """Return some of `DIRECTIONS` by name as (6, k) independent columns, or numbers (6, k) as
+    they are; None stands for all six."""
     if names is None:
         return None
     if isinstance(names, (list, tuple)) and all(isinstance(k, str) for k in names):
@@ -120,14 +108,8 @@ def directions_of(names: object) -> Array | None:
 
 
 def tool_in_space(arm: Arm, y: Array, base: Array, q: Array, v: Array) -> ToolState:
-    """Return pose and twist of the tool in inertial axes.
-
-    Args:
-        arm: the arm.
-        y: (n, 6) base pose [m, rad].
-        base: (n, 6) twist of the base in its own axes [m/s, rad/s].
-        q, v: (n, joints) of the links [rad], [rad/s].
-    """
+    """Return pose and twist of the tool in inertial axes, of base pose y and twist (n, 6) in
+    its own axes, angles and rates (n, joints) of the links."""
     tool, R = tool_state(arm, q, v, base), rotation(y)
     motion = [matvec(R, tool.twist[:, :3]), matvec(R, tool.twist[:, 3:])]
     return ToolState(
@@ -189,11 +171,8 @@ def named(rows: Array, widths: Mapping[str, int]) -> dict[str, Array]:
 def flown(rows: Array, com: Array, inertia: Array, time: Array) -> Array:
     """Return free payloads a step later: straight, and turning as free bodies do.
 
-    Args:
-        rows: (n, k) of `BODY`.
-        com: (n, 3) centres of mass, own axes [m].
-        inertia: (n, 9) about them [kg m^2].
-        time: (n, 1) steps [s]; one of zero leaves a body where it is, to the bit.
+    Rows (n, k) of `BODY`, centres of mass (n, 3) in own axes [m], inertia (n, 9) about them and
+    steps (n, 1) [s], of which one of zero leaves a body where it is, to the bit.
     """
     body, J = named(rows, BODY), inertia.reshape(len(rows), 3, 3)
     centre = body["position"] + rotate(body["attitude"], com) + time * body["velocity"]
@@ -204,13 +183,12 @@ def flown(rows: Array, com: Array, inertia: Array, time: Array) -> Array:
 
 
 def target(tool: ToolState, axes: Array, body: Mapping[str, Array]) -> LatchTarget:
-    """Return where a payload is, free or carried, as seen from the tool.
+    """Return where a payload is, free or carried, as seen from the tool in space, inertial
+    axes.
 
-    Args:
-        tool: in space, inertial axes.
-        axes: (3, 3) from the tool's axes to the last link's.
-        body: (n, k) what `BODY` and `NUMBERS` name: the motion of a free payload; its pose
-            in the last link's frame where it is carried; com and grip in its own axes.
+    `axes` (3, 3) are from the tool's to the last link's; `body` is (n, k) of what `BODY` and
+    `NUMBERS` name: the motion of a free payload; its pose in the last link's frame where it is
+    carried; com and grip in its own axes.
     """
     turned, grip = (body[k].reshape(len(tool.place), 3, 3) for k in ("turn", "grip_axes"))
     carried, link = body["carried"] > 0, tool.turn @ axes.T
@@ -247,15 +225,11 @@ class ToolMotion(NamedTuple):
 def tool_motion(arm: Arm, base: BaseModel, y: Array, q: Array, hidden: Array) -> ToolMotion:
     """Return tool, Jacobian and mass matrix, gears, wheels and appendages as coordinates.
 
-    The base's rate is its twist in its own axes, which has no singular attitude. Internal
-    modes of the base are masses of their own that springs hold (`InternalModes`): no impulse
-    reaches them. Wheels and appendages of a satellite take their share of one.
-
-    Args:
-        arm: the arm; where gears give way, q turns the rotors and the links turn further.
-        y: (..., 6) base pose [m, rad].
-        q: (..., n) joint angles [rad].
-        hidden: (..., g + c) deflections of gears [rad], coordinates of wheels, appendages.
+    The base's rate is its twist in its own axes, which has no singular attitude. Internal modes
+    of the base are masses of their own that springs hold (`InternalModes`): no impulse reaches
+    them. Wheels and appendages of a satellite take their share of one. At base pose y (..., 6),
+    angles q (..., n) of rotors, and hidden (..., g + c) deflections of gears, by which the
+    links turn further, and coordinates of wheels and appendages.
     """
     n, g, c = arm.n, len(arm.geared), len(base.carried)
     angles = q.copy()
@@ -300,13 +274,8 @@ def base_jump(
     impulse: Array,
     prescribed: Sequence[int] = (),
 ) -> Array:
-    """Return the twist that an impulse at the tool leaves in the base, its axes.
-
-    Args:
-        arm, base, y, q: see `tool_motion`; gears relaxed.
-        impulse: (..., 6) on what the tool holds, inertial axes [N s, N m s].
-        prescribed: see `inelastic`.
-    """
+    """Return the twist (..., 6) that an impulse (..., 6) on what the tool holds, inertial axes,
+    leaves in the base, its axes; see `tool_motion`, gears relaxed, and `inelastic`."""
     hidden = np.zeros((*q.shape[:-1], len(arm.geared) + len(base.carried)))
     at = tool_motion(arm, base, y, q, hidden)
     push = -np.einsum("...ij,...i->...j", at.J, impulse)
@@ -314,13 +283,8 @@ def base_jump(
 
 
 def free_mass(mass: Array, inertia: Array, turn: Array) -> Array:
-    """Return a free body's mass matrix about its centre of mass, inertial axes (..., 6, 6).
-
-    Args:
-        mass: (...,) [kg].
-        inertia: (..., 3, 3) about its centre of mass, own axes [kg m^2].
-        turn: (..., 3, 3) from its own axes to the inertial ones.
-    """
+    """Return a free body's mass matrix about its centre of mass, inertial axes (..., 6, 6), of
+    mass (...,), inertia (..., 3, 3) in own axes and turn (..., 3, 3) from these."""
     M = np.zeros((*np.shape(mass), 6, 6))
     M[..., :3, :3] = np.asarray(mass)[..., None, None] * np.eye(3)
     M[..., 3:, 3:] = turn @ inertia @ np.swapaxes(turn, -1, -2)
@@ -328,11 +292,8 @@ def free_mass(mass: Array, inertia: Array, turn: Array) -> Array:
 
 
 def to_point(com: Array, at: Array) -> Array:
-    """Return X (..., 6, 6) from a rigid body's twist at one point to that at another.
-
-    Args:
-        com, at: (..., 3) the points in space [m].
-    """
+    """Return X (..., 6, 6) from a rigid body's twist at `com` to that at another point (...,
+    3)."""
     X = np.zeros((*com.shape[:-1], 6, 6))
     X[..., :3, :3] = X[..., 3:, 3:] = np.eye(3)
     X[..., :3, 3:] = -skew(at - com)
@@ -340,13 +301,8 @@ def to_point(com: Array, at: Array) -> Array:
 
 
 def body_momentum(mass: Array, twist: Array, com: Array) -> Array:
-    """Return linear and angular momentum of a free body about the inertial origin.
-
-    Args:
-        mass: (..., 6, 6) about its centre of mass, inertial axes.
-        twist: (..., 6) of that point.
-        com: (..., 3) its place [m].
-    """
+    """Return linear and angular momentum of a free body about the inertial origin, of mass
+    (..., 6, 6) about its centre `com` (..., 3) and twist (..., 6) there, inertial axes."""
     out = matvec(mass, twist)
     out[..., 3:] += np.cross(com, out[..., :3])
     return out

@@ -122,12 +122,7 @@ class LimitCheck:
 
     @staticmethod
     def from_dict(plain: Mapping[str, Any], sliding: Sequence[int] = ()) -> LimitCheck:
-        """Rebuild from what `to_dict` returned.
-
-        Args:
-            plain: that.
-            sliding: joints (from 0) that slide.
-        """
+        """Rebuild from what `to_dict` returned, with the joints (from 0) that slide."""
         return LimitCheck(
             tuple(
                 Extreme(kind, **{k: e[k] for k in _SAID}, slides=e["joint"] - 1 in sliding)
@@ -145,10 +140,8 @@ def limits_of(
 ) -> dict[str, Array]:
     """Return what is allowed by kind, in the order in which it is checked.
 
-    Args:
-        v_max: (n,) speed limits of a query [rad/s]; those of the arm hold as well.
-        a_max: (n,) acceleration limits of a query [rad/s^2]; without them none.
-        motor: joints are driven by motors, so that torque is limited.
+    The arm's limits, and a query's of speed [rad/s] where they are tighter, and of acceleration
+    [rad/s^2], which is not limited without; torque where motors drive the joints.
     """
     out = {
         "position": (arm.column("q_max") - arm.column("q_min")) / 2,
@@ -195,13 +188,8 @@ def check_limits(
 def check_reference(
     arm: Arm, motion: Motion, limits: Mapping[str, Array] | None = None
 ) -> LimitCheck:
-    """Check a motion as it is commanded.
-
-    Its torque is that of the motion on a base that stands still.
-
-    Args:
-        limits: see `limits_of`; default the arm's own, driven by motors.
-    """
+    """Check a motion as it is commanded against `limits_of`, default the arm's own, driven by
+    motors. Its torque is that of the motion on a base that stands still."""
     s = motion.at(np.linspace(0, motion.duration, _SAMPLES))
     allowed = limits_of(arm) if limits is None else limits
     return check_limits(allowed, s.t, _values(arm, s), arm.sliding)
@@ -216,11 +204,8 @@ def _values(arm: Arm, s: Samples) -> dict[str, Array]:
 def limit_ratios(arm: Arm, motion: Motion, samples: int = _SAMPLES) -> dict[str, Array]:
     """Return the largest |value| / limit per joint, by kind of limit: {name: (n,)}.
 
-    Torque is that of the motion on a base that stands still. A position ratio is
-    measured from the middle of the joint's range.
-
-    Args:
-        samples: evenly spaced over the motion, its ends included.
+    Torque is that of the motion on a base that stands still. A position ratio is measured from
+    the middle of the joint's range.
     """
     s = motion.at(np.linspace(0, motion.duration, samples))
     limits = limits_of(arm, a_max=tuple(arm.column("a_max")))
@@ -229,14 +214,11 @@ def limit_ratios(arm: Arm, motion: Motion, samples: int = _SAMPLES) -> dict[str,
 
 
 def default_goal(arm: Arm, start: Array, duration: float) -> Array:
-    """Return where the quintic law takes an arm that has been told no goal (n,) [rad].
+    """Return where the quintic law takes an arm from `start` that has been told no goal (n,)
+    [rad].
 
     Each joint goes a third of its room, 60 deg at most, to the side where there is more; all of
     them less where speed, acceleration or torque would take more than half of a limit.
-
-    Args:
-        start: (n,) [rad].
-        duration: of the motion [s].
     """
     above, below = arm.column("q_max") - start, start - arm.column("q_min")
     way = np.minimum(np.maximum(above, below) / 3, np.deg2rad(60.0))
@@ -255,10 +237,6 @@ def usual_goal(arm: Arm, start: Array, duration: float) -> Array:
 
     The thesis's arm goes to 60, 40, -30 deg, and so does another of three joints that turn and
     reach it; others as `default_goal` says.
-
-    Args:
-        start: (n,) [rad].
-        duration: of the motion [s].
     """
     usual = np.deg2rad(THREE_JOINTS)
     if arm.n == len(usual) and not arm.sliding:

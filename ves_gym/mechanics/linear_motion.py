@@ -135,11 +135,8 @@ class LinearMotion:
         )
 
     def loads(self, q: Array, v: Array, a: Array) -> Array:
-        """Torque (..., k) that a motion asks of the springs of flexures and gears [N m].
-
-        Args:
-            q, v, a: (..., n) of the joints, on a base that stands still.
-        """
+        """Torque (..., k) that a motion q, v, a (..., n) on a base that stands still asks of
+        the springs of flexures and gears [N m]."""
         chain = self.links
         at = [chain.angles(part) for part in (q, v, a)]
         torque, _ = inverse_dynamics(chain.arm, *at)

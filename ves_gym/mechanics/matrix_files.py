@@ -39,11 +39,7 @@ class NamedMatrix:
 
 
 def read_matrices(path: str | os.PathLike[str]) -> dict[str, NamedMatrix]:
-    """Read every matrix of a file, by name; a file of one matrix names it after itself.
-
-    Raises:
-        ParameterError: an unknown suffix, or content that is not what the suffix says.
-    """
+    """Read every matrix of a file, by name; a file of one matrix names it after itself."""
     path = Path(path)
     suffix = ".mtx" if path.name.endswith(".mtx.gz") else path.suffix.lower()
     if suffix not in _READERS:

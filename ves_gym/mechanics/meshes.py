@@ -26,14 +26,7 @@ class Mesh(NamedTuple):
 
 
 def read_mesh(path: Path) -> Mesh:
-    """Return all meshes of a file as one.
-
-    Args:
-        path: an STL, OBJ, Collada or PLY file.
-
-    Raises:
-        ParameterError: another format, or nothing in it.
-    """
+    """Return all meshes of an STL, OBJ, Collada or PLY file as one."""
     kind = path.suffix.lower()
     if kind not in _FORMATS:
         raise ParameterError(f"mesh {path.name}: must be one of {', '.join(_FORMATS)}")
@@ -72,16 +65,8 @@ def _joined(scene: trimesh.Scene) -> Mesh:
 
 
 def capsule_around(points: Array) -> tuple[Array, Array, float]:
-    """Return a capsule that holds points.
-
-    The smallest of those along their main axes and along x, y and z.
-
-    Args:
-        points: (k, 3) [m].
-
-    Returns:
-        Both ends of its line (3,) [m] and its radius [m].
-    """
+    """Return the ends (3,) and the radius [m] of a capsule that holds points (k, 3): the
+    smallest of those along their main axes and along x, y and z."""
     points = _hull(points)
     main = np.linalg.eigh(np.cov(points.T))[1].T if len(points) > 1 else np.eye(3)
     best, capsule = np.inf, None

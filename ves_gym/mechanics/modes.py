@@ -21,13 +21,8 @@ class InertiaBlocks(NamedTuple):
 
 
 def blocks_of(H: Array, mass: Array) -> InertiaBlocks:
-    """Return the inertia blocks of an arm on its vehicle.
-
-    Args:
-        H: (..., 6 + n, 6 + n) inertia of the arm (`dynamics.inertia`).
-        mass: (b, b) mass matrix of the vehicle, at the platform-top origin; its internal modes,
-            if any, after the six coordinates of the pose.
-    """
+    """Return the inertia blocks of an arm of inertia (..., 6 + n, 6 + n) (`dynamics.inertia`)
+    on a vehicle of mass (b, b), its internal modes after the pose."""
     b, n = len(mass), H.shape[-1] - 6
     if b == 6:
         return InertiaBlocks(H[..., :6, :6] + mass, H[..., :6, 6:], H[..., 6:, 6:])
@@ -39,16 +34,8 @@ def blocks_of(H: Array, mass: Array) -> InertiaBlocks:
 
 
 def sum_quadratic(step: Array, W: Array, doublings: int) -> tuple[Array, Array]:
-    """Sum W over the states of x+ = A x by doubling: x_0^T P x_0 = sum x_k^T W x_k.
-
-    Args:
-        step: A (..., k, k).
-        W: (..., k, k), weight of a state.
-        doublings: 2 to this power states are summed, x_0 among them.
-
-    Returns:
-        P (..., k, k), and the power of A that leads past the last state.
-    """
+    """Sum W (..., k, k) over 2^doublings states of x+ = A x by doubling: x_0^T P x_0 = sum
+    x_k^T W x_k; return P and the power of A that leads past the last state."""
     P = W
     for _ in range(doublings):
         P = P + step.swapaxes(-1, -2) @ P @ step
@@ -64,12 +51,8 @@ class Modes(NamedTuple):
 
 
 def natural_modes(K: Array, M: Array) -> Modes:
-    """Solve K x = omega^2 M x by M's Cholesky factor.
-
-    Args:
-        K: (k, k) stiffness, symmetric.
-        M: (..., k, k) mass, symmetric positive definite.
-    """
+    """Solve K x = omega^2 M x by M's Cholesky factor, K (k, k) symmetric, M (..., k, k)
+    symmetric positive definite."""
     root = np.linalg.cholesky(M)
     half = np.linalg.solve(root, np.broadcast_to(K, M.shape))
     reduced = np.linalg.solve(root, np.swapaxes(half, -1, -2))
@@ -79,13 +62,8 @@ def natural_modes(K: Array, M: Array) -> Modes:
 
 
 def modal_damping(M: Array, K: Array, ratios: float | Array) -> Array:
-    """Return the D (k, k) that gives the modes of (K, M) these damping ratios.
-
-    Args:
-        M: (k, k) mass, positive definite.
-        K: (k, k) stiffness.
-        ratios: one for all, or (k,), slowest first [1].
-    """
+    """Return the D (k, k) that gives the modes of K and M (k, k) these damping ratios [1]: one
+    for all, or (k,), slowest first."""
     omega, shapes = natural_modes(K, M)
     half = M @ shapes
     out: Array = (half * (2 * np.broadcast_to(ratios, omega.shape) * omega)) @ half.T
@@ -120,27 +98,16 @@ def forward(L: Array, b: Array) -> Array:
 
 
 def reduced(K: Array, M: Array, b: Array) -> tuple[Array, Array]:
-    """Return L^-1 K L^-T (..., k, k) and L^-1 b (..., k, c), where M = L L^T.
-
-    Args:
-        K: (..., k, k) stiffness, symmetric.
-        M: (..., k, k) mass, symmetric positive definite; its lower triangle is read.
-        b: (..., k, c) vectors.
-    """
+    """Return L^-1 K L^-T (..., k, k) and L^-1 b (..., k, c), where M = L L^T, K and M (..., k,
+    k) symmetric; M's lower triangle is read."""
     L = inverted_root(M)
     half = np.swapaxes(forward(L, K), -1, -2)
     return np.swapaxes(forward(L, half), -1, -2), forward(L, b)
 
 
 def jacobi_sweep(A: Array, b: Array) -> tuple[Array, Array]:
-    """Return V^T A V and V^T b, V a rotation in the plane of each pair of axes in turn.
-
-    Golub and Van Loan, Matrix Computations, 4th ed., 8.5.
-
-    Args:
-        A: (..., k, k) symmetric.
-        b: (..., k, c) vectors.
-    """
+    """Return V^T A V (..., k, k) and V^T b (..., k, c), V a rotation in the plane of each pair
+    of axes in turn (Golub and Van Loan, Matrix Computations, 4th ed., 8.5)."""
     A, b = A.copy(), b.copy()
     for i, j in itertools.combinations(range(A.shape[-1]), 2):
         across, half = A[..., i, j], (A[..., j, j] - A[..., i, i]) / 2
@@ -160,11 +127,8 @@ def jacobi_sweep(A: Array, b: Array) -> tuple[Array, Array]:
 
 
 def root(K: Array) -> Array:
-    """R (..., k, k) with R^T R = K, its rows along the axes of K.
-
-    Args:
-        K: (..., k, k) symmetric and positive semidefinite.
-    """
+    """R (..., k, k) with R^T R = K, its rows along the axes of K, which is positive
+    semidefinite."""
     values, vectors = np.linalg.eigh(K)
     out: Array = np.sqrt(np.maximum(values, 0.0))[..., None] * vectors.swapaxes(-1, -2)
     return out

@@ -71,12 +71,7 @@ class Motion:
 
     @staticmethod
     def straight(start: npt.ArrayLike, goal: npt.ArrayLike, duration: float) -> Motion:
-        """Return the quintic rest-to-rest motion along a straight line in joint space.
-
-        Args:
-            start, goal: (n,) joint angles [rad].
-            duration: [s].
-        """
+        """Return the quintic rest-to-rest motion along a straight line in joint space."""
         a, b = _points([start, goal], "start and goal", least=2)
         return Motion(duration=duration, control=matrix(np.array([a] * _HELD + [b] * _HELD)))
 
@@ -88,13 +83,7 @@ class Motion:
         goal: npt.ArrayLike,
         duration: float,
     ) -> Motion:
-        """Return the quintic from moving joints to rest.
-
-        Args:
-            start, rate, acceleration: (n,) at time 0 [rad, rad/s, rad/s^2].
-            goal: (n,) joint angles at the end [rad].
-            duration: [s].
-        """
+        """Return the quintic from joints that move at time 0 to rest at the goal."""
         a, v, dv, b = _points([start, rate, acceleration, goal], "start and goal", least=4)
         first = leading_points(2 * _HELD, duration, a, v, dv)
         return Motion(
@@ -103,17 +92,12 @@ class Motion:
 
     @staticmethod
     def through(points: npt.ArrayLike, duration: float, *, controls: int = 48) -> Motion:
-        """Return a smooth motion along way-points, quintic in path length.
+        """Return a smooth motion along way-points (k >= 2, n) [rad], quintic in path length.
 
-        The path through the way-points is a spline in joint-space length; the motion is
-        its least-squares B-spline. It passes the inner points to about 1e-3 rad where the
-        path is smooth or has few of them; sharp corners are rounded (0.02 rad on a
-        staircase of 18 steps of 0.2 rad) unless `controls` grows with their number.
-
-        Args:
-            points: (k, n) joint angles [rad], k >= 2.
-            duration: [s].
-            controls: number of control points.
+        The path through the way-points is a spline in joint-space length; the motion is its
+        least-squares B-spline of so many control points. It passes the inner points to about
+        1e-3 rad where the path is smooth or has few of them; sharp corners are rounded (0.02
+        rad on a staircase of 18 steps of 0.2 rad) unless `controls` grows with their number.
         """
         way = _points(points, "way-points", least=2)
         steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
@@ -138,16 +122,11 @@ class Motion:
         controls: int = 32,
         first: Array | None = None,
     ) -> Motion:
-        """Return the least-squares motion through positions at evenly spaced times.
+        """Return the least-squares motion through positions (N, n) [rad] at evenly spaced
+        times.
 
-        The ends are kept exactly, with zero velocity and acceleration.
-
-        Args:
-            samples: (N, n) joint angles [rad].
-            duration: [s].
-            controls: number of control points.
-            first: (3, n) first control points of joints that move at the start
-                (`leading_points`).
+        The ends are kept exactly, with zero velocity and acceleration; `first` (3, n) are the
+        first control points of joints that move at the start (`leading_points`).
         """
         q = _points(samples, "samples", least=2)
         if controls < DEGREE + 1:
@@ -226,27 +205,16 @@ def _points(value: Any, name: str, least: int) -> Array:
 
 
 def knots(m: int) -> Array:
-    """Clamped knot vector on [0, 1] for m control points.
-
-    Inner knots are closer together near the ends, so that a motion can build up its
-    acceleration quickly from rest.
-    """
+    """Clamped knot vector on [0, 1] for m control points, closer together near the ends, so
+    that a motion can build up its acceleration quickly from rest."""
     inner = graded(m - DEGREE + 1)
     out: Array = np.r_[np.zeros(DEGREE), inner, np.ones(DEGREE)]
     return out
 
 
 def leading_points(m: int, duration: float, q: Array, v: Array, a: Array) -> Array:
-    """Return the first three control points of a motion of m that begins moving.
-
-    Args:
-        m: control points in all.
-        duration: of the motion [s].
-        q, v, a: (n,) angles [rad], rates [rad/s] and accelerations [rad/s^2] at the start.
-
-    Returns:
-        (3, n) [rad].
-    """
+    """Return the first three (3, n) of m control points of a motion that begins with angles q,
+    rates v and accelerations a (n,)."""
     rows = [basis(m, [0.0], k)[0, :_HELD] / duration**k for k in range(_HELD)]
     out: Array = np.linalg.solve(np.array(rows), np.array([q, v, a]))
     return out
@@ -260,16 +228,8 @@ def graded(count: int) -> Array:
 
 
 def basis(m: int, u: npt.ArrayLike, derivative: int = 0) -> Array:
-    """Return values or derivatives of the B-spline basis.
-
-    Args:
-        m: number of functions.
-        u: (N,) in [0, 1].
-        derivative: order.
-
-    Returns:
-        (N, m).
-    """
+    """Return values or derivatives (N, m) of the B-spline basis of m functions at u (N,) in [0,
+    1]."""
     spline = scipy.interpolate.BSpline(knots(m), np.eye(m), DEGREE)
     out: Array = spline(np.asarray(u, float), nu=derivative)
     return out

@@ -97,15 +97,9 @@ class TidalLoad(NamedTuple):
 def tidal_load(
     tide: Tide, arm: Mechanism, carried: tuple[Any, ...], z: Array, at: Array
 ) -> TidalLoad:
-    """Return what the gravity gradient does to arm, base link and what the base carries.
-
-    Args:
-        tide: at this instant.
-        arm: all joints, the satellite's body within the base link.
-        carried: k wheels and appendages.
-        z: (..., 6 + n) pose and joints.
-        at: (..., k) coordinates of what is carried.
-    """
+    """Return what the gravity gradient does at an instant to an arm of all joints, its base
+    link with the satellite's body, and k wheels and appendages: pose and joints z (..., 6 + n),
+    theirs (..., k)."""
     y, back = z[..., :6], np.swapaxes(rotation(z[..., :6]), -1, -2)
     up, origin = matvec(back, tide.up), matvec(back, y[..., :3] + tide.place)
     square = tide.rate * tide.rate

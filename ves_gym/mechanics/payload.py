@@ -80,13 +80,8 @@ class Payload:
 
 
 def carrying(arm: Arm, body: Inertial, place: npt.ArrayLike, turn: npt.ArrayLike) -> Arm:
-    """Return the arm with a body fixed to its last link.
-
-    Args:
-        body: mass properties in the body's axes.
-        place: (3,) of the body's origin in the last link's frame [m].
-        turn: (3, 3) from the body's axes to the last link's.
-    """
+    """Return the arm with a body fixed to its last link, in whose frame its origin is at a
+    place (3,) [m] and its axes at a turn (3, 3)."""
     last = arm.links[-1]
     mass, com, inertia = with_body(
         *numbers_of(last.inertial), *numbers_of(body), np.asarray(place), np.asarray(turn)
@@ -113,18 +108,9 @@ def with_body(
     place: Array,
     turn: Array,
 ) -> tuple[Array, Array, Array]:
-    """Return mass properties of two bodies that are one (parallel axes).
-
-    Args:
-        mass, com, inertia: (...), (..., 3), (..., 3, 3) of the first, in its own axes; the
-            inertia is about its centre of mass [kg, m, kg m^2].
-        other_mass, other_com, other_inertia: of the other one, in its axes.
-        place: (..., 3) of the other's origin in the first's axes [m].
-        turn: (..., 3, 3) from the other's axes to the first's.
-
-    Returns:
-        Mass, centre of mass and inertia in the first one's axes.
-    """
+    """Return mass (...), centre of mass (..., 3) and inertia about it (..., 3, 3) of two bodies
+    that are one (parallel axes), in the first one's axes, where the other's origin is at a
+    place (..., 3) [m] and its axes at a turn (..., 3, 3)."""
     theirs = place + np.einsum("...ij,...j->...i", turn, other_com)
     turned = turn @ other_inertia @ np.swapaxes(turn, -1, -2)
     turned = (turned + np.swapaxes(turned, -1, -2)) / 2

@@ -75,17 +75,11 @@ def wrench_matrix(jets: tuple[Jet, ...]) -> Array:
 
 
 def allocated(jets: tuple[Jet, ...], wrench: Array) -> Array:
-    """Return mean forces of the jets that make a wrench, or come nearest to it.
+    """Return mean forces (n, k) [N] of k jets that make a wrench (n, 6) in platform axes at its
+    origin, or come nearest to it.
 
     Least squares with forces >= 0. A wrench beyond the jets' thrust is made smaller as a whole,
     its direction kept.
-
-    Args:
-        jets: k of them.
-        wrench: (n, 6) in platform axes at its origin [N, N m].
-
-    Returns:
-        (n, k) [N].
     """
     most = np.array([jet.thrust for jet in jets])
     pairs = opposites(jets)
@@ -135,15 +129,9 @@ def opposites(jets: tuple[Jet, ...]) -> Array | None:
 
 @lru_cache(maxsize=64)
 def strongest(jets: tuple[Jet, ...], point: tuple[float, ...]) -> Array:
-    """Return the largest force and moment (6,) that jets give along each axis, either way.
-
-    Args:
-        jets: k of them.
-        point: (3,) that the moment is about, in platform axes [m].
-
-    Returns:
-        Three forces [N], three moments [N m]; read-only. 0 along an axis that they cannot push.
-    """
+    """Return the largest force [N] and moment [N m] about a point (3,) of the platform's axes
+    [m] that jets give along each axis, either way: (6,), read-only; 0 along an axis that they
+    cannot push."""
     about = np.vstack([np.eye(6), -np.eye(6)])
     request = _FULL * about
     request[:, 3:] += np.cross(point, request[:, :3])
@@ -157,17 +145,16 @@ def strongest(jets: tuple[Jet, ...], point: tuple[float, ...]) -> Array:
 def pulses(
     jets: tuple[Jet, ...], owed: Array, remaining: Array, force: Array, dt: float
 ) -> tuple[Array, Array, Array]:
-    """Return the impulses that jets give in a control period: none, or no less than a pulse.
+    """Return the impulses that k jets give in a control period dt [s]: none, or no less than a
+    pulse.
 
     What is asked for adds up until it makes a pulse. One that takes longer than a period goes
     on in the next ones, whatever is asked for then.
 
     Args:
-        jets: k of them.
         owed: (n, k) impulse asked for and not given yet [N s].
         remaining: (n, k) impulse that pulses under way have still to give [N s].
         force: (n, k) mean force asked for [N].
-        dt: control period [s].
 
     Returns:
         Impulses of this period, then `owed` and `remaining` after it; (n, k) [N s].
@@ -188,15 +175,8 @@ def pulses(
 
 
 def propellant(jets: tuple[Jet, ...], impulse: Array) -> Array:
-    """Return the propellant that impulses take, impulse / (I_sp g_0).
-
-    Args:
-        jets: k of them.
-        impulse: (..., k) [N s].
-
-    Returns:
-        (...,) [kg].
-    """
+    """Return the propellant (...,) [kg] that impulses (..., k) [N s] of k jets take, impulse /
+    (I_sp g_0)."""
     speed = STANDARD_GRAVITY * np.array([jet.specific_impulse for jet in jets])
     out: Array = np.sum(impulse / speed, axis=-1)
     return out
@@ -247,16 +227,13 @@ class AttitudeControl:
     def moment(
         self, inertia: Array, target: Array, q: Array, spin: Array, stored: Array
     ) -> Array:
-        """Return the moment on the satellite that the law asks for.
+        """Return the moment (n, 3) on the satellite that the law asks for, in body axes [N m].
 
         Args:
             inertia: (n, 3, 3) of satellite and arm about the common centre of mass, its axes.
             target, q: (n, 4) attitudes.
             spin: (n, 3) angular velocity in body axes [rad/s].
             stored: (n, 3) momentum of the wheels in body axes [N m s].
-
-        Returns:
-            (n, 3) in body axes [N m].
         """
         # kp e = kd (kp / kd) e: a large error asks for a spin, and no more than spin_max
         request = self.rate * attitude.difference(target, q)
@@ -284,17 +261,9 @@ def wheel_axes(wheels: tuple[ReactionWheel, ...]) -> Array:
 
 
 def wheel_torques(wheels: tuple[ReactionWheel, ...], moment: Array) -> Array:
-    """Return motor torques whose reaction on the satellite is a moment, or nearest to it.
-
-    The least squares of the torques among all that do (the pseudo-inverse).
-
-    Args:
-        wheels: k of them.
-        moment: (n, 3) on the satellite, body axes [N m].
-
-    Returns:
-        (n, k) on the rotors [N m].
-    """
+    """Return motor torques (n, k) on the rotors of k wheels [N m] whose reaction on the
+    satellite is a moment (n, 3) in body axes, or nearest to it; of all that do the least
+    squares."""
     return -matvec(shares(wheels), moment)
 
 
@@ -309,13 +278,10 @@ def shares(wheels: tuple[ReactionWheel, ...]) -> Array:
 def on_rotors(
     wheels: tuple[ReactionWheel, ...], torque: Array, speed: Array, dt: float
 ) -> Array:
-    """Return what acts on the rotors: motors within their limits, less Coulomb friction.
+    """Return what acts on the rotors: motors `within_limits`, less Coulomb friction.
 
     Friction is that of the speed at the start of the period. It builds up from rest over
     `CREEP`, or over twice what it would change the speed by in a period.
-
-    Args:
-        wheels, torque, speed, dt: see `within_limits`.
     """
     rubbing, inertia = (
         np.array([getattr(wheel, name) for wheel in wheels]) for name in ("coulomb", "inertia")
@@ -330,14 +296,9 @@ def within_limits(
 ) -> Array:
     """Return motor torques within torque and momentum limits.
 
-    A motor never takes its wheel beyond `speed_max` within the period; beyond it (the body
-    may turn under the wheel) it brakes only.
-
-    Args:
-        wheels: k of them.
-        torque: (n, k) asked for, on the rotors [N m].
-        speed: (n, k) of the rotors against the satellite [rad/s].
-        dt: period over which the torque is held [s].
+    Of torque (n, k) asked for on the rotors [N m], held over dt [s] at their speed (n, k)
+    against the satellite [rad/s]. A motor never takes its wheel beyond `speed_max` within the
+    period; beyond it (the body may turn under the wheel) it brakes only.
     """
     inertia, most, fastest = (
         np.array([getattr(wheel, name) for wheel in wheels])

@@ -53,15 +53,8 @@ class JointServo:
             )
 
     def for_arm(self, arm: Arm, vehicle: Vehicle) -> JointServo:
-        """Return the servo with gains for every joint: `OWN_GAINS` with the arm's own.
-
-        Args:
-            arm: whose joints.
-            vehicle: that it stands on.
-
-        Raises:
-            ParameterError: gains for another number of joints.
-        """
+        """Return the servo with gains for every joint of the arm on its vehicle: `OWN_GAINS`
+        with the arm's own."""
         if not self.kp:
             own = own_gains(arm, vehicle)
             return replace(own, feedforward=self.feedforward, moving_base=self.moving_base)
@@ -72,28 +65,16 @@ class JointServo:
         return self
 
     def holds(self, arm: Arm) -> bool:
-        """True where joints are fed forward against the base, and do not yield to it.
-
-        Args:
-            arm: whose joints; of links that bend and gears that give way nobody foresees what
-                they take.
-        """
+        """True where joints are fed forward against the base, and do not yield to it; of links
+        that bend and gears that give way nobody foresees what they take."""
         rigid = not (arm.bends or arm.geared)
         return self.feedforward and self.moving_base and rigid
 
     def torque_feedforward(
         self, arm: Arm, command: Samples, base: Sequence[Array] = ()
     ) -> Array:
-        """Return the feed-forward torque of a commanded motion; zero without it.
-
-        Args:
-            arm: as described.
-            command: angles, rates and accelerations (..., n).
-            base: y, yd, ydd (..., 6) of the base meanwhile; none: it stands still.
-
-        Returns:
-            (..., n) [N m].
-        """
+        """Return the feed-forward torque (..., n) [N m] of a commanded motion, zero without it,
+        on a base that moves by y, yd, ydd (..., 6); none: it stands still."""
         if not self.feedforward:
             return np.zeros_like(command.q)
         return inverse_dynamics(arm, command.q, command.v, command.a, base=base)[0]
@@ -119,14 +100,10 @@ def own_gains(arm: Arm, vehicle: Vehicle) -> JointServo:
 
     The thesis's high gains for three joints of an arm without a bandwidth. Else kp = J w^2 and
     kd = 2 zeta J w with w = 2 pi times the bandwidth and zeta = 0.7: J is the largest inertia
-    about the joint, others at rest, over configurations within the limits. Where links far
-    out, or the base, are so light that one of these gains would move some other way of arm and
-    base faster than 600/s, J of the joints that take part is lowered until none does; so where
-    links bend.
-
-    Args:
-        arm: whose joints.
-        vehicle: that it stands on; its fastest response counts, that of its free mass.
+    about the joint, others at rest, over configurations within the limits. Where links far out,
+    or the base (its fastest response counts, that of its free mass), are so light that one of
+    these gains would move some other way of arm and base faster than 600/s, J of the joints
+    that take part is lowered until none does; so where links bend.
     """
     if arm.bandwidth is None and arm.n == len(HIGH_GAINS.kp):
         return HIGH_GAINS

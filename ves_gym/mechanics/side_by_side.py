@@ -22,16 +22,7 @@ _SAME = 1e-6  # m between first joints, below which both belong to one link
 
 
 def placed(arm: Arm, position: Vector, angles: Vector = (0.0, 0.0, 0.0)) -> Arm:
-    """Return an arm that stands elsewhere on the base, its base link with it.
-
-    Args:
-        arm: one arm.
-        position: (3,) of its platform-top frame in the new one [m].
-        angles: (3,) of it about x, then y, then z [rad].
-
-    Raises:
-        ParameterError: not finite, or several arms already.
-    """
+    """Return one arm elsewhere on the base, its base link with it, see `Arm.at`."""
     arm.require_alone("Arm.at")
     arm.require_rigid("Arm.at")
     finite(position, (3,), "position")
@@ -70,14 +61,9 @@ def _follower_at(follower: Follower, R: Array, p: Array) -> Follower:
 
 
 def side_by_side(arms: Sequence[Arm]) -> Arm:
-    """Return one arm of several on one base: joints in their order, the last one's tool.
-
-    Args:
-        arms: at least one, each where it stands (`Arm.at`).
-
-    Raises:
-        ParameterError: none, or two that share a link; arms that bend, or are several.
-    """
+    """Return one arm of several on one base, each where it stands (`Arm.at`): joints in their
+    order, the last one's tool. Refused: none, two that share a link, arms that bend or are
+    several."""
     arms = tuple(arms)
     for arm in arms:
         if not isinstance(arm, Arm):

@@ -57,27 +57,14 @@ def rate_matrix(y: npt.ArrayLike) -> Array:
 
 
 def twist(y: npt.ArrayLike, yd: npt.ArrayLike) -> Array:
-    """Return the platform twist in its own axes.
-
-    Args:
-        y: (..., 6) pose [m, rad].
-        yd: (..., 6) its rate.
-
-    Returns:
-        (..., 6) [m/s, rad/s], linear part first.
-    """
+    """Return the platform twist (..., 6) [m/s, rad/s] in its own axes, of a pose and its rate
+    (..., 6)."""
     return matvec(rate_matrix(y), numbers(yd))
 
 
 def twist_rate(y: npt.ArrayLike, yd: npt.ArrayLike, ydd: npt.ArrayLike) -> Array:
-    """Return the time derivative of `twist`, as components in the turning platform axes.
-
-    Args:
-        y, yd, ydd: (..., 6) pose [m, rad] and its derivatives.
-
-    Returns:
-        (..., 6) [m/s^2, rad/s^2].
-    """
+    """Return the time derivative (..., 6) of `twist`, as components in the turning platform
+    axes, of a pose (..., 6) and its derivatives."""
     T, spin, turn, accel = base_motion(y, yd, ydd)
     velocity = matvec(T, numbers(yd))[..., :3]
     return np.concatenate([accel - cross(spin, velocity), turn], axis=-1)
@@ -86,15 +73,9 @@ def twist_rate(y: npt.ArrayLike, yd: npt.ArrayLike, ydd: npt.ArrayLike) -> Array
 def base_motion(
     y: npt.ArrayLike, yd: npt.ArrayLike, ydd: npt.ArrayLike
 ) -> tuple[Array, Array, Array, Array]:
-    """Return T of `rate_matrix`, and the platform's motion in its own axes.
-
-    Args:
-        y, yd, ydd: (..., 6) pose [m, rad] and its derivatives.
-
-    Returns:
-        T (..., 6, 6), angular velocity and acceleration, and acceleration of the origin
-        (..., 3).
-    """
+    """Return T (..., 6, 6) of `rate_matrix`, and angular velocity, angular acceleration and
+    acceleration of the origin (..., 3) of the platform in its own axes, of a pose (..., 6) and
+    its derivatives."""
     pose, rate, T = numbers(y), numbers(yd), rate_matrix(y)
     spin, accelerated = matvec(T, rate)[..., 3:], matvec(T, numbers(ydd))
     cx, cy = np.cos(pose[..., 3]), np.cos(pose[..., 4])
@@ -110,15 +91,8 @@ def base_motion(
 def body_wrench(
     inertia: Array, y: npt.ArrayLike, yd: npt.ArrayLike, ydd: npt.ArrayLike
 ) -> Array:
-    """Return the wrench that moves a rigid body with the platform (Newton-Euler).
-
-    Args:
-        inertia: (6, 6) spatial inertia at the platform origin, in platform axes.
-        y, yd, ydd: (..., 6) pose [m, rad] and its derivatives.
-
-    Returns:
-        (..., 6) at the platform origin, in platform axes [N, N m].
-    """
+    """Return the wrench (..., 6) at the platform origin, its axes [N, N m], that moves a rigid
+    body of spatial inertia (6, 6) there with the platform (Newton-Euler)."""
     v = twist(y, yd)
     momentum = matvec(inertia, v)
     out = matvec(inertia, twist_rate(y, yd, ydd))
@@ -129,12 +103,7 @@ def body_wrench(
 
 
 def matvec(matrix: Array, vector: Array) -> Array:
-    """Return stacked matrix times stacked vector.
-
-    Args:
-        matrix: (..., m, n).
-        vector: (..., n).
-    """
+    """Return stacked matrix (..., m, n) times stacked vector (..., n)."""
     out: Array = np.matmul(matrix, vector[..., None])[..., 0]
     return out
 
@@ -156,20 +125,13 @@ def skew(v: Array) -> Array:
 
 
 def room(like: Array, *shape: int) -> Array:
-    """Return zeros of a shape, of the kind of `like`: numbers, or what is traced.
-
-    Simulations lie side by side in memory, whose axis comes first: NumPy works along them.
-    """
+    """Return zeros of a shape, of the kind of `like`: numbers, or what is traced. Simulations
+    lie side by side in memory, whose axis comes first: NumPy works along them."""
     return np.zeros_like(like, shape=shape, order="F")
 
 
 def solve(A: Array, b: Array) -> Array:
-    """Return A^-1 b of many systems; NaN where a matrix is singular.
-
-    Args:
-        A: (..., m, m), one that elimination without exchange of rows can solve.
-        b: (..., m).
-    """
+    """Return A^-1 b of many systems, b (..., m); NaN where a matrix is singular."""
     try:
         return np.asanyarray(np.linalg.solve(A, b[..., None])[..., 0])
     except np.linalg.LinAlgError:  # of one matrix; the others have their answers
@@ -181,12 +143,9 @@ def solve(A: Array, b: Array) -> Array:
 def solve_symmetric(A: Array, b: Array) -> Array:
     """Return A^-1 b by L D L^T from the last row up, as along a tree.
 
+    A (..., m, m) is symmetric and positive definite, its lower triangle is read; b (..., m, c).
     An arm is eliminated before its base, so that heavy joints cost the base no digits.
     Operators and slices only: one text for numbers and for what is traced.
-
-    Args:
-        A: (..., m, m) symmetric, positive definite; its lower triangle is read.
-        b: (..., m, c), leading axes alike.
     """
     L, out, size = 0 * A, 0 * b, A.shape[-1]
     for k in reversed(range(size)):
@@ -201,12 +160,8 @@ def solve_symmetric(A: Array, b: Array) -> Array:
 
 
 def solve_partly(A: Array, b: Array, known: list[int]) -> Array:
-    """Return x of A x = b where some of x are known: their rows of b are x itself.
-
-    Args:
-        A, b: see `solve_symmetric`.
-        known: places of these.
-    """
+    """Return x of A x = b, as `solve_symmetric`, where x is known at some places: there b is
+    x."""
     free = [k for k in range(A.shape[-1]) if k not in known]
     out = b.copy()
     rest = b[..., free, :] - A[..., free, :][..., known] @ b[..., known, :]
@@ -215,11 +170,6 @@ def solve_partly(A: Array, b: Array, known: list[int]) -> Array:
 
 
 def quadratic(matrix: Array, vector: Array) -> Array:
-    """Return half the quadratic form, 1/2 v^T M v.
-
-    Args:
-        matrix: (..., n, n).
-        vector: (..., n).
-    """
+    """Return half the quadratic form, 1/2 v^T M v (...,)."""
     out: Array = 0.5 * np.sum(vector * matvec(matrix, vector), axis=-1)
     return out

@@ -72,19 +72,11 @@ def _shape(arm: Arm) -> _Shape | None:
 
 
 def shortest_way(arm: Arm, q: Array, place: Array, turn: Array) -> Array:
-    """Return the joint angles missing to a pose: of all configurations' the shortest.
+    """Return the joint angles (..., 6) missing to a pose: of all configurations' the shortest.
 
     Shortest in time, joints as fast as they may be (root of the sum of squares); configurations
-    at the joint limits or beyond count as further away. A place out of reach is replaced by one
-    within.
-
-    Args:
-        q: (..., 6) joint angles now [rad].
-        place: (..., 3) that the tool is to have in the platform-top frame [m].
-        turn: (..., 3, 3) that it is to have there, from its axes to the platform's.
-
-    Returns:
-        (..., 6) angles [rad].
+    at the joint limits or beyond count as further away. A place (..., 3) out of reach is
+    replaced by one within; turn (..., 3, 3) is from the tool's axes to the platform's.
     """
     shape = _shape(arm)
     if shape is None:

@@ -71,12 +71,8 @@ class Structure:
     def reduce(self, modes: int) -> Reduction:
         """Return interface and internal modes in SI units, rigid motions without stiffness.
 
-        Args:
-            modes: to keep.
-
-        Raises:
-            ParameterError: what moves freely is not what `rigid_modes` says, or the mass is
-                not that of a structure.
+        Refused: what moves freely is not what `rigid_modes` says, or the mass is no
+        structure's.
         """
         with_one = reduce(
             self.mass,
@@ -97,15 +93,11 @@ class Structure:
         nodes: Sequence[int] = (),
         diameter: float | None = None,
     ) -> Reduced:
-        """Return the structure of a `FlexibleBase`.
+        """Return the structure of a `FlexibleBase` with so many modes, in axes (3, 3) whose
+        columns are the platform's x, y, z.
 
-        Args:
-            modes: to keep.
-            axes: (3, 3) columns: the platform's x, y, z in the structure's axes.
-            centreline: (k, 3) nodes to draw it by, from the platform-top origin in platform
-                axes [m].
-            nodes: (k,) their numbers in the files.
-            diameter: to draw it with [m].
+        Drawn with a diameter [m] along a centreline (k, 3) from the platform-top origin in
+        platform axes [m], whose nodes (k,) have these numbers in the files.
         """
         turn = np.eye(3) if axes is None else finite(axes, (3, 3), "axes")
         if np.abs(turn.T @ turn - np.eye(3)).max() > 1e-9 or np.linalg.det(turn) < 0:
@@ -453,18 +445,13 @@ def vehicle_of(
     nodes: Sequence[int] = (),
     diameter: float | None = None,
 ) -> StructureSummary:
-    """Reduce a model to its interface and as many internal modes as the arm asks for.
+    """Reduce a model to its interface and as many internal modes as the arm on it asks for.
 
     Args:
-        arm: that stands on it.
         modes: to keep; None: so many that frequencies with the arm are right.
         damping: ratio of every mode; None: the model's own matrix.
-        line: (k, 3) points to draw it by, from the interface [m].
-        nodes: of these points.
+        line: (k, 3) points to draw it by, from the interface [m]; `nodes` are theirs.
         diameter: to draw it with [m].
-
-    Raises:
-        ParameterError: no damping anywhere, or more modes than there are.
     """
     if damping is None and structure.damping is None:
         raise ParameterError(
@@ -494,14 +481,8 @@ def vehicle_of(
 def modes_needed(
     fine: Reduction, inertia: Array, *, band: float = BAND, error: float = ERROR
 ) -> int:
-    """Return the fewest internal modes with which every frequency in the band is right.
-
-    Args:
-        fine: with all modes that are considered, in SI units.
-        inertia: (poses, 6, 6) of what stands on the interface, joints locked.
-        band: up to which frequencies count [Hz].
-        error: of a frequency, relative.
-    """
+    """Return the fewest internal modes of a fine reduction with which every frequency up to
+    `band` [Hz] is right to `error` of it, under inertia (poses, 6, 6) on the interface."""
     exact = [frequencies(fine, H) for H in inertia]
     for m in range(fine.m):
         coarse = [frequencies(fine.truncated(m), H) for H in inertia]
@@ -512,12 +493,8 @@ def modes_needed(
 
 
 def frequencies(reduction: Reduction, inertia: Array) -> Array:
-    """Natural frequencies (6 + m,) [Hz] with a mass on the interface, slowest first.
-
-    Args:
-        reduction: in SI units.
-        inertia: (6, 6) of what stands on the interface; zeros: nothing does.
-    """
+    """Natural frequencies (6 + m,) [Hz], slowest first, with inertia (6, 6) on the interface
+    (zeros: nothing stands there)."""
     mass, stiffness = reduction.matrices()
     mass = mass.copy()
     mass[:6, :6] += inertia

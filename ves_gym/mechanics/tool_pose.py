@@ -29,10 +29,8 @@ _DAMPING = 1e-2  # of the least squares, times the squared error
 
 
 def _missing(arm: Arm, position: Array, rotation: Array | None, q: Array) -> Array:
-    """Return what is missing to poses, places (..., 3) [m] and turns (..., 3, 3), as a twist.
-
-    Of angles (..., n) [rad]: (..., 3) [m], or (..., 6) [m, rad] where the turn matters.
-    """
+    """Return what is missing at q (..., n) to places (..., 3) [m] and turns (..., 3, 3), as a
+    twist: (..., 3) [m], or (..., 6) [m, rad] where the turn matters."""
     place, turn = tool_frame(arm, q)
     missing: Array = position - place
     if rotation is None:
@@ -47,15 +45,8 @@ def _missing(arm: Arm, position: Array, rotation: Array | None, q: Array) -> Arr
 def towards_pose(
     arm: Arm, pose: ToolPose, q: npt.ArrayLike, rounds: int = _ROUNDS
 ) -> tuple[Array, Array]:
-    """Bring configurations to a pose by damped least squares inside the joint limits.
-
-    Args:
-        q: (k, n) where to start [rad].
-        rounds: of the least squares.
-
-    Returns:
-        q (k, n) [rad], and how far from the pose each is (k,) [m and rad, root of squares].
-    """
+    """Bring configurations q (k, n) [rad] to a pose by damped least squares inside the joint
+    limits; return them, and how far from the pose each is (k,) [m and rad, root of squares]."""
     return _towards(arm, np.array(pose.position), pose.rotation, np.asarray(q, float), rounds)
 
 
@@ -97,21 +88,12 @@ def _towards(
 def configurations_at(
     arm: Arm, pose: ToolPose, *, near: npt.ArrayLike | None = None, starts: int = 128
 ) -> Array:
-    """Configurations within the joint limits that bring the tool to a pose.
+    """Configurations (k, n) [rad] within the joint limits that bring the tool to a pose; k = 0:
+    out of reach.
 
-    Damped least squares from `near` and from Halton's points over the joints' ranges. Where
-    joints are left over, every start ends somewhere else: a sample of them.
-
-    Args:
-        near: (n,) a configuration to start from as well [rad].
-        starts: Halton's points.
-
-    Returns:
-        (k, n) [rad], at least 0.05 rad from each other, that from `near` first; k = 0: out of
-        reach.
-
-    Raises:
-        ParameterError: no starts.
+    Damped least squares from `near` (n,) and from so many of Halton's points over the joints'
+    ranges; at least 0.05 rad from each other, that from `near` first. Where joints are left
+    over, every start ends somewhere else: a sample of them.
     """
     first = arm.home if near is None else finite(near, (arm.n,), "near")
     at = _beside(first[None], _starts(arm, starts))[0]
@@ -121,17 +103,8 @@ def configurations_at(
 def configurations_at_each(
     arm: Arm, place: Array, turn: Array, near: Array, starts: int = 128
 ) -> list[Array]:
-    """Return `configurations_at` for many poses at once.
-
-    Args:
-        place: (m, 3) of the tool [m].
-        turn: (m, 3, 3) of the tool.
-        near: (m, n) configurations to start from as well [rad].
-        starts: Halton's points, the same for every pose.
-
-    Returns:
-        m of (k, n) [rad].
-    """
+    """Return `configurations_at` for m poses at once, place (m, 3) and turn (m, 3, 3), near (m,
+    n)."""
     at = _beside(near, _starts(arm, starts))
     return [
         _distinct(*k)
@@ -140,10 +113,8 @@ def configurations_at_each(
 
 
 def _beside(near: Array, starts: Array) -> Array:
-    """(m, 1 + k, n) starts of m searches: one of their own (m, n), then k of all (k, last).
-
-    These are of the last joints alone, those of the arm whose tool it is; others stay.
-    """
+    """(m, 1 + k, n) starts of m searches: one of their own (m, n), then k of all (k, last) in
+    the last joints alone, those of the arm whose tool it is; others stay."""
     wide = np.repeat(near[:, None], 1 + len(starts), axis=1)
     wide[:, 1:, near.shape[1] - starts.shape[1] :] = starts
     return wide
@@ -181,15 +152,9 @@ def _distinct(q: Array, miss: Array) -> Array:
 def joints_for(arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike) -> tuple[Array, Array]:
     """Joint angles within the limits that bring the tool to points, base at rest.
 
-    Damped least squares from `near` and from a grid over the joints' ranges.
-
-    Args:
-        points: (k, 3) in the platform frame [m].
-        near: (k, n) of several solutions the one soonest reached from here [rad].
-
-    Returns:
-        q (k, n) and how far from the points that is (k,) [m]: what is out of reach is
-        approached.
+    Damped least squares from `near` (k, n) and from a grid over the joints' ranges: of several
+    solutions the one soonest reached from there. Returns q (k, n) and how far from the points
+    (k, 3) that is (k,) [m]: what is out of reach is approached.
     """
     q, miss, way = _candidates(arm, points, near)
     # the best, and of the solved ones the soonest
@@ -199,18 +164,12 @@ def joints_for(arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike) -> tuple[Ar
 
 
 def every_joints_for(arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike) -> Array:
-    """All configurations within the limits that bring the tool to points, base at rest.
+    """All configurations (k, `MOST`, n) [rad] within the limits that bring the tool to points
+    (k, 3), base at rest.
 
-    Of arms with as many joints as a place has coordinates; of others those that the search
-    comes upon.
-
-    Args:
-        points: (k, 3) in the platform frame [m].
-        near: (k, n) [rad], where the search begins.
-
-    Returns:
-        (k, `MOST`, n) [rad], those soonest reached from `near` first, NaN beyond the last;
-        where there is none, what comes closest.
+    Those soonest reached from `near` (k, n) first, NaN beyond the last; where there is none,
+    what comes closest. Of arms with more joints than a place has coordinates those that the
+    search comes upon.
     """
     q, miss, way = _candidates(arm, points, near)
     out = np.full((len(q), MOST, arm.n), np.nan)
@@ -230,10 +189,8 @@ def every_joints_for(arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike) -> Ar
 def _candidates(
     arm: Arm, points: npt.ArrayLike, near: npt.ArrayLike
 ) -> tuple[Array, Array, Array]:
-    """Ends q (k, m, n) of searches from several starts, their miss (k, m) and way (k, m).
-
-    The first start is `near` (k, n); the way from it is in seconds at full speed.
-    """
+    """Ends q (k, m, n) of searches from several starts, `near` (k, n) the first, their miss (k,
+    m) and way (k, m) from there in seconds at full speed."""
     low, high = _own_range(arm)
     grid = low + (high - low) * np.array(list(itertools.product(_GUESSES, repeat=len(low))))
     start = np.asarray(near, float)

@@ -372,18 +372,11 @@ def number(
     least: float | None = None,
     inf: bool = False,
 ) -> float:
-    """Return a number of an element.
+    """Return the finite number of an element's attribute, or `inf`; where it is missing, the
+    default.
 
-    Args:
-        element: that has it, or none.
-        key: the attribute.
-        where: what it belongs to, for the message.
-        default: taken where the attribute is missing.
-        least: the smallest that it may be.
-        inf: it may be infinite.
-
-    Raises:
-        ParameterError: missing without a default, no finite number, or too small.
+    Refused, with `where` before the message: missing without a default, no number, less than
+    `least`.
     """
     text = None if element is None else element.get(key)
     if text is None:

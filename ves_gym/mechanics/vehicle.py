@@ -171,14 +171,11 @@ def act(
     remaining: Array,
     used: Array,
 ) -> tuple[Array, ...]:
-    """Return what wheels and jets do in a control period, as asked.
+    """Return what wheels and jets of a satellite do in a control period dt [s], as asked.
 
     Args:
-        vehicle: a satellite.
-        dt: control period [s].
         wrench: (n, 6) asked of the jets in platform axes [N, N m].
-        torque: (n, w) asked of the wheels' motors [N m].
-        speed: (n, w) of the wheels at the start [rad/s].
+        torque: (n, w) asked of the wheels' motors [N m], at speed (n, w) at the start [rad/s].
         owed, remaining: (n, k) see `pointing.pulses` [N s].
         used: (n, 1) propellant so far [kg].
 
@@ -355,11 +352,7 @@ VEHICLES: dict[str, Vehicle] = {
 
 
 def has(vehicle: Vehicle, name: str) -> bool:
-    """Return True if a vehicle's D or K, internal modes included, is other than zero.
-
-    Args:
-        name: "D" or "K".
-    """
+    """Return True if a vehicle's "D" or "K", internal modes included, is other than zero."""
     if isinstance(vehicle, Beam):
         return name != "D" or vehicle.damping_ratio > 0
     if isinstance(vehicle, Satellite):
@@ -371,12 +364,8 @@ def has(vehicle: Vehicle, name: str) -> bool:
 
 
 def altered(vehicle: Vehicle, base: BaseModel) -> Vehicle:
-    """Return the vehicle of another base model of the same kind (with or without a body).
-
-    Args:
-        vehicle: as described.
-        base: the model that takes the place of its own.
-    """
+    """Return the vehicle whose base model is another of the same kind (with or without a
+    body)."""
     if base.body is not None:
         if isinstance(vehicle, Satellite):
             extra = None if base.internal is None else base.internal.oscillators()
@@ -394,15 +383,8 @@ def altered(vehicle: Vehicle, base: BaseModel) -> Vehicle:
 
 
 def vehicle_from_plain(plain: Any, where: str = "vehicle") -> Vehicle:
-    """Rebuild a vehicle from plain data with an entry `kind`.
-
-    Args:
-        plain: a table.
-        where: path of the entry, for the message.
-
-    Raises:
-        ParameterError: unknown kind, unknown or missing keys.
-    """
+    """Rebuild a vehicle from plain data with an entry `kind`; `where` is its path in
+    messages."""
     vehicle: Vehicle = from_plain(Vehicle, plain, where)
     return vehicle
 
@@ -414,11 +396,7 @@ def vehicle_name(vehicle: Vehicle) -> str:
 
 
 def get_vehicle(name: str | os.PathLike[str]) -> Vehicle:
-    """A vehicle by name, or from a .toml or .json file.
-
-    Raises:
-        ParameterError: neither a known name nor a readable vehicle file.
-    """
+    """A vehicle by name, or from a .toml or .json file."""
     text = os.fspath(name)
     if text in VEHICLES:
         return VEHICLES[text]
