@@ -46,6 +46,9 @@ SHARED_INFO = {
     "energy/E_peak": "at the end: largest E during the episode [J]",
     "energy/E_strain_peak": "at the end: largest strain energy of the base [J]",
     "energy/E_int": "at the end: time integral of the strain energy, tail included [J s]",
+    "energy_residual": "at the end, in space, on the kernel: energy that the engine has"
+    " gained or lost, over the largest E or a twentieth of what the drives moved to and fro",
+    "energy_trusted": "at the end: whether that is below 1 %; a shorter `physics_dt` helps",
 }
 OWN_INFO = {
     "base/propellant": "satellites with jets or wheels: what jets have used so far [kg]",

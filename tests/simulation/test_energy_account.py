@@ -2,11 +2,14 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 import ves_gym as vg
 from ves_gym._util.params import ParameterError
 from ves_gym.effects.joint_friction import JointViscous
+from ves_gym.envs.env import VesEnv
+from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.link import Inertial, diagonal
 from ves_gym.mechanics.motion import Motion
@@ -72,6 +75,78 @@ def test_a_run_that_it_doubts_is_no_answer_and_says_so():
 def test_none_is_kept_of_what_it_does_not_know():
     run = played(System(vehicle=SERVICER))
     assert run.energy_residual(0) is None and "energy_residual" not in run.log(0).meta
+
+
+ENGINES = {
+    "modes": SYSTEMS["modes"],
+    "friction": SYSTEMS["friction"],
+    "prescribed": System(vehicle=BENT, drive="prescribed"),
+    "wheels, slosh, arrays, pointing": System(arm="ur5e", vehicle="servicer-flexible"),
+}
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_that_of_the_engine_closes_with_the_fourth_power_of_the_step(name):
+    """Reference: order of RK4; a force that the account forgets would not shrink at all."""
+    gaps = []
+    for share in (1.0, 0.5):
+        system = ENGINES[name]
+        sim = Simulator(system.replace(physics_dt=system.physics_dt * share), 2)
+        rng, pushes = np.random.default_rng(0), 2.0 if system.drive == "prescribed" else 30.0
+        sim.reset(q=system.arm.home, v=0.1, yd=0.01 * rng.standard_normal((2, 6)))
+        for _ in range(40):
+            sim.step(pushes * rng.standard_normal((2, system.arm.n)))
+        gap, moved = sim.backend.energy_gap(np.arange(2))
+        gaps.append(np.abs(gap).max())
+        assert gaps[-1] < 1e-5 * moved.min()
+    print(name, gaps)
+    assert gaps[1] < gaps[0] / 11
+
+
+def ended(env, seed=0):
+    """Infos of random actions' first episodes (n,): residual, trusted, E_mean."""
+    n, rng = env.num_envs, np.random.default_rng(seed)
+    env.reset(seed=seed)
+    out = np.full((3, n), np.nan)
+    while np.isnan(out).any():
+        info = env.step(rng.uniform(-1, 1, env.action_space.shape))[4]
+        new = info.get("_energy_residual", np.zeros(n, bool)) & np.isnan(out[0])
+        if new.any():
+            names = ("energy_residual", "energy_trusted", "energy/E_mean")
+            out[:, new] = [info[k][new] for k in names]
+    return out
+
+
+@pytest.mark.parametrize(
+    "task", ["pose_reach", "track", "payload_transfer", "servicer_capture"]
+)
+def test_episodes_of_the_steps_that_tasks_have_are_trusted(task):
+    residual, trusted, _ = ended(VesVectorEnv(4, task))
+    print(task, residual)
+    assert residual.max() < TRUSTED and trusted.all()
+
+
+def test_episodes_of_steps_that_are_too_long_are_marked():
+    """Reference: the same actions at a tenth of the step; E_mean is off by a tenth or more."""
+    system = VesVectorEnv(1, "track").task.system
+    coarse, fine = (
+        ended(VesVectorEnv(4, "track", system=system.replace(physics_dt=dt)))
+        for dt in (system.control_dt, system.control_dt / 10)
+    )
+    error = np.abs(coarse[2] / fine[2] - 1)
+    print(coarse[0], fine[0], error)
+    assert not coarse[1].any() and fine[1].all()
+    assert np.median(error) > 0.1
+
+
+def test_a_single_environment_tells_the_residual_of_the_vector():
+    residual, *_ = ended(VesVectorEnv(1, "track"))
+    env, rng = VesEnv("track"), np.random.default_rng(0)
+    env.reset(seed=0)
+    info = {}
+    while "energy_residual" not in info:
+        *_, info = env.step(rng.uniform(-1, 1, (1, 3))[0])
+    assert info["energy_residual"] == residual[0] and info["energy_trusted"] is True
 
 
 def feather(mass):

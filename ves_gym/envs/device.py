@@ -271,6 +271,7 @@ class DeviceRows:
         names = ("x", "goal", "reference", "tau", "outputs")
         x, goal, reference, tau, outputs = (rows[k] for k in names)
         z, zd = x[:size], x[shape.coordinates : shape.coordinates + size]
+        both = x[: 2 * shape.coordinates]
         nothing, everyone = self.simulations.nothing, self.simulations.everyone
 
         def run(function: CompiledFunction, *arrays: Any, shared: int | None = None) -> Any:
@@ -292,7 +293,7 @@ class DeviceRows:
         out.append(launch(advance, self.n, inputs, self.device, record=True))
         seen = [z, zd, x[:6], *(x[k] for k in self._modes), described, rows["scene_rows"]]
         out.append(run(scene_function(space), *seen, shared=len(seen) - 2))
-        close = z, zd, x, before, reference, tau, goal, rows["inputs"], rows["scene_rows"]
+        close = z, zd, both, before, reference, tau, goal, rows["inputs"], rows["scene_rows"]
         out.append(run(functions["close"], *close, outputs, after))
         return out
 

@@ -116,6 +116,9 @@ class StateRate(NamedTuple):
     acceleration: Array  # (..., 6 + n) z''
     drive: Array  # (..., n) torque of the motors [N m]
     wrench: Array  # (..., 6) of the arm on its platform; (..., 0) in space
+    # (..., 2) of all forces, which is the kinetic energy's rate, and sum |power| of the drives
+    # [W]; (..., 0) on a platform
+    power: Array
 
 
 def motion(model: Model, x: Array, u: Array, step: float | None = None) -> StateRate:
@@ -137,7 +140,7 @@ def motion(model: Model, x: Array, u: Array, step: float | None = None) -> State
     joints = model.along(driven_torque(model, z, zd, drive), spring_torque(model, d, dd))
     pose, moving = along_the_chain(model, z, d), along_the_chain(model, zd, dd)
     implicit = None if step is None else _implicit(model, ask, step)
-    cdd, sdd, wrench = c, s, z[..., :0]
+    cdd, sdd, wrench, power = c, s, z[..., :0], z[..., :0]
     if model.emulated:
         zdd, drive, wrench = on_platform(
             model, pose, moving, base, joints, drive, u[..., 6:], implicit
@@ -157,6 +160,14 @@ def motion(model: Model, x: Array, u: Array, step: float | None = None) -> State
             mass, loads = with_carried(model, mass, loads, pose, moving, c, cd)
             loads[..., loads.shape[-1] - c.shape[-1] :] += carried
         solution, drive = solved(model, mass, loads, drive, u[..., 6:], 6)
+        power = power_of(model, pose, moving, base + push, joints) + (sdd * sd).sum(axis=-1)
+        driven = drive * zd[..., 6:]
+        if model.prescribed:
+            power = power + driven.sum(axis=-1)
+        for k, part in enumerate(model.carried):
+            effort = passive_effort(part, c[..., k], cd[..., k]) + getattr(part, "motor", 0.0)
+            power = power + (effort + carried[..., k]) * cd[..., k]
+        power = np.stack([power, np.abs(driven).sum(axis=-1)], axis=-1)
         zdd, cdd = solution[..., : pose.shape[-1]], solution[..., pose.shape[-1] :]
     joint = zdd[..., 6:]
     zdd, ddd = (
@@ -165,7 +176,19 @@ def motion(model: Model, x: Array, u: Array, step: float | None = None) -> State
     )
     floats = z[..., :0] if load is None else load.floating
     rate = np.concatenate([x[..., half:], zdd, ddd, cdd, sdd, floats], axis=-1)
-    return StateRate(rate, zdd, drive, wrench)
+    return StateRate(rate, zdd, drive, wrench, power)
+
+
+def power_of(model: Model, z: Array, zd: Array, force: Array, tau: Array) -> Array:
+    """Return the power of forces and of what holds the base (...) [W].
+
+    Args:
+        model, z, zd, force, tau: see `balance_of_forces`.
+    """
+    y, yd = z[..., :6], zd[..., :6]
+    push = force - matvec(model.K, y) - matvec(model.D, yd) - model.drag * np.abs(yd) * yd
+    power: Array = (push * yd).sum(axis=-1) + (tau * zd[..., 6:]).sum(axis=-1)
+    return power
 
 
 def touch(model: Model, x: Array) -> ContactLoad | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -16,6 +16,12 @@ from ves_gym.mechanics.attitude import conjugate, rotate, to_matrix
 from ves_gym.mechanics.contact import FLOATING, payload_coordinates, payload_of
 from ves_gym.system.effect_rows import EffectRows
 from ves_gym.system.system import System
+
+
+def accounted(system: System) -> bool:
+    """True where the engine keeps an account of energy: in space, by RK4, no loose payload."""
+    loose = system.contact is not None and system.contact.on == "payload"
+    return system.mode == "ideal" and system.integrator == "rk4" and not loose
 
 
 class CompiledBackend(ABC):
@@ -49,7 +55,10 @@ class CompiledBackend(ABC):
         self.floating = FLOATING if floats else 0
         # coordinates: (Y, q), then what is hidden, a payload that is touched the last
         self._order = size + self._gears + self._carried + self._extras + self.floating
-        self._nx, self._nu = 2 * self._order, size
+        # behind the rates: work of all forces, the kinetic energy at first included, of drives
+        self.accounted = accounted(system)
+        self._nx, self._nu = 2 * self._order + 2 * self.accounted, size
+        self._kinetic = system_function("momentum", system) if self.accounted else None
         self._ny = size + self.joints + (6 if self.emulated else 0)
         self.contact = None if system.contact is None else EngineContact(self, system)
 
@@ -92,14 +101,47 @@ class CompiledBackend(ABC):
         self._put_both(np.arange(self.n), 6 + self.joints, d, rate)
 
     def set_carried(self, ids: Index, at: Array, rate: Array) -> None:
-        self._put_both(ids, 6 + self.joints + self._gears, at, rate)
+        first = 6 + self.joints + self._gears
+        self._jump(ids, lambda: self._put_both(ids, first, at, rate))
 
     def set_base(self, ids: Index, y: Array, yd: Array) -> None:
         self._put_both(ids, 0, y, yd)
 
     def set_rates(self, ids: Index, zd: Array, gears: Array) -> None:
         rates = np.hstack([zd, gears])
-        self._put(ids, slice(self._order, self._order + rates.shape[1]), rates)
+        columns = slice(self._order, self._order + rates.shape[1])
+        self._jump(ids, lambda: self._put(ids, columns, rates))
+
+    def energy_gap(self, ids: Index) -> Array:
+        """Kinetic energy (k,) less what all forces have made of it, which integration that goes
+        wrong leaves open, and the drives' work (k,), |torque times rate|, both [J].
+
+        Args:
+            ids: (k,) simulations of an engine that is `accounted`.
+        """
+        x = self._states()[ids]
+        return np.stack([self._energy(x[:, :-2], ids) - x[:, -2], x[:, -1]])
+
+    def _energy(self, x: Array, ids: Index) -> Array:
+        """Kinetic energy (k,) in states (k, 2 order) of simulations (k,) [J]."""
+        size, order = 6 + self.joints, self._order
+        if self._kinetic is None or not x[:, order:].any():
+            return np.zeros(len(x))
+        at, rate = x[:, :order], x[:, order:]
+        modes = rate[:, order - self._extras :]
+        parts = at[:, :size], rate[:, :size], at[:, size:], rate[:, size:]
+        p = np.stack([self._row(i) for i in ids.tolist()])
+        out: Array = self._kinetic(*parts, p)[:, 6] + 0.5 * np.sum(modes**2, axis=1)
+        return out
+
+    def _jump(self, ids: Index, change: Callable[[], None]) -> None:
+        """Make a change that is no motion: the account stays as open as it was."""
+        gap = self.energy_gap(ids)[0] if self.accounted else np.zeros(len(ids))
+        change()
+        if self.accounted:
+            x = self._states()[ids]
+            work = self._energy(x[:, :-2], ids) - gap
+            self._put(ids, slice(self._nx - 2, self._nx - 1), work[:, None])
 
     def _accelerations(self, observed: Array) -> tuple[Array, Array]:
         """Drive torque and zdd (`Backend.evaluate`) from what is observed (n, ny)."""
@@ -107,14 +149,12 @@ class CompiledBackend(ABC):
         return observed[:, size : size + self.joints], observed[:, :size]
 
     def states_of(self, ids: Index, z: Array, zd: Array) -> Array:
-        """(k, nx) states: gears relaxed, oscillators at rest on the vehicle.
+        """(k, nx) states: gears relaxed, oscillators at rest on the vehicle, account closed.
 
         Args:
             ids: (k,) which simulations.
             z, zd: (k, 6 + joints) coordinates and rates.
         """
-        if self._order == 6 + self.joints:
-            return np.hstack([z, zd])
         parts = []
         first = self._gears + self._carried
         modes = slice(first, first + self._extras)
@@ -128,7 +168,10 @@ class CompiledBackend(ABC):
                     attached = zip(systems, part[:, :6], strict=True)
                     hidden[:, modes] = [k.base.attached(y) for k, y in attached]
             parts += [part, hidden]
-        return np.hstack(parts)
+        x = np.hstack(parts)
+        if not self.accounted:
+            return x
+        return np.hstack([x, self._energy(x, ids)[:, None], np.zeros((len(x), 1))])
 
     def set_gains(self, ids: Index, kp: Array, kd: Array) -> None:
         for name, values in (("kp", kp), ("kd", kd)):
@@ -136,7 +179,8 @@ class CompiledBackend(ABC):
                 self._set_parameter(self.names.index(f"{name}{i + 1}"), ids, values[:, i])
 
     def set_last_link(self, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
-        self.set_mass(f"link{self.joints}", ids, mass, com, inertia)
+        link = f"link{self.joints}"
+        self._jump(ids, lambda: self.set_mass(link, ids, mass, com, inertia))
 
     def set_mass(self, body: str, ids: Index, mass: Array, com: Array, inertia: Array) -> None:
         """Change mass properties (k,), (k, 3), (k, 3, 3) of a body by its name in p."""
@@ -213,7 +257,7 @@ class EngineContact:
         """Free payloads (n, `latch.BODY`), with centres of mass (n, 3) in own axes."""
         x, engine = self._engine._states(), self._engine
         order, k = engine._order, engine.floating
-        return payload_of(x[:, order - k : order], x[:, -k:], com)
+        return payload_of(x[:, order - k : order], x[:, 2 * order - k : 2 * order], com)
 
     def put(self, ids: Index, bodies: Array, com: Array) -> None:
         """Put free payloads there.
@@ -250,5 +294,6 @@ class EngineContact:
 
     def measured(self) -> tuple[Array, Array]:
         """Wrench on the tool (n, 6), engine's axes, at the tool, and energy stored (n,) [J]."""
-        out = self.function(self._engine._states(), self._engine._parameters())
+        engine = self._engine
+        out = self.function(engine._states()[:, : 2 * engine._order], engine._parameters())
         return out[:, :6], out[:, 6]

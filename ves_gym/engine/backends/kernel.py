@@ -16,7 +16,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, Index, object_rows
 from ves_gym.engine.backends.base import MEANINGLESS
-from ves_gym.engine.backends.compiled import CompiledBackend
+from ves_gym.engine.backends.compiled import CompiledBackend, accounted
 from ves_gym.engine.kernel.build import LANES
 from ves_gym.engine.kernel.compiled_function import (
     Piece,
@@ -44,7 +44,7 @@ def stepper(system: System) -> Stepper:
     def trace() -> Equations:
         from ves_gym.engine.kernel.trace import equations  # of what is in no store yet
 
-        return equations(system)
+        return equations(system, accounted(system))
 
     return Stepper(structure(system), trace, system.integrator)
 
@@ -105,7 +105,7 @@ class KernelBackend(CompiledBackend):
         """State as it lies in memory, in place: all of it, (Y, q), and the rate of these."""
         size = 6 + self.joints
         x = self._x
-        return x, x[:, :size], x[:, self._order : self._order + size]
+        return x[:, : 2 * self._order], x[:, :size], x[:, self._order : self._order + size]
 
     def rows_of_modes(self) -> tuple[Array, Array]:
         """Coordinates and rates of the base's internal modes in memory, in place."""
@@ -116,7 +116,7 @@ class KernelBackend(CompiledBackend):
     def rows_of_payload(self) -> tuple[Array, Array]:
         """Coordinates and rates of a payload that is touched in memory, in place."""
         k, order = self.floating, self._order
-        return self._x[:, order - k : order], self._x[:, 2 * order - k :]
+        return self._x[:, order - k : order], self._x[:, 2 * order - k : 2 * order]
 
     def rows_of_parameters(self) -> Array:
         """Parameters in memory, in place."""

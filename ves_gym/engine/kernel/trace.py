@@ -50,7 +50,9 @@ class Equations:
 
     n: int  # joints
     names: tuple[str, ...]  # of p
-    motion: casadi.Function  # (x, u, p) -> x'; x with what is hidden: (z, h, z', h')
+    # (x, u, p) -> x'; x with what is hidden, and two works where they are accounted:
+    # (z, h, z', h', w)
+    motion: casadi.Function
     observe: casadi.Function  # (x, u, p) -> x', (z'', drive torque, wrench if emulated)
     hidden: int = 0  # coordinates h: deflections of gears, internal modes of the base
 
@@ -60,8 +62,8 @@ class Equations:
         return 6 + self.n + self.hidden
 
 
-def equations(system: System) -> Equations:
-    """Trace the system's equations of motion."""
+def equations(system: System, account: bool = False) -> Equations:
+    """Trace the system's equations of motion; `account`: x has `StateRate.power`'s works."""
     import casadi as ca
 
     model, names, p = symbolic_model(system)
@@ -76,11 +78,10 @@ def equations(system: System) -> Equations:
     x, u = symbols("x", (2 * (size + h),)), symbols("u", (size,))
     observed = motion(model, x, u)  # what is observed
     step = motion(model, x, u, system.physics_dt) if implicit else observed  # and integrated
-    slope, out = (
-        column(step.rate),
-        column(observed.acceleration, observed.drive, observed.wrench),
-    )
-    arguments = [column(x), column(u), column(p)]
+    slope = column(step.rate, observed.power) if account else column(step.rate)
+    out = column(observed.acceleration, observed.drive, observed.wrench)
+    state = ca.vertcat(column(x), ca.SX.sym("work", 2)) if account else column(x)
+    arguments = [state, column(u), column(p)]
     return Equations(
         model.n,
         names,
