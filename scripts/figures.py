@@ -8,7 +8,6 @@ OpenGL. The table in CONTRIBUTING.md is written from here.
 from __future__ import annotations
 
 import io
-import re
 import shutil
 import sys
 import tempfile
@@ -26,11 +25,7 @@ sys.path.insert(0, str(ROOT))
 import ves_gym as vg  # noqa: E402 - run as a file, the root is not on the path
 from scripts import training, wiring  # noqa: E402
 from ves_gym._util.params import ParameterError, write_bytes, write_text  # noqa: E402
-from ves_gym._util.statistics import Estimate  # noqa: E402
 from ves_gym.cli.main import main as ves_gym  # noqa: E402
-from ves_gym.experiments.matrix import MatrixEntry, read_matrix  # noqa: E402
-from ves_gym.report.figures import write_figures  # noqa: E402
-from ves_gym.report.matrix_page import crossover_figure  # noqa: E402
 
 PICTURES = ROOT / "docs" / "pictures"
 PAGE = ROOT / "CONTRIBUTING.md"
@@ -73,31 +68,6 @@ def benchmark(picture: str, words: tuple[str, ...], target: Path) -> None:
         command("benchmark", *words, "--out", folder)
         (found,) = Path(folder).rglob(picture)
         shutil.copyfile(found, target)
-
-
-def crossover(target: Path) -> None:
-    """The crossover of the matrix whose numbers are the tables of docs/matrix.md."""
-    entries, task, machines = [], "", []
-    for line in (ROOT / "docs" / "matrix.md").read_text("utf-8").splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if line.startswith("## "):
-            task = line.removeprefix("## ")
-        elif line.startswith("| method"):
-            machines = cells[1:]
-        elif line.startswith("| "):
-            for machine, cell in zip(machines, cells[1:], strict=True):
-                success, _, energy = cell.partition("<br>E ")
-                numbers = estimate(success, 100), estimate(energy, 1) if energy else None
-                entries.append(MatrixEntry(task, machine, cells[0], numbers[0],
-                                           numbers[0], numbers[1], 0, 0))  # fmt: skip
-    figure = crossover_figure(read_matrix(ROOT / "examples" / "matrix.toml"), entries)
-    write_figures({target.with_suffix(""): figure})
-
-
-def estimate(text: str, unit: float) -> Estimate:
-    """Read `value (low to high)`; percents are of a unit of 100."""
-    value, low, high = re.findall(r"[\d.]+(?:e[+-]\d+)?|inf", text)
-    return Estimate(*(float(k) / unit for k in (value, low, high)))
 
 
 def animation(simulate: tuple[str, ...], size: str, magnify: str, target: Path) -> None:
@@ -270,7 +240,6 @@ FIGURES: dict[str, Figure] = {
     "teleop.gif": Figure(teleop, "`ves-gym teleop` with keys of a script"),
     "training.png": Figure(curves, "the curves in docs/training"),
     "wiring.svg": Figure(schematic, "`scripts/wiring.py`"),
-    "crossover.png": Figure(crossover, "the tables in docs/matrix.md"),
 }
 
 

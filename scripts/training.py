@@ -26,7 +26,7 @@ from ves_gym.baselines.config import CONFIGS, TrainConfig, read_config
 from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.policy import RELEASED, Policy, load_policy, released
-from ves_gym.baselines.registry import CONTROLLERS, get_controller
+from ves_gym.baselines.registry import REFERENCES, get_controller
 from ves_gym.envs.registration import IDS
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -34,19 +34,6 @@ PLACE, PICTURES = DOCS / "training", DOCS / "pictures"
 EPISODES = 200  # seeds 0, 1, ...: none of them is trained on or chosen by
 LAB_EPISODES = 100  # of the same on the ...Emulated twin
 
-# What a policy is compared with; energies are told over those of the first.
-RIVALS: dict[str, tuple[str, ...]] = {
-    "PumaRestToRest": ("zero", "random", "direct"),
-    "PumaDamp": ("high", "zero", "random", "pped"),
-    "FreeFlyerReach": ("zero", "random"),
-    "BeamLQR": ("zero", "random", "lqr"),
-    # beside policies that were learned from a controller, in velocities: the built-in
-    # controllers through the task's own control, in which the first is the reference
-    "PumaReach": ("resolved", "zero", "random"),
-    "PumaReachGoal": ("resolved", "zero", "random"),
-    "PumaTrack": ("resolved", "zero", "random"),
-    "PoseReach": ("resolved-pose", "zero", "random"),
-}
 FPS, WIDTH, COLOURS = 10, 480, 64  # of the animations
 EPISODE = 3  # that they show
 
@@ -102,10 +89,9 @@ def _short(value: Any) -> Any:
 def measure(config: TrainConfig) -> None:
     """The released policy and its rivals on the test episodes, in the policy's control."""
     best = load_policy(released(config.env)[config.label])
-    imitated = config.algorithm == "DAgger"
-    settings = {} if imitated else best.settings(gym.spec(config.env))
+    settings = best.settings(gym.spec(config.env))
     lineup: list[tuple[str, Controller]] = [
-        (name, get_controller(name)) for name in RIVALS[task(config)]
+        (name, get_controller(name)) for name in (REFERENCES[task(config)], "zero", "random")
     ]
     lineup.append((config.label, best))
     result = _compared(config.env, lineup, EPISODES, settings)
@@ -120,10 +106,10 @@ def _compared(
     episodes: int,
     settings: dict[str, Any],
 ) -> dict[str, Any]:
-    """A report without the rows of the episodes; settings are for the built-in controllers."""
+    """A report without the rows of the episodes; settings are for zero and random."""
     found = []
     for name, controller in lineup:
-        given = settings if name in CONTROLLERS else {}
+        given = settings if name in ("zero", "random") else {}
         played = evaluate(controller, id, episodes=episodes, threads=1, **given)
         found.append(dataclasses.replace(played, name=name))
     result = ControllerComparison(tuple(found)).to_dict()

@@ -53,8 +53,8 @@ name = "space"
 [[tasks]]
 env = "PumaDamp"
 methods = [
-    { name = "high gains", controller = "high" },
-    { name = "PPO", train = "mine.toml" },
+    { name = "high gains", policy = "high" },
+    { name = "PPO", policy = "ppo" },
 ]
 """
 COMMANDS = {

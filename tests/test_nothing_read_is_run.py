@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from ves_gym._util.params import ParameterError, from_plain
-from ves_gym.baselines.config import config_from_plain, released_configs
+from ves_gym.baselines.config import TrainConfig, released_configs
 from ves_gym.baselines.dataset import Recipe, make_dataset
 from ves_gym.baselines.evaluate import evaluate
 from ves_gym.baselines.policy import RELEASED, load_policy
@@ -15,7 +15,7 @@ from ves_gym.baselines.registry import get_controller
 from ves_gym.baselines.train import train
 from ves_gym.diagnosis import read_machine
 from ves_gym.envs.build import build_task
-from ves_gym.experiments.spec import spec_from_plain, units_of
+from ves_gym.experiments.spec import Spec, units_of
 from ves_gym.planners.registry import get_planner
 from ves_gym.system.system import System
 
@@ -27,12 +27,12 @@ NAMES = ("{}:s", "{}:anything.else", "{}")
 
 def evaluation(**changes):
     table = {"envs": [REACH], "policies": ["hold"], "episodes": 1} | changes
-    return units_of(spec_from_plain({"evaluate": [table]}))
+    return units_of(from_plain(Spec, {"evaluate": [table]}))
 
 
 def training(**changes):
     config = released_configs()[0].to_dict() | changes
-    return train(config_from_plain(config), 0, "nowhere")
+    return train(from_plain(TrainConfig, config), 0, "nowhere")
 
 
 def recipe(**changes):

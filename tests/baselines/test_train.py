@@ -15,13 +15,12 @@ import numpy as np
 import pytest
 
 from tests.envs.walks import IDS as EVERY_ID
-from ves_gym._util.params import ParameterError
+from ves_gym._util.params import ParameterError, from_plain
 from ves_gym.baselines.checkpoint import load_state
 from ves_gym.baselines.config import (
     CONFIGS,
     TrainConfig,
     choose_config,
-    config_from_plain,
     find_configs,
     read_config,
 )
@@ -320,7 +319,7 @@ def test_the_learning_rate_falls_linearly():
 )
 def test_a_bad_configuration_is_refused(changes, message):
     with pytest.raises(ParameterError, match=message):
-        config_from_plain({**PPO.to_dict(), **changes})
+        from_plain(TrainConfig, {**PPO.to_dict(), **changes})
 
 
 @pytest.mark.parametrize(

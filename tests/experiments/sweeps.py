@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from ves_gym.experiments.spec import spec_from_plain
+from ves_gym._util.params import from_plain
+from ves_gym.experiments.spec import Spec
 
 SMALL = {  # two environments, a policy, a planner: units of a fraction of a second
     "evaluate": [
@@ -20,7 +21,7 @@ SMALL = {  # two environments, a policy, a planner: units of a fraction of a sec
 
 
 def spec(plain=None, **changes):
-    return spec_from_plain({**(plain or SMALL), **changes})
+    return from_plain(Spec, {**(plain or SMALL), **changes})
 
 
 def many(count):

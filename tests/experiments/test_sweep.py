@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from tests.experiments.sweeps import SMALL, files, spec
-from ves_gym._util.params import ParameterError, canonical_json, content_hash
+from ves_gym._util.params import ParameterError, canonical_json, content_hash, from_plain
 from ves_gym.experiments import units as u
-from ves_gym.experiments.spec import spec_from_plain, units_of
+from ves_gym.experiments.spec import Spec, units_of
 from ves_gym.experiments.sweep import merge, sweep, write_rows
 
 ROOT = Path(__file__).parents[2]
@@ -207,13 +207,13 @@ ZERO = {"envs": ["BeamLQR-v0"], "policies": ["zero"]}
             {"plan": [{"suite": "reach100", "planners": ["direct"], "durations": [9.0]}]},
             "has durations 0.5, 1, 2, 4 s",
         ),
-        ({"train": [{"configs": ["Nothing-ppo"]}]}, "config must be a .toml file or one of"),
+        ({"train": [{"configs": ["Nothing-ppo"]}]}, "Nothing-ppo.*known: ves/BeamLQR"),
         ({"train": [{"configs": ["BeamLQR-ppo"], "seeds": []}]}, "seeds must be numbers"),
     ],
 )
 def test_a_bad_spec_is_refused_before_any_work(plain, message, tmp_path):
     with pytest.raises(ParameterError, match=message):
-        sweep(spec_from_plain(plain), tmp_path / "out")
+        sweep(from_plain(Spec, plain), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 

@@ -258,10 +258,5 @@ def _slow_enough(motion: Motion, arm: Arm) -> bool:
 
 
 def loaded(arm: Arm, mass: float) -> Arm:
-    """Return the arm with a point mass at its tool.
-
-    Args:
-        arm: as described.
-        mass: [kg].
-    """
+    """Return the arm with a point mass [kg] at its tool."""
     return PayloadMass(mass=mass).arm(arm)

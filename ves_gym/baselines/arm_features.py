@@ -198,12 +198,7 @@ def _damped(J: Array, v: Array) -> Array:
 
 
 def arm_features(task: Task, goal: bool = False) -> ArmFeatures:
-    """Return the features of a task's observation.
-
-    Args:
-        task: of an arm of the library, with a target.
-        goal: the observation is a dictionary, whose goals come first.
-    """
+    """Return the features of a task's observation; of a `goal` variant its goals come first."""
     fields = {field.name: field for field in task.parts()}
     if goal and task.goal_fields is not None:
         fields = {name: fields[name] for name in (*task.goal_fields, *fields)}

@@ -32,7 +32,7 @@ def save_state(
     Args:
         path: of the file.
         value: numbers, text, arrays, containers, systems and data classes of `ves_gym`.
-        references: objects that the reader has; they are saved by name.
+        references: by name, objects that the reader has: their names are saved.
     """
     packer = _Packer(references or {})
     tree = {"value": packer.pack(value), "systems": packer.systems}
@@ -43,15 +43,7 @@ def save_state(
 def load_state(
     path: str | os.PathLike[str], references: Mapping[str, Any] | None = None
 ) -> Any:
-    """Read what `save_state` wrote.
-
-    Args:
-        path: of the file.
-        references: what was saved by name.
-
-    Raises:
-        ParameterError: no such file, or another kind of file.
-    """
+    """Read what `save_state` wrote; refuse any other file."""
     try:
         data = Path(path).read_bytes()
     except OSError as error:

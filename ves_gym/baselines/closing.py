@@ -175,12 +175,7 @@ class ClosingPose(Closing):
 
 
 def share_per_second(time: Array, seconds: float) -> Array:
-    """Return the share of the way left that the straight motion of least jerk goes [1/s].
-
-    Args:
-        time: (n,) since it began [s].
-        seconds: that it takes [s].
-    """
+    """Return the share of the way left that the straight motion of least jerk goes [1/s]."""
     part = np.minimum(time / seconds, 1 - 1e-6)
     # rate of the quintic over the way that it leaves, in closed form
     pace = 30 * part**2 / ((1 - part) * (1 + 3 * part + 6 * part**2))

@@ -56,21 +56,13 @@ class ControllerComparison(Viewable):
         )
 
     def ratio(self, controller: str, reference: str, measure: str = "E_mean") -> Estimate:
-        """Return the median over the episodes of a measure over the reference's.
-
-        Args:
-            controller, reference: names of two of the evaluations.
-            measure: E_mean, E_peak, E_res or E_int.
-
-        Returns:
-            The median and its 95 % interval.
-        """
+        """Return the median over the episodes of an energy over the reference's."""
         return ratio(self[controller], self[reference], measure)
 
     @property
     def best(self) -> Evaluation:
         """Evaluation with the largest interquartile mean return."""
-        return max(self.evaluations, key=_score)
+        return max(self.evaluations, key=lambda e: e.iqm)
 
     @property
     def table(self) -> str:
@@ -112,7 +104,7 @@ class ControllerComparison(Viewable):
 
     def __repr__(self) -> str:
         first = self.evaluations[0]
-        scores = ", ".join(f"{e.name} {_score(e):.3f}" for e in self.evaluations)
+        scores = ", ".join(f"{e.name} {e.iqm:.3f}" for e in self.evaluations)
         episodes = len(first.rows)
         return f"<ControllerComparison: {first.id}, {episodes} episodes; return {scores}>"
 
@@ -154,10 +146,6 @@ def _value(e: Estimate | None, form: str) -> str:
     return "-" if e is None or not math.isfinite(e.value) else format(e.value, form)
 
 
-def _score(evaluation: Evaluation) -> float:
-    return float(evaluation.summary()["return"]["iqm"].value)
-
-
 def compare_controllers(
     id: str,
     lineup: Lineup,
@@ -165,14 +153,7 @@ def compare_controllers(
     progress: Callable[[str, float], None] = lambda name, done: None,
     **options: Any,
 ) -> ControllerComparison:
-    """Evaluate each of a line-up on the same episodes.
-
-    Args:
-        id: of the environment.
-        lineup: as `line_up` makes it.
-        progress: called with a label and the fraction done.
-        options: of `evaluate`, the environment's settings among them.
-    """
+    """Evaluate each of a line-up on the same episodes; `options` are those of `evaluate`."""
     out = []
     for label, group in lineup:
         parts = []
@@ -221,16 +202,11 @@ def line_up(id: str, chosen: Sequence[str | Path | Controller], seed: int = 0) -
 
 
 def policy_files(text: str | os.PathLike[str], id: str, base: Path = Path()) -> list[Path]:
-    """Return the .json files that a text stands for.
-
-    Args:
-        text: a file, a folder of `train`, the name of a released policy, or "released" for all
-            of them.
-        id: of the environment.
-        base: folder that paths start from.
+    """Return the .json files that a text stands for; paths start from `base`.
 
     Raises:
-        ParameterError: it is none of these.
+        ParameterError: it is no file, no folder of `train`, and neither the name of a released
+            policy of the environment nor "released" for all of them.
     """
     policies, word = released(id), str(text)
     named = list(policies.values()) if word == "released" else [policies.get(word)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -105,33 +104,7 @@ class TrainConfig:
 
 def read_config(path: str | os.PathLike[str]) -> TrainConfig:
     """A configuration from a TOML or JSON file; unknown keys are an error."""
-    return config_from_plain(read_table(path), str(path))
-
-
-def find_config(name: str, base: Path) -> Path:
-    """Return the file of a configuration: one of the package by its name, or any by its path.
-
-    Args:
-        name: such as `PumaDamp-ppo`, or a .toml or .json file.
-        base: folder that paths start from.
-
-    Raises:
-        ParameterError: the package has none of that name.
-    """
-    if Path(name).suffix in (".toml", ".json"):
-        return base / name
-    shipped = {path.stem: path for path in sorted(CONFIGS.glob("*.toml"))}
-    if name not in shipped:
-        raise ParameterError(
-            f"config must be a .toml file or one of {', '.join(shipped)}, got {name!r}"
-            f"{did_you_mean(name, shipped)}"
-        )
-    return shipped[name]
-
-
-def config_from_plain(plain: Mapping[str, Any], where: str = "config") -> TrainConfig:
-    """A configuration from plain data; unknown keys are an error."""
-    config: TrainConfig = from_plain(TrainConfig, plain, where)
+    config: TrainConfig = from_plain(TrainConfig, read_table(path), str(path))
     return config
 
 
@@ -160,19 +133,24 @@ def find_configs(env: str, algorithm: str | None = None) -> list[TrainConfig]:
     return matching
 
 
-def choose_config(source: str | os.PathLike[str], algorithm: str | None = None) -> TrainConfig:
+def choose_config(
+    source: str | os.PathLike[str], algorithm: str | None = None, base: Path = Path()
+) -> TrainConfig:
     """Return the configuration that a text stands for.
 
     Args:
-        source: a .toml or .json file, or a registered environment, which has at least ppo.
+        source: a .toml or .json file, a name such as PumaDamp-ppo, or a registered environment,
+            which has at least ppo.
         algorithm: its label, such as ppo; None: the first there is.
+        base: folder that paths start from.
 
     Raises:
         ParameterError: no such file or configuration, or it is for another algorithm.
     """
     text = str(source)
-    if Path(text).suffix in (".toml", ".json"):
-        config = read_config(text)
+    shipped = CONFIGS / f"{text}.toml"
+    if Path(text).suffix in (".toml", ".json") or shipped.is_file():
+        config = read_config(shipped if shipped.is_file() else base / text)
         if algorithm not in (None, config.algorithm, config.label):
             raise ParameterError(f"{text} is for {config.label}, got algorithm {algorithm}")
         return config

@@ -50,14 +50,7 @@ class Controller(Protocol):
 
 
 def require_fit(name: str, fits: bool, work: str, env: VesVectorEnv) -> None:
-    """Refuse an environment that a controller cannot act on.
-
-    Args:
-        name: of the controller.
-        fits: whether it can.
-        work: what it does, after its name.
-        env: the environment.
-    """
+    """Refuse an environment that a controller cannot act on; `work` is what it does."""
     if not fits:
         raise ParameterError(
             f"controller {name} {work}, got task {env.task.kind} through control"
@@ -66,13 +59,7 @@ def require_fit(name: str, fits: bool, work: str, env: VesVectorEnv) -> None:
 
 
 def remember(controller: object, n: int, **shapes: tuple[int, ...]) -> None:
-    """Give a controller arrays of zeros; those that it has of their shape stay as they are.
-
-    Args:
-        controller: gets them as attributes.
-        n: leading axis, environments.
-        shapes: the others, by name.
-    """
+    """Give a controller arrays (n, ...) of zeros as attributes; those of their shape stay."""
     for name, shape in shapes.items():
         if np.shape(getattr(controller, name, ())) != (n, *shape):
             setattr(controller, name, np.zeros((n, *shape)))
@@ -223,10 +210,9 @@ def joint_query(
 
     Args:
         env: whose arm, system and control.
-        start, goal: (joints,) [rad].
+        start, goal, rate, acceleration: (joints,) [rad]; default at rest at the start.
         duration: [s].
         system: default the task's without errors.
-        rate, acceleration: (joints,) at the start; default at rest.
         base: its motion at the start; default at rest.
     """
     from ves_gym.planners.query import Query
@@ -265,13 +251,9 @@ def reference_action(
     of all three dies away like exp(-c t).
 
     Args:
-        env: in the middle of its episodes.
-        control: theirs.
+        env, control: in the middle of its episodes.
         target: (n, 3, joints) angle, rate, acceleration.
         follow: c [1/s].
-
-    Returns:
-        (n, a) in [-1, 1].
     """
     s, arm, dt = env.batch.scene, env.task.system.arm, env.batch.dt
     if not control.per_joint:

@@ -34,7 +34,7 @@ from ves_gym.baselines.evaluate import make_vector, run_episodes, settings_of
 from ves_gym.envs.vector import VesVectorEnv
 
 RECIPES = Path(__file__).parent / "datasets"
-_COLUMNS = ("actions", "rewards", "terminations", "truncations")  # of an episode
+COLUMNS = ("actions", "rewards", "terminations", "truncations")  # of an episode
 _AT_ONCE = 32  # episodes
 _ID = re.compile(r"[-\w]+(/[-\w]+)*-v\d+")  # as Minari takes it
 
@@ -96,11 +96,7 @@ def recipes() -> dict[str, Recipe]:
 
 
 def read_recipes(path: str | os.PathLike[str]) -> list[Recipe]:
-    """Recipes from a TOML file: `env`, `seed`, `episodes`, and a table [[set]] of each.
-
-    Args:
-        path: of the file; unknown keys in it are an error.
-    """
+    """Recipes from a TOML file: `env`, `seed`, `episodes`, and a table [[set]] of each."""
     table = read_table(path)
     shared = {k: v for k, v in table.items() if k != "set"}
     out = []
@@ -220,29 +216,24 @@ def _episodes(
             if period.ended[i]:
                 before, *parts = zip(*steps.pop(seed), strict=True)
                 rows = _stacked([*before, _row(period.following, i)])
-                arrays = dict(zip(_COLUMNS, map(np.array, parts), strict=True))
+                arrays = dict(zip(COLUMNS, map(np.array, parts), strict=True))
                 success = bool(period.info["success"][i])
                 yield Episode(seed, controller.name, rows, success=success, **arrays)
 
 
-def _row(observation: Any, i: int) -> Any:
-    if isinstance(observation, Mapping):
-        return {k: v[i].copy() for k, v in observation.items()}
-    return observation[i].copy()
+def _row(observation: Any, i: int) -> dict[str, Array]:
+    """A row by the names of its parts, "" of an array."""
+    parts = observation if isinstance(observation, Mapping) else {"": observation}
+    return {k: v[i].copy() for k, v in parts.items()}
 
 
-def _stacked(rows: Sequence[Any]) -> Any:
-    if isinstance(rows[0], Mapping):
-        return {k: np.stack([row[k] for row in rows]) for k in rows[0]}
-    return np.stack(rows)
+def _stacked(rows: Sequence[dict[str, Array]]) -> Any:
+    out = {k: np.stack([row[k] for row in rows]) for k in rows[0]}
+    return out.get("", out)
 
 
 def flat_observations(observations: Any) -> Float32:
-    """Return observations as one array; parts of a dictionary by name, one after another.
-
-    Args:
-        observations: (..., o) or a dictionary of such.
-    """
+    """Return observations (..., o) as one array; parts of a dictionary by name, in a row."""
     if isinstance(observations, Mapping):
         return np.concatenate([observations[k] for k in sorted(observations)], axis=-1)
     return np.asarray(observations)

@@ -59,6 +59,11 @@ class Evaluation:
             return [np.array([[g[seed] for g in strata] for seed in strata[0]])]
         return [np.array(list(g.values())) for g in strata]
 
+    @property
+    def iqm(self) -> float:
+        """Interquartile mean return."""
+        return bootstrap(self.values("return"), iqm).value
+
     def summary(self) -> dict[str, Any]:
         """Mean, median and interquartile mean of the measures, and the rates of success."""
         out: dict[str, Any] = {"episodes": len(self.rows)}
@@ -156,9 +161,6 @@ def run_episodes(
         controller: that acts.
         env: with autoreset disabled; between the steps it is as the last one left it.
         seeds: of the episodes, each begun by `env.reset(seed=...)`.
-
-    Yields:
-        The steps, until every episode has ended.
     """
     queue = list(seeds)[::-1]
     running = np.full(env.num_envs, -1)
@@ -233,13 +235,9 @@ def with_deviations(
     effects: Sequence[Effect] = (),
     arm: str | Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Return settings with an arm, whose numbers per joint are its own, and with effects.
+    """Return an environment's settings with more effects, and another arm in place of its own.
 
-    Args:
-        id: registered id of the environment.
-        settings: that it is made with.
-        effects: beside those that it has.
-        arm: name, file or plain data; None: the environment's.
+    Numbers per joint of a control among the settings become those of the arm.
     """
     id = id if "/" in id else f"ves/{id}"
     out = dict(settings)

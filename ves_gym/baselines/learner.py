@@ -56,16 +56,7 @@ class ImitationConfig:
 
 
 class Imitation:
-    """Rounds of episodes, each learned from.
-
-    Args:
-        env: where.
-        agent: whose actor learns.
-        stack: how it sees; its scale is that of the first round from then on.
-        expert: says what to do.
-        config: how many.
-        rng: of noise and of the batches' order.
-    """
+    """Rounds of episodes, each learned from; the scale of `stack` is that of the first one."""
 
     def __init__(
         self,

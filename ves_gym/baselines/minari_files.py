@@ -22,16 +22,10 @@ from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import named, read_apart
 from ves_gym._util.version import __version__
-from ves_gym.baselines.dataset import (
-    Dataset,
-    Episode,
-    Float32,
-    flat_observations,
-)
+from ves_gym.baselines.dataset import COLUMNS, Dataset, Episode, Float32, flat_observations
 from ves_gym.baselines.evaluate import spec_of
 
 PACKAGES = ("minari", "h5py")
-_COLUMNS = ("actions", "rewards", "terminations", "truncations")  # of an episode
 _OURS = ("dump", "render_mode")  # what whoever replays decides
 # What replaying may differ by on another processor: rewards are computed in double precision,
 # observations are rounded to single (two neighbours of numbers up to 5 are 5e-7 apart).
@@ -60,15 +54,7 @@ class Replay:
 
 
 def write_dataset(dataset: Dataset, root: str | os.PathLike[str]) -> Path:
-    """Write a data set below a folder of data sets, completely or not at all.
-
-    Args:
-        dataset: whose id names the folder in `root`; one that is there is replaced.
-        root: such as Minari's `MINARI_DATASETS_PATH`.
-
-    Returns:
-        The folder, which `read_episodes` and `minari.load_dataset` read.
-    """
+    """Write a data set to its id's folder in `root`, completely or not at all; the folder."""
     require("a data set", *PACKAGES)
     from minari.data_collector import EpisodeBuffer
     from minari.dataset.minari_storage import MinariStorage
@@ -108,10 +94,7 @@ def write_dataset(dataset: Dataset, root: str | os.PathLike[str]) -> Path:
                 id=k,
                 seed=e.seed,
                 observations=e.observations,
-                actions=e.actions,
-                rewards=e.rewards,
-                terminations=e.terminations,
-                truncations=e.truncations,
+                **{name: getattr(e, name) for name in COLUMNS},
             )
             for k, e in enumerate(dataset.episodes)
         )
@@ -125,10 +108,7 @@ def write_dataset(dataset: Dataset, root: str | os.PathLike[str]) -> Path:
 
 
 def read_episodes(path: str | os.PathLike[str]) -> list[Episode]:
-    """Read the episodes of a data set's folder.
-
-    Args:
-        path: of a data set, also of one that Minari wrote elsewhere, with its seeds.
+    """Read the episodes of a data set's folder, also of one that Minari wrote elsewhere.
 
     Raises:
         ParameterError: no data set, or episodes without seeds.
@@ -162,7 +142,7 @@ def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], list[Episode]]:
             name[13:]: v for name, v in arrays.items() if name.startswith("observations:")
         }
         observations = fields.get("", fields)  # goals have names
-        columns = {name: arrays[name] for name in _COLUMNS}
+        columns = {name: arrays[name] for name in COLUMNS}
         episodes.append(Episode(observations=observations, **columns, **k))
     return about["env"], episodes
 
@@ -177,33 +157,26 @@ def arrays_of(file: Path) -> dict[str, Any]:
         abouts = list(stored.storage.get_episode_metadata(stored.episode_indices))
     except (OSError, ValueError, KeyError, TypeError, AssertionError) as error:
         raise ParameterError(f"is no data set of Minari: {error}") from None
-    episodes: list[dict[str, Any]] = []
     out: dict[str, Any] = {}
-    for number, (episode, about) in enumerate(
-        zip(stored.iterate_episodes(), abouts, strict=True)
-    ):
-        seed = about.get("seed")
-        episodes.append(
-            {
-                "seed": None if seed is None else int(seed),
-                "behaviour": str(about.get("behaviour", "")),
-                "success": bool(about.get("success", False)),
-            }
-        )
+    episodes = [
+        {
+            "seed": None if about.get("seed") is None else int(about["seed"]),
+            "behaviour": str(about.get("behaviour", "")),
+            "success": bool(about.get("success", False)),
+        }
+        for about in abouts
+    ]
+    for number, episode in enumerate(stored.iterate_episodes()):
         fields = episode.observations
         fields = fields if isinstance(fields, dict) else {"": fields}
         out |= {f"{number}:observations:{name}": values for name, values in fields.items()}
-        out |= {f"{number}:{name}": getattr(episode, name) for name in _COLUMNS}
+        out |= {f"{number}:{name}": getattr(episode, name) for name in COLUMNS}
     about = json.dumps({"env": spec, "episodes": episodes})
     return {"about": np.array(about), **{k: np.asarray(v) for k, v in out.items()}}
 
 
 def replay(path: str | os.PathLike[str]) -> Replay:
-    """Carry out the stored actions in the environment that the data set names.
-
-    Args:
-        path: folder of the data set. The environment is the registered one of the id in it,
-            with the settings in it; every episode is begun from its stored seed.
+    """Carry out the stored actions, from the stored seeds, in the environment that is named.
 
     Raises:
         ParameterError: no data set, or an environment that is none of this package.

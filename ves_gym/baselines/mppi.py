@@ -101,12 +101,7 @@ class Mppi:
 
 
 def nominal_model(env: VesVectorEnv, lanes: int) -> VesVectorEnv:
-    """Return a model of an environment: in space, without errors, begun.
-
-    Args:
-        env: whose task it has.
-        lanes: simulations.
-    """
+    """Return a model of so many simulations of an environment: in space, without errors."""
     task = replace(env.task, system=env.task.system.ideal(), randomize=())
     model = VesVectorEnv(lanes, task, threads=1)
     model.reset(seed=0)
@@ -114,12 +109,7 @@ def nominal_model(env: VesVectorEnv, lanes: int) -> VesVectorEnv:
 
 
 def play(model: VesVectorEnv, actions: Array) -> None:
-    """Play actions on every lane, each until its episode ends.
-
-    Args:
-        model: where the motion begins.
-        actions: (lanes, periods, width) to the end.
-    """
+    """Play actions (lanes, periods, width) on every lane, each until its episode ends."""
     running = np.ones(model.num_envs, bool)
     for k in range(actions.shape[1]):
         _, last, truncated, _ = model.batch.step(actions[:, k], ~running)
@@ -135,11 +125,7 @@ def episode_costs(model: VesVectorEnv) -> Array:
 
 
 def residual_motion_cost(model: VesVectorEnv) -> Array:
-    """Return a price of joints that still move (lanes,), which the reward does not have.
-
-    Args:
-        model: at the end of its episodes.
-    """
+    """Return a price (lanes,) of joints that move at the end, which the reward has not."""
     out: Array = AT_REST / 2 * (model.batch.scene.v**2).sum(axis=1)
     return np.nan_to_num(out, nan=np.inf)
 
@@ -147,14 +133,7 @@ def residual_motion_cost(model: VesVectorEnv) -> Array:
 def followed(
     model: VesVectorEnv | None, env: VesVectorEnv, i: int, planner: str, seed: int
 ) -> Array:
-    """Return the actions (steps, width) that follow a planner's motion on the model.
-
-    Args:
-        model: is played on.
-        env: just begun.
-        i: which of its environments.
-        planner, seed: see `Follow`.
-    """
+    """Return the actions (steps, width) by which `Follow` leads environment i, just begun."""
     assert model is not None
     follow = Follow(planner, planner, seed)
     model.fan_out(env, i)

@@ -180,12 +180,9 @@ def _features(features: ArmFeatures, entries: list[str], graph: _Graph) -> list[
 
 
 def difference(policy: Policy, data: bytes, rows: int = 1000) -> float:
-    """Return by how much the actions of a model made by `to_onnx` differ from the policy's.
+    """Return by how much actions of a model that `to_onnx` made differ from the policy's.
 
-    Args:
-        policy: it was made from.
-        data: of the model, which onnxruntime runs.
-        rows: number of observations drawn, a part of them beyond the policy's limit.
+    onnxruntime runs it, on `rows` drawn observations, a part of them beyond the policy's limit.
     """
     require("to run an ONNX model", "onnxruntime")
     import onnxruntime
@@ -205,13 +202,8 @@ def difference(policy: Policy, data: bytes, rows: int = 1000) -> float:
 def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> float:
     """Write a policy as ONNX, once its actions have been compared; the largest difference.
 
-    Args:
-        policy: to write.
-        path: of the file; nothing is written where the actions differ by more than
-            `TOLERANCE`.
-
     Raises:
-        ArithmeticError: they do.
+        ArithmeticError: they differ by more than `TOLERANCE`, and nothing is written.
     """
     data = to_onnx(policy)
     gap = difference(policy, data)

@@ -18,13 +18,7 @@ Layers = list[tuple[Floats, Floats]]  # weights (inputs, outputs) and offsets (o
 
 
 class Perceptron:
-    """Layers with an activation between them.
-
-    Args:
-        layers: weights and offsets.
-        slopes: where their derivatives go, the same shapes.
-        activation: tanh or relu.
-    """
+    """Layers with an activation between them; their derivatives go to `slopes`."""
 
     def __init__(self, layers: Layers, slopes: Layers, activation: str) -> None:
         self.layers, self.slopes, self.activation = layers, slopes, activation
@@ -82,8 +76,7 @@ class ActorCritic:
 
     Args:
         sizes: observation, hidden layers (of either network), action.
-        activation: tanh or relu.
-        log_std: of the actions' noise at first.
+        activation, log_std: tanh or relu, and of the actions' noise at first.
         rng: draws the weights.
         beside: numbers that the critic sees behind the observation.
     """
@@ -122,11 +115,7 @@ class ActorCritic:
                 W[:] = gain * _orthogonal(W.shape, rng)
 
     def rescale(self, shift: Floats, factor: Floats) -> None:
-        """Take inputs x as `factor` x + `shift` from now on, outputs unchanged.
-
-        Args:
-            shift, factor: (inputs,), the old inputs by the new ones.
-        """
+        """Take inputs x as `factor` x + `shift` (inputs,) from now on, outputs unchanged."""
         for net in (self.actor, self.critic):
             W, b = net.layers[0]
             W = W[: len(factor)]

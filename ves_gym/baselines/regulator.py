@@ -89,11 +89,7 @@ class Regulator:
 def feedback(system: System, q: Array, A: Array, B: Array, dt: float) -> Array:
     """Gains (joints, 2 s + joints) of torque per state (Y, q - q0, u, rates) and integral.
 
-    Args:
-        system: arm and vehicle.
-        q: (joints,) where it is linearised [rad].
-        A, B: (2 s, 2 s) and (2 s, joints), sampled.
-        dt: period [s].
+    A (2 s, 2 s) and B (2 s, joints) are linearised at q (joints,) and sampled with dt [s].
     """
     size, joints = B.shape
     n = size // 2
@@ -117,10 +113,7 @@ def feedback(system: System, q: Array, A: Array, B: Array, dt: float) -> Array:
 def observer_gain(A: Array, joints: int, dt: float) -> Array:
     """Steady gain (2 s, 6 + joints) of the Kalman filter that sees pose and joint angles.
 
-    Args:
-        A: (2 s, 2 s), sampled; s is 6 + joints + internal modes.
-        joints: number of them.
-        dt: period [s].
+    A is (2 s, 2 s), sampled with dt [s]; s is 6 + joints + internal modes.
     """
     n, outputs = len(A) // 2, 6 + joints
     rates = np.r_[

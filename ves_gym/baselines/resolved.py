@@ -205,13 +205,7 @@ class Resolved:
 
 
 def _into(task: BerthingContact, start: Array, goal: Array) -> Array:
-    """Path (k, steps + 1, 3) of the ball: before the funnel, then along its axis.
-
-    Args:
-        task: asks for it.
-        start: (k, 3) of the ball [m].
-        goal: (k, g) of the episodes.
-    """
+    """Path (k, steps + 1, 3) of the ball: before the funnel, then along its axis."""
     clock, axis = np.arange(task.steps + 1) / task.steps, to_matrix(goal[:, 3:7])[..., 2]
     before = goal[:, :3] - task.away * axis
     first = quintic(clock / _BEFORE)[:, None]
@@ -229,25 +223,12 @@ def _slowly(ref: Array, then: Array, rate: float, dt: float) -> Array:
 
 
 def seen_from_base(y: Array, place: Array) -> Array:
-    """Return places in the base's axes (n, 3) [m].
-
-    Args:
-        y: (n, 6) pose of the base.
-        place: (n, 3) in space [m].
-    """
+    """Return places (n, 3) [m] in the axes of a base with pose y (n, 6)."""
     return matvec(np.swapaxes(rotation(y), -1, -2), place - y[:, :3])
 
 
 def carried(base: Array, place: Array) -> Array:
-    """Return the velocity that a base gives a place, or the rate of it, turn included.
-
-    Args:
-        base: (n, 6) in its own axes [m/s, rad/s].
-        place: (n, 3) [m].
-
-    Returns:
-        (n, 6).
-    """
+    """Return the twist (n, 6) that a base's (n, 6) gives a place (n, 3), or the rate of it."""
     out = base.copy()
     out[:, :3] += np.cross(base[:, 3:], place)
     return out
@@ -274,16 +255,8 @@ def damped_inverse(J: Array, damping: float = _DAMPING, dear: Array | None = Non
 def servo_shift(env: VesVectorEnv, q: Array, before: Array, torque: Array) -> Array:
     """Return the shift s of a reference that servos and feed-forward turn into a torque.
 
-    M s'' + kd s' + kp s = torque, a period on by the implicit rule of Euler.
-
-    Args:
-        env: whose gains and inertia M they are.
-        q: (n, joints) where the inertia is taken [rad].
-        before: (n, 2, joints) s and s' a period ago.
-        torque: (n, joints) [N m].
-
-    Returns:
-        (n, 3, joints) s, s' and s''.
+    M(q) s'' + kd s' + kp s = torque, a period on by the implicit rule of Euler: s, s' and s''
+    (n, 3, joints) from s and s' (n, 2, joints) `before`.
     """
     s, dt, arm = env.batch.scene, env.batch.dt, env.task.system.arm
     M = inertia(arm, q)[:, 6:, 6:]
@@ -295,15 +268,12 @@ def servo_shift(env: VesVectorEnv, q: Array, before: Array, torque: Array) -> Ar
 
 
 def base_torque(arm: Arm, q: Array, v: Array, y: Array, yd: Array, ydd: Array) -> Array:
-    """Return the joint torques that a moving base asks for, beyond those of a still one.
+    """Return the joint torques (k, n) [N m] that a moving base asks for beside a still one.
 
     Args:
         arm: n joints.
         q, v: (k, n) joint angles [rad] and rates [rad/s].
         y, yd, ydd: (k, 6) pose of the base and its derivatives.
-
-    Returns:
-        (k, n) [N m].
     """
     moving, turning = twist(y, yd), twist_rate(y, yd, ydd)
     spin, none = moving[:, 3:], np.zeros_like(v)
@@ -386,14 +356,7 @@ def _kindest(arm: Arm, q: Array, ends: Array, seconds: float, energy: straight_e
 
 
 def configurations_for(arm: Arm, q: Array, places: Array, turns: Array) -> list[Array]:
-    """Joint angles (m, joints) that have the tool at poses, or where it is if there are none.
-
-    Args:
-        arm: whose joints.
-        q: (k, joints) where it is [rad].
-        places: (k, 3) of the tool [m].
-        turns: (k, 3, 3) of the tool.
-    """
+    """Joint angles (m, joints) that have the tool at each of k poses; q (k, joints) if none."""
     every = configurations_at_each(arm, places, turns, q, STARTS)
     # nothing better is known than to stay
     return [ends if len(ends) else at[None] for ends, at in zip(every, q, strict=True)]

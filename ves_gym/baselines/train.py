@@ -60,15 +60,7 @@ def train(
     progress: Progress = lambda done, note: None,
     tensorboard: Folder | None = None,
 ) -> list[Row]:
-    """Train one policy; the rows of its learning curve.
-
-    Args:
-        config: of the run.
-        seed: of weights, exploration and training episodes.
-        folder: where the run's files go.
-        resume: go on from the checkpoint in `folder`, if there is one.
-        progress: called with the fraction done and a few words.
-        tensorboard: a folder that gets the curve as it grows, in NAME/seed-N.
+    """Train one policy, see `train_seeds`; the rows of its learning curve.
 
     Raises:
         ParameterError: a run is already there and `resume` is not said, or it is another
@@ -111,7 +103,7 @@ class _Run:
         env = make_vector(
             config.env, config.n_envs, AutoresetMode.SAME_STEP, threads=1, **config.settings
         )
-        self.learner = Learner(config, seed, env, TRAINING, self._episodes)
+        self.learner = Learner(config, seed, env, TRAINING, self._count)
         self.zero = self._evaluate(Zero())  # what every evaluation is compared with
         self.rows: list[Row] = []
         self.best: Policy | None = None
@@ -130,8 +122,6 @@ class _Run:
         if (folder / CHECKPOINT).exists():
             self._restore(folder / CHECKPOINT)
         self.begin = time.perf_counter()
-
-    # ------------------------------------------------------------------ training
 
     def learn(self) -> list[Row]:
         """Train to the end."""
@@ -156,8 +146,7 @@ class _Run:
             note += f", return {self.rows[-1]['return']:.3f}"
         self.progress(min(1.0, steps / total), note)
 
-    def _episodes(self, ended: Endings) -> None:
-        """Episodes of training have ended."""
+    def _count(self, ended: Endings) -> None:
         self.returns += ended.total.tolist()
         self.solved += int(ended.success.sum())
 
@@ -172,15 +161,9 @@ class _Run:
         )
 
     def _policy(self, steps: int) -> Policy:
-        about = {
-            "env": self.config.env,
-            "settings": self.config.settings,
-            "algorithm": self.config.label,
-            "seed": self.seed,
-            "steps": steps,
-            "versions": self.versions,
-        }
-        return self.learner.policy(about)
+        about: dict[str, Any] = {"env": self.config.env, "settings": self.config.settings}
+        about |= {"algorithm": self.config.label, "seed": self.seed, "steps": steps}
+        return self.learner.policy({**about, "versions": self.versions})
 
     def _judge(self, steps: int) -> None:
         """A row of the curve, and the policies' files."""
@@ -221,8 +204,6 @@ class _Run:
             self.earlier + time.perf_counter() - self.begin,
             self.stepping + self.learner.decisions.stepping,
         )
-
-    # ---------------------------------------------------------------- checkpoint
 
     def _save(self, steps: int) -> None:
         seconds, stepping = self._time()
@@ -328,9 +309,9 @@ def train_seeds(
         config: of the runs.
         folder: of all of them.
         workers: processes; each trains one seed at a time.
-        resume: go on from the checkpoints.
+        resume: go on from the checkpoints, where there are any.
         progress: called with the seed, the fraction done and a few words.
-        tensorboard: see `train`.
+        tensorboard: a folder that gets the curves as they grow, in NAME/seed-N.
 
     Raises:
         ChildProcessError: the process of a run died.
@@ -370,14 +351,11 @@ def _train_seed(
     tensorboard: Folder | None,
     progress: Callable[[tuple[int, float, str]], None],
 ) -> list[Row]:
-    return train(
-        config,
-        seed,
-        folder,
-        resume=True,  # that the folder may be used was asked before
-        progress=lambda done, note: progress((seed, done, note)),
-        tensorboard=tensorboard,
-    )
+    def show(done: float, note: str) -> None:
+        progress((seed, done, note))
+
+    # that the folder may be used was asked before
+    return train(config, seed, folder, resume=True, progress=show, tensorboard=tensorboard)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -416,50 +394,40 @@ class TrainingResult(Viewable):
         rows, runs = [], self.to_dict()["runs"]
         for r in runs:
             best = r["best"]
+            mean, low, high = (best[f"return{k}"] for k in ("", "_low", "_high"))
+            ratio = best["E_mean_ratio"]
             rows.append(
                 (
                     r["seed"],
                     f"{r['steps']:,}",
                     f"{r['seconds']:.0f}",
                     f"{r['steps_per_second']:,}",
-                    f"{r['share_stepping']:.0%}",
-                    f"{best['return']:.3f} ({best['return_low']:.2f} to"
-                    f" {best['return_high']:.2f})",
+                    f"{mean:.3f} ({low:.2f} to {high:.2f})",
                     f"{best['success']:.0%}",
-                    *(
-                        "-" if best[name] is None else f"{best[name]:.3f}"
-                        for name in ("E_mean_ratio", "E_int_ratio")
-                    ),
+                    "-" if ratio is None else f"{ratio:.3f}",
                 )
             )
-        head = ("seed", "steps", "s", "steps/s", "env", "return", "success", "E_mean/0",
-                "E_int/0")  # fmt: skip
+        head = ("seed", "steps", "s", "steps/s", "return", "success", "E_mean/0")
         title = f"{self.config.env}, {self.config.label}: best policy of each seed"
-        return "\n".join(
-            [
-                table(head, rows, title=title, left=()),
-                "Mean return with its 95 % interval on the validation episodes; env: share of"
-                " the time in\nenv.step; E/0: median of the energy over that of the zero"
-                " action.",
-                *(r["policy"] for r in runs),
-            ]
+        about = (
+            "Mean return with its 95 % interval on the validation episodes; E_mean/0: median of"
+            " the\nenergy over that of the zero action."
         )
+        policies = (r["policy"] for r in runs)
+        return "\n".join([table(head, rows, title=title, left=()), about, *policies])
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, schema ves-train/1, as `ves-gym train --json` writes it."""
-        runs = []
-        for seed, rows in self.curves.items():
-            last = rows[-1]
-            runs.append(
-                {
-                    "seed": seed,
-                    "policy": str(self._best(seed)),
-                    "steps": last["steps"],
-                    "seconds": last["seconds"],
-                    "steps_per_second": round(last["steps"] / last["seconds"]),
-                    "share_stepping": round(last["seconds_stepping"] / last["seconds"], 3),
-                    "best": self._run(seed),
-                    "last": last,
-                }
-            )
+        runs = [
+            {
+                "seed": seed,
+                "policy": str(self._best(seed)),
+                "steps": rows[-1]["steps"],
+                "seconds": rows[-1]["seconds"],
+                "steps_per_second": round(rows[-1]["steps"] / rows[-1]["seconds"]),
+                "best": self._run(seed),
+                "last": rows[-1],
+            }
+            for seed, rows in self.curves.items()
+        ]
         return {"schema": RESULT, "config": self.config.to_dict(), "runs": runs}

@@ -10,7 +10,7 @@ from typing import Any
 
 from ves_gym._util.optional import require
 from ves_gym._util.params import write_text
-from ves_gym.cli.flags import FORMAT, WORKERS, Answer, Context, Flag, integer, path, read, say
+from ves_gym.cli.flags import WORKERS, Answer, Context, Flag, integer, path, read, say
 from ves_gym.experiments import sweep as sweeps
 from ves_gym.experiments.sweep import Report
 
@@ -45,28 +45,22 @@ def matrix(
     *,
     episodes: int | None = None,
     seeds: int | None = None,
-    steps: int | None = None,
-    partial: bool = False,
     **how: Any,
 ) -> Answer:
-    """Do what has no result yet; write page, picture and figures of what is complete."""
-    from ves_gym.experiments.matrix import entries, read_matrix, run_matrix, shortened
-    from ves_gym.report.matrix_page import crossover_figure, matrix_page
+    """Do what has no result yet; write the page once all of it is there."""
+    from ves_gym.experiments.matrix import cells, entries, read_matrix, run_matrix
+    from ves_gym.report.matrix_page import matrix_page
 
     stated = read_matrix(file)
     matrix = dataclasses.replace(
         stated,
         episodes=stated.episodes if episodes is None else episodes,
         seeds=stated.seeds[:seeds],
-        tasks=stated.tasks if steps is None else shortened(stated, steps),
     )
-    folder = at.folder(Path("out/matrix", file.stem))
-    if partial:
-        report = Report(folder)
-    else:
-        report = run_matrix(matrix, folder, progress=at.progress, **how)
+    folder, chosen = at.folder(Path("out/matrix", file.stem)), cells(matrix, file.parent)
+    report = run_matrix(matrix, chosen, folder, progress=at.progress, **how)
     _say_failures(report)
-    results = entries(matrix, folder) if report.complete else []
+    results = entries(chosen, folder) if report.complete else []
     files = [folder / "matrix.md"] if report.complete else []
     for page in files:
         title = "Methods on machines that are not as described"
@@ -76,15 +70,7 @@ def matrix(
         **report.to_dict(),
         "entries": [_plain(entry) for entry in results],
     }
-    return Answer(
-        text="" if partial else report.summary,
-        plain=plain,
-        files=files,
-        figures=(lambda: {folder / "crossover": crossover_figure(matrix, results)})
-        if files
-        else None,
-        negative=not report.complete,
-    )
+    return Answer(text=report.summary, plain=plain, files=files, negative=not report.complete)
 
 
 def _plain(entry: Any) -> dict[str, Any]:
@@ -134,10 +120,6 @@ TABLE = {
         Flag("FILE", read=path, help="a .toml file (docs/sweeps.md)"),
         Flag("--episodes", "N", integer(), "instead of the file's"),
         Flag("--seeds", "N", integer(), "only the first N of the file's"),
-        Flag("--steps", "N", integer(), "of every training, instead of its own"),
-        Flag("--partial",
-             help="run nothing: page and picture of the cells that have all their results"),
-        FORMAT,
         WORKERS,
     )),
     "search": (search, (

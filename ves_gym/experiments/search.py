@@ -29,7 +29,7 @@ from ves_gym._util.params import (
 )
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.tables import table as text_table
-from ves_gym.experiments.spec import spec_from_plain, units_of
+from ves_gym.experiments.spec import Spec, units_of
 from ves_gym.experiments.sweep import Progress, do_units, opened
 from ves_gym.experiments.units import Unit, read_result
 
@@ -142,7 +142,7 @@ def read_search(path: str | os.PathLike[str]) -> tuple[Search, dict[str, Any]]:
     for name, axis in search.space.items():  # every path leads somewhere
         sample = axis.choices[0] if axis.choices else axis.low
         changed = _put(changed, name, int(sample) if axis.integer else sample)  # type: ignore[arg-type]
-    spec_from_plain(changed, str(path))
+    from_plain(Spec, changed, str(path))
     return search, table
 
 
@@ -189,7 +189,7 @@ def search(
     """
     optuna = _optuna()
     plan, plain = read_search(path)
-    spec = spec_from_plain(plain, str(path))
+    spec: Spec = from_plain(Spec, plain, str(path))
     study = optuna.create_study(direction=plan.direction)
     with opened(workers, spec.seconds, _MOST) as pool:
         for ended in range(0, plan.trials, plan.batch):
@@ -229,7 +229,7 @@ def _batch(
         for name, axis in plan.space.items():
             changed = _put(changed, name, axis.draw(trial, name))
         try:
-            units[trial.number] = units_of(spec_from_plain(changed), base)
+            units[trial.number] = units_of(from_plain(Spec, changed), base)
         except ParameterError as error:  # settings that do not go together
             wrong[trial.number] = str(error)
     every = {unit.id: unit for named in units.values() for unit in named}

@@ -10,7 +10,7 @@ from typing import Any
 
 from ves_gym._util.params import ParameterError, from_plain, read_table, to_plain
 from ves_gym.baselines.comparison import policy_files
-from ves_gym.baselines.config import config_from_plain, find_config
+from ves_gym.baselines.config import TrainConfig, choose_config
 from ves_gym.baselines.evaluate import MOST_EPISODES
 from ves_gym.baselines.registry import CONTROLLERS
 from ves_gym.experiments.units import Unit, evaluate_unit, plan_unit, train_unit
@@ -81,12 +81,7 @@ class Spec:
 
 def read_spec(path: str | os.PathLike[str]) -> Spec:
     """A sweep from a TOML or JSON file; unknown keys are an error."""
-    return spec_from_plain(read_table(path), str(path))
-
-
-def spec_from_plain(plain: Mapping[str, Any], where: str = "spec") -> Spec:
-    """A sweep from plain data."""
-    spec: Spec = from_plain(Spec, plain, where)
+    spec: Spec = from_plain(Spec, read_table(path), str(path))
     return spec
 
 
@@ -127,8 +122,8 @@ def _policies(text: str, env: str, base: Path) -> list[str]:
 
 def _trainings(table: Trainings, base: Path) -> Iterable[Unit]:
     for name in table.configs:
-        path = find_config(name, base)
-        config = config_from_plain(changed(read_table(path), table.changes), str(path))
+        stated = choose_config(name, base=base).to_dict()
+        config: TrainConfig = from_plain(TrainConfig, changed(stated, table.changes), name)
         for seed in config.seeds if table.seeds is None else table.seeds:
             yield train_unit(config, seed)
 

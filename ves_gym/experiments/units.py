@@ -25,10 +25,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from ves_gym._util.params import ParameterError, canonical_json, content_hash, read_table
+from ves_gym._util.params import (
+    ParameterError,
+    canonical_json,
+    content_hash,
+    from_plain,
+    read_table,
+)
 from ves_gym._util.threads import on_one_thread
 from ves_gym._util.version import __version__
-from ves_gym.baselines.config import TrainConfig, config_from_plain
+from ves_gym.baselines.config import TrainConfig
 from ves_gym.baselines.evaluate import ENERGIES, STATISTICS, evaluate, spec_of
 from ves_gym.baselines.policy import load_policy, versions
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
@@ -223,7 +229,7 @@ def _evaluate(unit: Unit, work: Path) -> _Answer:
 def _train(unit: Unit, work: Path) -> _Answer:
     from ves_gym.baselines.train import train
 
-    config = config_from_plain(unit.identity["config"])
+    config = from_plain(TrainConfig, unit.identity["config"])
     rows = train(config, unit.identity["seed"], work, resume=True)
     clocked = [{k: row[k] for k in _CLOCKED if k in row} for row in rows]
     timeless = [{k: v for k, v in row.items() if k not in _CLOCKED} for row in rows]
