@@ -326,7 +326,7 @@ def test_a_bad_configuration_is_refused(changes, message):
     ("config", "changes", "message"),
     [
         (PPO, {"hyperparameters": {"n_step": 3}}, "unknown key 'n_step'"),
-        (PPO, {"hyperparameters": {"batch_size": 1}}, "batch_size must be > 1"),
+        (PPO, {"hyperparameters": {"batch_size": 1}}, "batch_size must be >= 2"),
         (PPO, {"hyperparameters": {"gamma": 1.1}}, "gamma must be 0 to 1"),
         (PPO, {"hyperparameters": {"n_epochs": 0}}, "n_epochs must be >= 1"),
         (PPO, {"hyperparameters": {"clip_range": 0.0}}, "clip_range must be > 0"),

@@ -35,7 +35,7 @@ _LEAST = 0.1  # of an entry's scale: what seldom moves saturates no network when
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Hyper-parameters, with Stable-Baselines3's names and defaults, and four more."""
+    """Hyper-parameters, with Stable-Baselines3's names and defaults, and three more."""
 
     learning_rate: float = 3e-4
     n_steps: int = 2048  # decisions of every environment between updates
@@ -44,11 +44,9 @@ class Settings:
     gamma: float = 0.99
     gae_lambda: float = 0.95
     clip_range: float = 0.2
-    normalize_advantage: bool = True
     ent_coef: float = 0.0
     vf_coef: float = 0.5
     max_grad_norm: float = 0.5
-    target_kl: float | None = None  # an update ends beyond 1.5 times it
     normalise: bool = False  # observations, by their mean and spread so far
     # Rewards less the mean of those that end no episode: a constant that changes nothing where
     # episodes are equally long, and which a critic would have to learn before anything else
@@ -57,11 +55,8 @@ class Settings:
     critic_first: int = 0  # updates at first that leave the actor as it is
 
     def __post_init__(self) -> None:
-        require_least(self, 1, "n_steps", "batch_size", "n_epochs")
-        if self.normalize_advantage and self.batch_size < 2:
-            raise ParameterError(
-                f"PPO: batch_size must be > 1 to normalise advantages, got {self.batch_size}"
-            )
+        require_least(self, 1, "n_steps", "n_epochs")
+        require_least(self, 2, "batch_size")
         for name in ("gamma", "gae_lambda"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ParameterError(f"PPO: {name} must be 0 to 1, got {getattr(self, name)}")
@@ -264,28 +259,18 @@ class PPO:
             gain.ravel(),
             aim,
         )
-        losses: list[tuple[float, ...]] = []
+        figures: list[tuple[float, ...]] = []
         if orders is None:
             orders = (self.rng.permutation(count) for _ in range(k.n_epochs))
         for order in orders:
-            divergences = []
             for start in range(0, count, k.batch_size):
                 at = order[start : start + k.batch_size]
-                batch = [part.take(at, axis=0) for part in parts]
-                divergence, *figures = self._learn(batch, rate)
-                divergences.append(divergence)
-                if k.target_kl is not None and divergence > 1.5 * k.target_kl:
-                    break
-                losses.append(tuple(figures))
-            else:
-                continue
-            break
+                figures.append(self._learn([part.take(at, axis=0) for part in parts], rate))
         self.updates += 1
-        names = ("clip_fraction", "policy_gradient_loss", "value_loss")
-        self.logged = dict(
-            zip(names, np.mean(losses or [(0, 0, 0)], axis=0).tolist(), strict=True)
-        )
-        self.logged["approx_kl"] = float(np.mean(divergences))  # of the last epoch
+        names = ("clip_fraction", "policy_gradient_loss", "value_loss", "approx_kl")
+        self.logged = dict(zip(names, np.mean(figures, axis=0).tolist(), strict=True))
+        last = figures[-math.ceil(count / k.batch_size) :]  # of the last epoch
+        self.logged["approx_kl"] = float(np.mean([divergence for *_, divergence in last]))
         self.logged["std"] = float(np.exp(self.agent.log_std).mean())
         self.logged["learning_rate"] = rate
         spread = aim.var()
@@ -294,11 +279,11 @@ class PPO:
             self.agent.rescale(*self.stack.learn(rollout.inputs))
 
     def _learn(self, batch: list[Floats], rate: float) -> tuple[float, float, float, float]:
-        """One step of the optimiser; KL divergence, share clipped, losses of both."""
+        """One step of the optimiser; share clipped, losses of both, KL divergence."""
         inputs, beside, action, chance, gain, aim = batch
         # sums, for `mean` and `std` take ten times as long of so few numbers
         k, agent, count = self.settings, self.agent, np.float32(len(aim))
-        if k.normalize_advantage and len(gain) > 1:
+        if len(gain) > 1:
             gain = gain - gain.sum() / count
             gain /= np.sqrt(gain @ gain / (count - 1)) + np.float32(1e-8)
         inverse = np.exp(-agent.log_std)
@@ -309,8 +294,6 @@ class PPO:
         divergence = float((ratio - 1 - log_ratio).sum() / count)
         limit = 1 + np.float32(k.clip_range) * np.sign(gain)
         beyond = np.where(gain > 0, ratio > limit, ratio < limit)
-        if k.target_kl is not None and divergence > 1.5 * k.target_kl:
-            return divergence, 0.0, 0.0, 0.0  # and nothing is moved
         # by the logarithm of the density: the clipped ratio does not depend on it
         slope = np.where(beyond, 0, ratio * gain) * (-1 / count)
         agent.actor.backward(slope[:, None] * (z * inverse))
@@ -323,7 +306,7 @@ class PPO:
         self.optimiser.step(agent.numbers, agent.slopes, rate)
         loss = float(-np.where(beyond, limit, ratio) @ gain / count)
         outside = np.count_nonzero(np.abs(ratio - 1) > k.clip_range) / len(aim)
-        return divergence, outside, loss, float(miss @ miss / count)
+        return outside, loss, float(miss @ miss / count), divergence
 
     # -------------------------------------------------------------------- state
 

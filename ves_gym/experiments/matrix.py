@@ -17,8 +17,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, from_plain, read_table
 from ves_gym._util.statistics import STATISTICS, Estimate, bootstrap, rate
-from ves_gym.baselines.comparison import policy_files
-from ves_gym.baselines.registry import CONTROLLERS
+from ves_gym.experiments.spec import policies_of
 from ves_gym.experiments.sweep import Report, do_units
 from ves_gym.experiments.units import Unit, evaluate_unit, read_result
 
@@ -106,17 +105,23 @@ def cells(matrix: Matrix, base: Path = Path()) -> list[Cell]:
         base: folder that paths of policies start from.
     """
     return [
-        Cell(task.env, machine.name, method.name, tuple(_units(matrix, machine, method, *of)))
+        Cell(
+            task.env,
+            machine.name,
+            method.name,
+            tuple(_units(matrix, machine, method, id, base)),
+        )
         for task in matrix.tasks
         for machine in matrix.machines
         for method in task.methods
-        for of in [(_environment(task, machine), _who(task, method, base))]
+        for id in [_environment(task, machine)]
     ]
 
 
 def _units(
-    matrix: Matrix, machine: MatrixMachine, method: MatrixMethod, id: str, who: list[str]
+    matrix: Matrix, machine: MatrixMachine, method: MatrixMethod, id: str, base: Path
 ) -> Iterable[Unit]:
+    who = policies_of(method.policy, id, base)  # which the seeds take in turn
     settings, episodes = {**machine.settings, **method.settings}, matrix.episodes_of(method)
     for k, seed in enumerate(matrix.seeds):
         yield evaluate_unit(id, who[k % len(who)], _APART * seed, episodes, settings)
@@ -127,14 +132,6 @@ def _environment(task: TaskRow, machine: MatrixMachine) -> str:
     if id not in gym.registry:
         raise ParameterError(f"{id} is no environment of ves_gym")
     return id
-
-
-def _who(task: TaskRow, method: MatrixMethod, base: Path) -> list[str]:
-    """A controller's name, or files of policies, which the seeds take in turn."""
-    if method.policy in CONTROLLERS:
-        return [method.policy]
-    files = policy_files(method.policy, f"ves/{task.env}-v0", base)
-    return [str(path.resolve()) for path in files]
 
 
 def run_matrix(matrix: Matrix, chosen: list[Cell], folder: Path, **options: Any) -> Report:

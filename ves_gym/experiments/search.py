@@ -38,7 +38,6 @@ _SHOWN = 10  # trials printed
 _MOST = 1024  # processes
 SAMPLERS = ("tpe", "random")
 DIRECTIONS = ("minimize", "maximize")
-_WHY, _UNITS = "why", "units"  # what a trial remembers beside its parameters
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,16 +175,9 @@ def search(
     seed: int = 0,
     progress: Progress = lambda stage, done: None,
 ) -> SearchResult:
-    """Run the file's number of trials.
+    """Run the file's number of trials, see `sweep`; `seed` is added to the search's.
 
     A trial whose units fail is entered as failed.
-
-    Args:
-        path: of the file.
-        folder: of the units' results.
-        workers: see `sweep`.
-        seed: added to the search's.
-        progress: called with "search" and the fraction done.
     """
     optuna = _optuna()
     plan, plain = read_search(path)
@@ -204,8 +196,9 @@ def search(
             "state": t.state.name.lower(),
             "value": t.value,
             "params": dict(t.params),
-            "units": t.user_attrs.get(_UNITS, []),
-            "why": t.user_attrs.get(_WHY),
+            "units": [],
+            "why": None,
+            **t.user_attrs,
         }
         for t in study.get_trials(deepcopy=False)
     ]
@@ -236,15 +229,13 @@ def _batch(
     report = do_units(every.values(), root, workers=pool)
     for trial in trials:
         its_units = units.get(trial.number, [])
-        trial.set_user_attr(_UNITS, [unit.id for unit in its_units])
-        why = wrong.get(trial.number)
-        why = why or next(
-            (report.failed[u.id] for u in its_units if u.id in report.failed), None
-        )
+        trial.set_user_attr("units", [unit.id for unit in its_units])
+        failed = [report.failed[u.id] for u in its_units if u.id in report.failed]
+        why = wrong.get(trial.number) or next(iter(failed), None)
         value = None if why else _value(root, its_units, plan.objective)
         if value is None:
             why = why or f"its units have no number {plan.objective}"
-            trial.set_user_attr(_WHY, why)
+            trial.set_user_attr("why", why)
             study.tell(trial, state=_optuna().trial.TrialState.FAIL)
         else:
             study.tell(trial, value)

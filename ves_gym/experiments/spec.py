@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -92,14 +92,13 @@ def units_of(spec: Spec, base: Path = Path()) -> list[Unit]:
         base: folder that paths in the spec start from.
     """
     units: dict[str, Unit] = {}
-    parts: tuple[tuple[Iterable[Any], Callable[[Any, Path], Iterable[Unit]]], ...] = (
+    for tables, expand in (
         (spec.evaluate, _evaluations),
         (spec.train, _trainings),
         (spec.plan, _plannings),
-    )
-    for tables, expand in parts:
+    ):
         for table in tables:
-            for unit in expand(table, base):
+            for unit in expand(table, base):  # type: ignore[arg-type]
                 units.setdefault(unit.id, unit)
     return list(units.values())
 
@@ -108,13 +107,13 @@ def _evaluations(table: Evaluations, base: Path) -> Iterable[Unit]:
     for name in table.envs:
         env = name if "/" in name else f"ves/{name}"
         for policy in table.policies:
-            for who in _policies(policy, env, base):
+            for who in policies_of(policy, env, base):
                 for seed in table.seeds:
                     yield evaluate_unit(env, who, seed, table.episodes, table.settings)
 
 
-def _policies(text: str, env: str, base: Path) -> list[str]:
-    """A controller's name or files of policies."""
+def policies_of(text: str, env: str, base: Path) -> list[str]:
+    """Return a controller's name, or the files of policies that a text stands for."""
     if text in CONTROLLERS:
         return [text]
     return [str(file.resolve()) for file in policy_files(text, env, base)]

@@ -49,10 +49,8 @@ class Report:
     @property
     def summary(self) -> str:
         """Counts of units, in words."""
-        return (
-            f"{len(self.done)} units done, {len(self.skipped)} were done before,"
-            f" {len(self.failed)} failed: {self.folder}"
-        )
+        done, before, failed = map(len, (self.done, self.skipped, self.failed))
+        return f"{done} units done, {before} were done before, {failed} failed: {self.folder}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
@@ -70,8 +68,8 @@ def sweep(
 ) -> Report:
     """Do the units of a spec that have no result yet.
 
-    A unit that fails, takes too long or kills its worker is reported, and the others go on; the
-    next sweep tries it again.
+    A unit that fails, takes too long or kills its worker is reported; the next sweep tries it
+    again.
 
     Args:
         spec: or the file that holds it, where paths in it start from.
@@ -104,17 +102,7 @@ def do_units(
     progress: Progress = lambda stage, done: None,
     stage: str = "sweep",
 ) -> Report:
-    """Do those of some units that have no result yet, see `sweep`.
-
-    Args:
-        units: what.
-        folder: of the results.
-        workers: see `sweep`.
-        resume: skip finished units; otherwise they are done again.
-        seconds: that a unit may take.
-        progress: called with `stage` and the fraction done.
-        stage: name of what is done.
-    """
+    """Do those of some units that have no result yet, see `sweep`; `seconds` one may take."""
     report, units = Report(Path(folder)), list(units)
     report.skipped.extend(u.id for u in units if resume and _finished(report.folder, u))
     skipped = set(report.skipped)
@@ -144,13 +132,7 @@ def do_units(
 
 @contextmanager
 def opened(workers: int | Executor | None, seconds: float | None, most: int) -> Iterator[Any]:
-    """Open processes of this machine, or use the executor that is given.
-
-    Args:
-        workers: see `sweep`.
-        seconds: that a job may take.
-        most: processes that have something to do.
-    """
+    """Open `most` processes of this machine or fewer, or use the executor that is given."""
     if workers is None or isinstance(workers, int):
         count = os.cpu_count() or 1 if workers is None else workers
         with Workers(min(count, most), seconds=seconds) as pool:

@@ -75,11 +75,7 @@ class Unit:
 def evaluate_unit(
     env: str, who: str, seed: int, episodes: int, settings: Mapping[str, Any]
 ) -> Unit:
-    """Episodes of a controller or of a policy in an environment.
-
-    Args:
-        who: a built-in controller's name or a policy's .json file.
-    """
+    """Episodes in an environment of `who`, a controller's name or a policy's .json file."""
     identity = _identity("evaluate", env, _name(who), seed, _task(env, settings))
     identity |= {"episodes": episodes, "settings": dict(settings), "weights": _weights(who)}
     return Unit(identity, {"who": who})
@@ -129,15 +125,10 @@ def _weights(who: str) -> str | None:
 
 
 def run_unit(unit: Unit, folder: str | None = None) -> dict[str, bytes]:
-    """Do a unit's work, wherever.
+    """Do a unit's work, wherever; its files by name, to be stored in this order.
 
-    Args:
-        unit: what to do.
-        folder: of the sweep; where it is on this machine, too, a training run leaves its
-            checkpoints there and goes on from them.
-
-    Returns:
-        Its files by their names in the folder, to be stored in this order, the result last.
+    Where the sweep's `folder` is on this machine, a training run leaves its checkpoints there
+    and goes on from them.
     """
     root = None if folder is None else Path(folder)
     begun, begin, worked = datetime.now(UTC), time.perf_counter(), time.process_time()
@@ -171,10 +162,10 @@ def run_unit(unit: Unit, folder: str | None = None) -> dict[str, bytes]:
     }
     result = {**body, "digest": content_hash(body)}
     texts = {"about": about, "results": result}
-    return {
-        **{f"policies/{unit.id}/{name}": data for name, data in answer.files.items()},
-        **{f"{k}/{unit.id}.json": f"{canonical_json(v)}\n".encode() for k, v in texts.items()},
-    }
+    files = {f"policies/{unit.id}/{name}": data for name, data in answer.files.items()}
+    for place, plain in texts.items():
+        files[f"{place}/{unit.id}.json"] = f"{canonical_json(plain)}\n".encode()
+    return files
 
 
 def read_result(path: str | os.PathLike[str]) -> dict[str, Any]:
