@@ -216,7 +216,7 @@ def page() -> str:
     """Text of docs/training.md."""
     done = [c for c in configs() if (PLACE / f"{c.name}.json").exists()]
     head, tail = (DOCS / "training.md").read_text("utf-8").split("<!-- tables -->")[::2]
-    tables = "\n\n".join((_runs(done), _figures(done), _laboratory(done)))
+    tables = "\n\n".join((_runs(done), _figures(done)))
     return f"{head}<!-- tables -->\n{tables}\n<!-- tables -->{tail}"
 
 
@@ -228,105 +228,49 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def _runs(found: Sequence[TrainConfig]) -> str:
     rows = []
     for config in found:
-        last = [curve[-1] for curve in curves(config).values()]
-        steps = last[0]["steps"]
-        seconds, inside = min((row["seconds"], row["seconds_stepping"]) for row in last)
-        best = [max(row["return"] for row in c) for c in curves(config).values()]
+        every = curves(config).values()
+        solved = [max(curve, key=lambda row: row["return"])["success"] for curve in every]
+        seconds = min(curve[-1]["seconds"] for curve in every)
         rows.append(
             (
                 f"[{task(config)}](environments/{task(config)}.md)",
                 config.label,
-                f"{steps:,}",
-                f"{config.hold}",
+                f"{config.total_timesteps / 1e6:.2g}",
                 f"{seconds:.0f}",
-                f"{steps / seconds:,.0f}",
-                f"{steps * config.hold / seconds:,.0f}",
-                f"{inside / seconds:.0%}",
-                f"{min(best):.3f} to {max(best):.3f}",
+                f"{100 * min(solved):.0f} to {100 * max(solved):.0f}",
             )
         )
-    head = (
-        "task",
-        "algorithm",
-        "decisions",
-        "periods each",
-        "s per seed",
-        "decisions/s",
-        "env steps/s",
-        "in env.step",
-        "best return, 5 seeds",
-    )
-    return _table(head, rows)
+    return _table(("task", "policy", "M decisions", "s", "solved %"), rows)
 
 
 def _figures(found: Sequence[TrainConfig]) -> str:
+    """In space and in the laboratory; the reference beside the policy, energies over its."""
     rows = []
     for config in found:
-        result = results(config)
-        for one in result["controllers"]:
-            name, s = one["name"], one["summary"]
-            ratios = result["ratios"][name]
-            worse = [b for a, b in result["beats"] if a == name]
-            is_policy = name == config.label
-            rows.append(
-                (
-                    task(config) if one is result["controllers"][0] else "",
-                    f"**{name}**" if is_policy else name,
-                    _estimate(s["return"]["iqm"], ".3f"),
-                    _estimate(s["success"], ".0%"),
-                    _estimate(ratios["E_mean"], ".3f"),
-                    _value(ratios["E_peak"]),
-                    _value(ratios["E_int"]),
-                    ", ".join(worse) or "-",
-                )
-            )
-    head = ("task", "controller", "return", "success", "E_mean", "E_peak", "E_int", "beats")
-    return _table(head, rows)
-
-
-def _laboratory(found: Sequence[TrainConfig]) -> str:
-    rows = []
-    for config in found:
-        result = results(config)["laboratory"]
-        other, policy = result["controllers"]
-        space = results(config)["ratios"][policy["name"]]
-        ratios = {  # none over a base that the laboratory's noise alone moves
-            k: v if space[k] else None for k, v in result["ratios"][policy["name"]].items()
-        }
-        both = (one["summary"]["return"]["iqm"] for one in (policy, other))
-        success = (one["summary"]["success"] for one in (policy, other))
+        space = results(config)
+        lab = space["laboratory"]
+        policy, name = config.label, lab["controllers"][0]["name"]
+        success = [
+            {one["name"]: one["summary"]["success"] for one in result["controllers"]}
+            for result in (space, lab)
+        ]
         rows.append(
             (
-                result["id"].removeprefix("ves/"),
-                other["name"],
-                *(_estimate(e, ".3f") for e in both),
-                *(_estimate(e, ".0%") for e in success),
-                _value(ratios["E_mean"]),
-                _value(ratios["E_int"]),
+                task(config),
+                policy,
+                *(f"{_percent(at[policy])} / {_percent(at[name])}" for at in success),
+                *(_value(result["ratios"][policy]["E_mean"]) for result in (space, lab)),
             )
         )
-    head = (
-        "in the laboratory",
-        "beside",
-        "return, policy",
-        "return, other",
-        "success, policy",
-        "success, other",
-        "E_mean",
-        "E_int",
-    )
-    return _table(head, rows)
+    return _table(("task", "policy", "space", "lab", "E space", "E lab"), rows)
 
 
-def _estimate(e: dict[str, Any] | None, form: str) -> str:
-    if e is None or e["value"] is None:
-        return "-"
-    low, high = ("inf" if e[k] is None else format(e[k], form) for k in ("low", "high"))
-    return f"{e['value']:{form}} ({low} to {high})"
+def _percent(e: dict[str, Any]) -> str:
+    return f"{100 * e['value']:.0f}"
 
 
 def _value(e: dict[str, Any] | None) -> str:
-    return "-" if e is None or e["value"] is None else f"{e['value']:.3f}"
+    return "-" if e is None or e["value"] is None else f"{e['value']:.2g}"
 
 
 def main(words: Sequence[str]) -> None:
