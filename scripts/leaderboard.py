@@ -17,18 +17,23 @@ import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import as_completed
+from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
+from ves_gym._util.own import import_own
+from ves_gym._util.params import ParameterError
 from ves_gym._util.process_pool import Workers
 from ves_gym.baselines.policy import released, task_name
 from ves_gym.baselines.registry import REFERENCES
 from ves_gym.leaderboard.board import make_board, read_board, write_page
 from ves_gym.leaderboard.entry import Entry
 from ves_gym.leaderboard.problems import (
+    GAINS,
     QUICK,
     SCORES,
+    UNKNOWN,
     get_problem,
     problems,
     read_salt,
@@ -38,11 +43,21 @@ from ves_gym.leaderboard.tracks.damping import TUNERS
 from ves_gym.leaderboard.verify import add, make_entry
 
 PLACE = Path(__file__).parents[1] / "docs" / "leaderboard"
+PEER_FILES = Path(__file__).parents[1] / "examples" / "peers"
 AUTHOR = "ves-gym"
 PLANNERS = (
     "straight", "smooth-jerk", "shaped-zv", "shaped-zvd", "reaction-null", "direct", "refined",
-    "hotspot-q", "hotspot-qt", "ompl-time", "ompl-q", "ompl-qt",
+    "calm", "robust", "robust-worst", "hotspot-q", "hotspot-qt",
+    "ompl-time", "ompl-q", "ompl-qt",
 )  # fmt: skip
+# What one would use instead, each by its own library: entries of author peer. Where a library
+# is not installed its methods are left out.
+PEER = "peer"
+PEERS = {
+    "cma_es": ("cma-es",),
+    "drake_trajectory": ("drake-acceleration", "drake-torque", "drake-wrench"),
+}
+LEARNED = ("sb3-ppo", "sb3-sac")  # on tasks in space; trained before they answer
 # Beside zero, random, the task's reference and the released policies: what acts on a task, is
 # not the same as another there, and plans for less than a second per episode.
 BESIDE = {
@@ -57,6 +72,7 @@ BESIDE = {
     "PoseReach": ("closing-pose",),
     "PayloadTransfer": ("resolved-gentle", "braced"),
 }
+BESIDE_UNKNOWN = ("direct", "refined", "adaptive", "oracle")
 
 
 class Wanted(NamedTuple):
@@ -80,17 +96,44 @@ def table() -> list[Wanted]:
 
 def methods(track: str, problem: str) -> tuple[str, ...]:
     """Methods of ours that answer a problem."""
-    if not problem.startswith("ves/"):
-        return PLANNERS if track == "paths" else TUNERS
+    if track == "paths":
+        return (*PLANNERS, *peers())
+    if problem == GAINS:
+        return TUNERS
+    if problem in UNKNOWN:
+        return ("zero", "random", *BESIDE_UNKNOWN)
     task = task_name(problem).removesuffix("Emulated")
     beside = BESIDE.get(task, ())
-    return ("zero", "random", REFERENCES[task], *beside, *released(problem))
+    learned = () if "Emulated" in problem else LEARNED
+    return ("zero", "random", REFERENCES[task], *beside, *released(problem), *learned)
+
+
+@lru_cache
+def peers() -> tuple[str, ...]:
+    """Names of the peers whose libraries are installed, registered."""
+    out: list[str] = []
+    for module, names in PEERS.items():
+        try:
+            import_own(str(PEER_FILES / f"{module}.py"))
+        except ParameterError as error:
+            print(f"left out: {', '.join(names)}: {error}", file=sys.stderr)
+        else:
+            out += names
+    return tuple(out)
 
 
 def answer(wanted: Wanted, salt: str | None) -> Entry:
     """The entry of one method."""
     with TemporaryDirectory() as folder:
-        return make_entry(Path(folder) / "entry", *wanted, author=AUTHOR, salt=salt)
+        place = Path(folder) / "entry"
+        if wanted.method in LEARNED:
+            file = Path(folder) / f"{wanted.method}.json"
+            trainer = import_own(str(PEER_FILES / "sb3.py"))
+            trainer.train(wanted.method, wanted.problem, str(file))
+            asked = (wanted.track, wanted.problem, [file])
+            return make_entry(place, *asked, name=wanted.method, author=PEER, salt=salt)
+        author = PEER if wanted.method in peers() else AUTHOR
+        return make_entry(place, *wanted, author=author, salt=salt)
 
 
 def fill(wanted: Sequence[Wanted], board: Path, workers: int, salt: str | None) -> int:

@@ -20,7 +20,8 @@ PAGES = [
 ]
 SLOW = "docs/extending.md"  # arms and effects that nobody has compiled yet
 LONG = ("vg.diagnose(", "vg.train(")
-CODE = {str(k): k.read_text("utf-8") for k in sorted((ROOT / "examples").glob("*.py"))}
+EXAMPLES = [*(ROOT / "examples").glob("*.py"), *(ROOT / "examples" / "entry").glob("*.py")]
+CODE = {str(k): k.read_text("utf-8") for k in sorted(EXAMPLES)}
 for page in PAGES:
     snippets = re.findall(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
     for i, text in enumerate(snippets):

@@ -15,7 +15,6 @@ from ves_gym.baselines.registry import REFERENCES
 from ves_gym.leaderboard.entry import Code
 from ves_gym.leaderboard.files import ENTRY, RECORDING, unpack
 from ves_gym.leaderboard.tracks import damping as gain_track
-from ves_gym.leaderboard.tracks import paths as path_track
 from ves_gym.leaderboard.tracks.base import require_settings
 from ves_gym.leaderboard.verify import add, make_entry, verify
 from ves_gym.planners.query import NoPlan
@@ -90,7 +89,10 @@ def test_a_planner_of_ones_own_is_replayed_and_its_failures_count(mute):
             for suffix in ("", "Emulated")
         ),
         ("paths", "bent-2s-quick", "direct"),
-        ("paths", "straight-horizontal-4s-obstacles-quick", "direct"),
+        ("paths", "bent-4s-obstacles-quick", "direct"),
+        ("paths", "servicer-flexible-2s-quick", "refined"),
+        ("paths", "bent-iiwa14-2s-quick", "direct"),
+        ("tasks", "unknown-space-quick", "adaptive"),
         (*GAINS, "strain"),
     ],
 )
@@ -236,12 +238,6 @@ def test_a_cheap_episode_in_the_place_of_a_dear_one(own, refused):
 )
 def test_changed_motions(change, code, mute, refused):
     assert with_answer(mute, refused, JOINTS, 5, change) is code
-
-
-def test_energy_from_nowhere_is_refused(mute, monkeypatch):
-    """With a limit that no simulation can keep."""
-    monkeypatch.setattr(path_track, "LEDGER", 1e-14)
-    assert code_of(mute) is Code.LEDGER_RESIDUAL
 
 
 def test_gains_of_ones_own(folder, refused, monkeypatch):

@@ -127,6 +127,7 @@ TABLE = {
         Flag("--author", "A", text, "on the board"),
         Flag("--training", "KEY=VALUE", read(_training, "KEY=VALUE"),
              "what the method took to make, for the board; repeatable", many=True),
+        Flag("--code", "URL", text, "of the method's source; default its module"),
         *SHARED,
     )),
     "leaderboard verify": (check, (

@@ -33,8 +33,9 @@ LARGEST = 20_000  # bytes of a file
 KINDS = ("planner", "policy", "controller", "gains")
 LEVELS = ("replayed", "reproduced")  # by its recording, or by its method, which answered again
 # J (seconds: of planning, told by the method's own run); which there are depends on the track.
-# E_decay is E_mean where the base vibrates from the start.
-MEASURES = ("E_mean", "E_decay", "E_peak", "E_res", "seconds")
+# E_decay is E_mean where the base vibrates from the start; acceleration is the mount's peak
+# over the straight line's.
+MEASURES = ("E_mean", "E_decay", "E_peak", "E_res", "acceleration", "seconds")
 MOST_GROUPS = 16
 _DIGITS = 5, 4  # of a score and a measure in the file: five trainings on 100 episodes fit in
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
@@ -57,7 +58,6 @@ class Code(Enum):
     BAD_SETTINGS = "settings of the environment that are not the method's to choose"
     BAD_POLICY = "a policy that cannot be read, does not fit or is not the one that is named"
     REPEATED_GROUP = "two trainings or seeds do the same: one would count twice"
-    LEDGER_RESIDUAL = "energy comes from nowhere: the simulation is not to be believed"
     SCORE_DIFFERS = "results are claimed that are better than those found here"
     NOT_REPRODUCIBLE = "there is neither a recording nor a method that could answer again"
 

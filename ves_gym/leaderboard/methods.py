@@ -65,7 +65,8 @@ def enter(problem: Problem, method: Any, seeds: Sequence[int]) -> Entered:
     if len(words) > 1:
         raise ParameterError(f"expected one method, got {' '.join(words)}")
     agents = [_built_in(problem, words[0], k) if words else method for k in seeds]
-    settings, about = {}, {}
+    settings: dict[str, Any] = {}
+    about: dict[str, Any] = {}
     if id is not None:
         settings = chosen_settings(agents[0], id)
         about = {"privileged": bool(agents[0].privileged)}
@@ -76,6 +77,7 @@ def enter(problem: Problem, method: Any, seeds: Sequence[int]) -> Entered:
         seeds=tuple(seeds),
         settings=settings,
     )
+    about["code"] = _code(agents[0])
     return Entered(chosen, agents, name, {}, about)
 
 
@@ -107,6 +109,12 @@ def answering(
     agents = [_built_in(problem, method.name, seed) for seed in method.seeds]
     settings = _settings(agents[0], problem) if method.kind == "controller" else {}
     return replace(method, settings=settings), agents
+
+
+def _code(agent: Any) -> str:
+    """Place of what answers, as module:name."""
+    made = agent if hasattr(agent, "__qualname__") else type(agent)
+    return f"{made.__module__}:{made.__qualname__.partition('.')[0]}"
 
 
 def _known(problem: Problem) -> Sequence[str]:

@@ -75,6 +75,8 @@ const COLUMNS = [
   ...["E_mean", "E_decay", "E_peak", "E_res"].map((key) => ({
     key, name: key, unit: "J", css: "number", by: (e) => e[key], cell: (e) => [orDash(e[key])],
   })),
+  { key: "acceleration", name: "peak acceleration", unit: "straight line = 1", css: "number",
+    by: (e) => e.acceleration, cell: (e) => [orDash(e.acceleration)] },
   { key: "seconds", name: "time", unit: "s", css: "number", by: (e) => e.seconds, cell: (e) => [orDash(e.seconds)] },
   { key: "groups", name: "episodes", css: "number", by: (e) => e.groups,
     cell: (e) => [`${e.episodes}${e.groups > 1 ? ` × ${e.groups}` : ""}`] },
@@ -179,12 +181,19 @@ function detail(e) {
     ["score", `${amount(e.score[0])} (95 %: ${range(e.score)})`],
     ["by training seed", e.by_group.map(amount).join(", ")],
     ["failed", e.failed ? `${e.failed} of ${e.episodes * e.groups}` : "none"],
+    ["code", codeOf(e.about.code)],
     ["repeat it", el("code", {}, `ves-gym leaderboard verify ${e.file}${state.seeds === "public" ? "" : " --salt FILE"}`)],
     ["settings", json(e.settings)],
     ["told", json(e.about)],
   ].filter(([, value]) => value);
   return el("tr", { class: "detail" }, el("td", { colspan: shown.columns.length },
     el("dl", {}, ...facts.flatMap(([term, value]) => [el("dt", {}, term), el("dd", {}, value)]))));
+}
+
+/** A link where it is an address, else the module. */
+function codeOf(place) {
+  if (typeof place !== "string") return null;
+  return place.startsWith("https://") ? el("a", { href: place, rel: "nofollow" }, place) : el("code", {}, place);
 }
 
 // ------------------------------------------------------------------------- bars

@@ -10,7 +10,7 @@ import hmac
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 
@@ -25,14 +25,46 @@ SCORES = {
     "damping": ("strain integral over that of the high gains", "1"),
 }
 QUICK = "-quick"  # after a problem's name: a part of it, for a first try, not for the board
-VEHICLES = ("bent", "straight-horizontal")  # of paths, by finite elements
-DURATIONS = {"1s": 1.0, "2s": 2.0, "4s": 4.0}  # s
-OBSTACLES = "-obstacles"
+
+
+class Paths(NamedTuple):
+    """Questions of a problem of track *paths*: reach100's on a vehicle."""
+
+    vehicle: str
+    duration: float  # s
+    arm: str = "puma560"
+    obstacles: bool = False
+    calm: bool = False  # an answer shakes the mount no more than the straight line
+
+
+THESIS = "thesis"  # its motions, on the bent beam by finite elements
+PATHS = {
+    **{f"{v}-{d}s": Paths(v, d) for v in ("bent", "straight-horizontal") for d in (1, 2, 4)},
+    "bent-2s-calm": Paths("bent", 2, calm=True),
+    "bent-2s-obstacles": Paths("bent", 2, obstacles=True),
+    "bent-4s-obstacles": Paths("bent", 4, obstacles=True),
+    "bent-iiwa14-2s": Paths("bent", 2, arm="iiwa14"),
+    "servicer-flexible-2s": Paths("servicer-flexible", 2),
+}
+# Machines whose payload, stiffness and friction nobody is told. Success is to arrive.
+_DRAWN = {
+    "payload/mass": {"mass": [0.0, 10.0]},  # kg
+    "base/stiffness": {"error": [-0.3, 0.3]},
+    "joint/coulomb": {"torque": [[0.0] * 3, [5.0] * 3]},  # N m
+}
+_PLATFORM = {"platform/bandwidth": {"error": [-0.1, 0.1]}}
+UNKNOWN: dict[str, tuple[str, dict[str, Any]]] = {
+    "unknown-space": ("ves/PumaRestToRest-v0", {"saving": None, "randomize": _DRAWN}),
+    "unknown-laboratory": (
+        "ves/PumaRestToRestEmulated-v0",
+        {"saving": None, "randomize": {**_DRAWN, **_PLATFORM}},
+    ),
+}
 GAINS = "gains-bent"  # joint gains for releases of the beam
 GAINS_VEHICLE = "bent"
 DAMPING_TASKS = ("ves/PumaDamp-", "ves/PumaDampEmulated-")
-_COUNT, _QUICK = 100, 10  # queries or episodes
-_RELEASES, _RELEASES_QUICK = 50, 5
+_COUNTS = {GAINS: (50, 5), THESIS: (2, 2)}  # whole and quick, of releases and motions
+_COUNT = 100, 10  # of queries and episodes
 PUBLIC = "public"
 _OFFICIAL = "official-"
 _EPISODES = 19_940_000  # first public seed; training runs use small numbers
@@ -61,14 +93,18 @@ class Problem:
     @property
     def count(self) -> int:
         """Episodes, queries or releases."""
-        if self.base == GAINS:
-            return _RELEASES_QUICK if self.quick else _RELEASES
-        return _QUICK if self.quick else _COUNT
+        return _COUNTS.get(self.base, _COUNT)[self.quick]
 
     @property
     def environment(self) -> str | None:
         """Id of its environment, None where there is none."""
-        return self.base if self.base.startswith("ves/") else None
+        id = UNKNOWN.get(self.base, (self.base,))[0]
+        return id if id.startswith("ves/") else None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings of its environment that are the problem's, not the method's."""
+        return UNKNOWN.get(self.base, ("", {}))[1]
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -81,10 +117,11 @@ class Problem:
 def problems(track: str) -> tuple[str, ...]:
     """Names of a track's problems, the quick ones included."""
     ids = sorted(k for k in gym.registry if k.startswith("ves/"))
+    damping = [k for k in ids if k.startswith(DAMPING_TASKS)]
     named = {
-        "paths": [f"{v}-{d}{o}" for v in VEHICLES for d in DURATIONS for o in ("", OBSTACLES)],
-        "tasks": ids,
-        "damping": [GAINS, *(k for k in ids if k.startswith(DAMPING_TASKS))],
+        "paths": [*PATHS, THESIS],
+        "tasks": [*(k for k in ids if k not in damping), *UNKNOWN],
+        "damping": [GAINS, *damping],
     }
     if track not in named:
         raise ParameterError(

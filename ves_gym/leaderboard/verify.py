@@ -74,6 +74,7 @@ def make_entry(
     seeds: Sequence[int] = (0,),
     salt: str | None = None,
     training: Mapping[str, Any] | None = None,
+    code: str | None = None,
     workers: int = 1,
     progress: Progress = no_progress,
 ) -> Entry:
@@ -91,6 +92,7 @@ def make_entry(
             file, as told by them.
         salt: of the official seeds; None for the public ones.
         training: what it took to make the method, plain data; default what policies tell.
+        code: address of the method's source; default its module.
         workers: processes that plan.
         progress: called with the stage and the fraction done.
 
@@ -110,7 +112,8 @@ def make_entry(
             f"groups {twice[0]} and {twice[1]} do the same, and one of them would count twice:"
             " leave it out"
         )
-    about = {} if training is None else {"training": dict(training)}
+    told = {"training": training and dict(training), "code": code}
+    about = {key: value for key, value in told.items() if value is not None}
     entry = Entry(
         track=track,
         problem=problem,

@@ -60,7 +60,7 @@ class BoardTrack(ABC):
         """Results of recorded answers, by simulation.
 
         Raises:
-            Refused: WRONG_LENGTH, BAD_RECORDING, LEDGER_RESIDUAL.
+            Refused: WRONG_LENGTH, BAD_RECORDING.
         """
 
     def results(self, answers: Answers) -> Results:

@@ -2,16 +2,18 @@
 
 Score: E_mean over that of the straight line on the same query. A motion that breaks a limit or
 touches something as it is commanded is a failure, and is not played; nor is one an answer with
-which the arm, at any physics step, is too fast, misses or touches something. Built-in planners
-leave a reserve of the speed limits (`solve_with_reserve`) where they can.
+which the arm, at any physics step, is too fast, misses or touches something, or whose energy
+account stays open. Built-in planners leave a reserve of the speed limits
+(`solve_with_reserve`) where they can.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,33 +21,40 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.process_pool import Workers
 from ves_gym.leaderboard.entry import Code, Refused, Results, refusing
 from ves_gym.leaderboard.files import Recording
-from ves_gym.leaderboard.problems import DURATIONS, OBSTACLES, Problem, Seeds
+from ves_gym.leaderboard.problems import PATHS, THESIS, Problem, Seeds
 from ves_gym.leaderboard.tracks.base import Answers, BoardTrack, Progress, no_progress
+from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.motion import DEGREE, Motion
-from ves_gym.mechanics.servo import OWN_GAINS
+from ves_gym.mechanics.servo import JointServo
 from ves_gym.planners.execution_check import executed_violation, solve_with_reserve
 from ves_gym.planners.query import Plan, Planner, Query, first_violation, solve
 from ves_gym.planners.registry import PLANNERS
-from ves_gym.planners.suites import reach100
+from ves_gym.planners.suites import reach100, thesis
 from ves_gym.simulation.machines import Divergence
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.energy import TAIL, Energies
-from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.system import System
 
-LEDGER = 1e-2  # residual over the work through the base port; measured 2e-4 at most
 _RECORD = 12.5e-3  # s between records of a motion and its tail
 _AT_ONCE = 25  # motions played together: their records fit the processor's cache
-_SETTLE = 0.5  # s after a motion that its energy account covers
 _MOST = 512  # control points of a motion
-_MEASURES = ("E_mean", "E_peak", "E_res")
+_SHAKEN = 1.01  # of the straight line's peaks, in problems of calm motions
+_ENERGIES = ("E_mean", "E_peak", "E_res")
+_MEASURES = (*_ENERGIES, "acceleration")
+
+
+class Played(NamedTuple):
+    """What a motion does to its base."""
+
+    energies: Energies
+    peaks: tuple[float, float]  # of the mount's acceleration: m/s^2, rad/s^2
 
 
 class PathTrack(BoardTrack):
     """Planners on queries of one vehicle and duration: control points, none of no motion."""
 
     def shape(self) -> tuple[int, ...]:
-        return (System().arm.n,)
+        return (path_queries(self.problem, self.seeds)[0].system.arm.n,)
 
     def answer(self, agents: Sequence[Planner], progress: Progress = no_progress) -> Answers:
         queries = path_queries(self.problem, self.seeds)
@@ -73,6 +82,7 @@ class PathTrack(BoardTrack):
     def replay(self, recording: Recording) -> Results:
         queries = path_queries(self.problem, self.seeds)
         lines = _lines(self.problem, self.seeds)
+        calm = self.problem.base in PATHS and PATHS[self.problem.base].calm
         parts = []
         for group in recording:
             motions = [_motion(q, points) for q, points in zip(queries, group, strict=True)]
@@ -80,42 +90,47 @@ class PathTrack(BoardTrack):
                 m if m is not None and first_violation(q, m) is None else None
                 for q, m in zip(queries, motions, strict=True)
             ]
-            parts.append(_measured(_played(queries, playable)))
-        out = {name: np.stack([part[name] for part in parts]) for name in _MEASURES}
-        with np.errstate(invalid="ignore"):  # no answer, on a query without a straight line
-            score = out["E_mean"] / lines
-        score = np.where(np.isfinite(score), score, np.inf)
-        return {"score": score, "success": np.isfinite(score).astype(float), **out}
+            answers = _played(queries, playable)
+            parts.append([_row(a, o, calm) for a, o in zip(answers, lines, strict=True)])
+        return {
+            name: np.array([[row[name] for row in part] for part in parts])
+            for name in ("score", "success", *_MEASURES)
+        }
 
 
 def path_queries(problem: Problem, seeds: Seeds) -> list[Query]:
     """The questions of a problem of the track."""
-    words = problem.base.removesuffix(OBSTACLES)
-    vehicle, _, duration = words.rpartition("-")
+    if problem.base == THESIS:
+        return [query for _, query in thesis(System(), "bent").queries]
+    asked = PATHS[problem.base]
     suite = reach100(
-        System(),
-        vehicle,
+        System(arm=get_arm(asked.arm)),
+        asked.vehicle,
         problem.count,
-        "on" if problem.base.endswith(OBSTACLES) else "off",
+        "on" if asked.obstacles else "off",
         seed=seeds.root,
-        durations=(DURATIONS[duration],),
+        durations=(asked.duration,),
     )
-    # the board's servo: it takes the base to stand still
-    return [replace(query, servo=OWN_GAINS) for _, query in suite.queries]
+    return [query for _, query in suite.queries]
 
 
 @lru_cache(maxsize=16)
-def _lines(problem: Problem, seeds: Seeds) -> Array:
-    """(queries,) E_mean of the straight lines, the same for whoever is compared with them."""
+def _lines(problem: Problem, seeds: Seeds) -> list[Played]:
+    """What the straight lines do, the same for whoever is compared with them."""
     queries = path_queries(problem, seeds)
-    played = _played(queries, [q.straight for q in queries], account=False)
-    return _measured(played)["E_mean"]
+    lines = _played(queries, [q.straight for q in queries], judged=False)
+    return [line for line in lines if line is not None]  # all of them: they are slow
 
 
-def _measured(played: Sequence[Energies | None]) -> dict[str, Array]:
-    """(queries,) of every measure, infinite where there is no answer."""
-    plain = [{} if e is None else e.to_dict() for e in played]
-    return {name: np.array([e.get(name, np.inf) for e in plain]) for name in _MEASURES}
+def _row(answer: Played | None, line: Played, calm: bool) -> dict[str, float]:
+    """Score, success and measures of one answer; infinite where there is none."""
+    if answer is None:
+        return {**dict.fromkeys(("score", *_MEASURES), np.inf), "success": 0.0}
+    shaken = [a / b for a, b in zip(answer.peaks, line.peaks, strict=True)]
+    well = not calm or max(shaken) <= _SHAKEN
+    energies = {name: getattr(answer.energies, name) for name in _ENERGIES}
+    score = answer.energies.E_mean / line.energies.E_mean if well else np.inf
+    return {"score": score, "success": float(well), **energies, "acceleration": shaken[0]}
 
 
 def _planned(job: tuple[Planner, Query, int]) -> Plan:
@@ -146,18 +161,22 @@ def _motion(query: Query, control: Array) -> Motion | None:
 
 
 def _played(
-    queries: Sequence[Query], motions: Sequence[Motion | None], account: bool = True
-) -> list[Energies | None]:
-    """Energies of the motions that there are, None where the arm does not do them.
+    queries: Sequence[Query], motions: Sequence[Motion | None], judged: bool = True
+) -> list[Played | None]:
+    """What the motions that there are do, None where the arm does not do them.
 
-    With `account` every physics step is looked at, and the energies must add up.
+    With `judged` what the arm does at every physics step, and the energy account, decide.
     """
-    moving = [k for k, m in enumerate(motions) if m is not None]
-    out: list[Energies | None] = [None] * len(queries)
-    for at in range(0, len(moving), _AT_ONCE):
-        part = moving[at : at + _AT_ONCE]
-        for k, played in zip(part, _batch(queries, motions, part, account), strict=True):
-            out[k] = played
+    alike: dict[tuple[System, JointServo, float], list[int]] = defaultdict(list)
+    for k, (query, motion) in enumerate(zip(queries, motions, strict=True)):
+        if motion is not None:
+            alike[query.system, query.servo, query.duration].append(k)
+    out: list[Played | None] = [None] * len(queries)
+    for members in alike.values():
+        for at in range(0, len(members), _AT_ONCE):
+            part = members[at : at + _AT_ONCE]
+            for k, played in zip(part, _batch(queries, motions, part, judged), strict=True):
+                out[k] = played
     return out
 
 
@@ -165,39 +184,22 @@ def _batch(
     queries: Sequence[Query],
     motions: Sequence[Motion | None],
     which: Sequence[int],
-    account: bool,
-) -> list[Energies | None]:
-    system, servo = queries[0].system, queries[0].servo
+    judged: bool,
+) -> list[Played | None]:
+    system, servo = queries[which[0]].system, queries[which[0]].servo
     moving = [m for k in which if (m := motions[k]) is not None]
     try:
-        run = play_motions(system, moving, servo=servo, settle=TAIL, record_dt=_RECORD)
-        done = _done(queries, moving, which) if account else [True] * len(moving)
+        run = play_motions(
+            system, moving, servo=servo, settle=TAIL, record_dt=_RECORD, watch=True
+        )
     except Divergence:
         if len(which) == 1:
             return [None]
-        return [_batch(queries, motions, [k], account)[0] for k in which]
-    return [e if well else None for e, well in zip(run.energies(), done, strict=True)]
-
-
-def _done(
-    queries: Sequence[Query], motions: Sequence[Motion], which: Sequence[int]
-) -> list[bool]:
-    """Play motions with a record per physics step: True for each that the arm does.
-
-    The energies must add up.
-    """
-    system, servo = queries[0].system, queries[0].servo
-    dense = play_motions(
-        system, motions, servo=servo, settle=_SETTLE, record_dt=system.physics_dt
-    )
-    out = []
-    for i, k in enumerate(which):
-        out.append(executed_violation(queries[k], dense, i) is None)
-        relative = EnergyBalance.of(dense.log(i)).relative
-        if not relative <= LEDGER:
-            raise Refused(
-                Code.LEDGER_RESIDUAL,
-                f"{queries[k].name}: {relative:.3g} of the work through the base port is"
-                f" unaccounted for, at most {LEDGER:g}",
-            )
+        return [_batch(queries, motions, [k], judged)[0] for k in which]
+    out: list[Played | None] = []
+    for i, (k, energies) in enumerate(zip(which, run.energies(), strict=True)):
+        moved = run.disturbance(i)
+        well = not judged or executed_violation(queries[k], run, i) is None
+        peaks = moved.acceleration_peak, moved.angular_peak
+        out.append(Played(energies, peaks) if well else None)
     return out

@@ -37,8 +37,9 @@ class TaskTrack(BoardTrack):
         out, first, count = [], self.seeds.root, self.problem.count
         for group, agent in enumerate(agents):
             env = make_vector(
-                _id(self.problem), count, AutoresetMode.DISABLED, **self.method.settings
-            )
+                _id(self.problem), count, AutoresetMode.DISABLED,
+                **self.problem.settings, **self.method.settings,
+            )  # fmt: skip
             actions: list[list[Array]] = [[] for _ in range(count)]
             ended = 0
             for period in run_episodes(agent, env, range(first, first + count)):
@@ -103,6 +104,7 @@ def _held(problem: Problem, seeds: Seeds) -> Array:
 def _evaluated(
     controller: Controller, problem: Problem, seeds: Seeds, **options: Any
 ) -> Evaluation:
+    options = {**problem.settings, **options}
     return evaluate(
         controller, _id(problem), episodes=problem.count, seed=seeds.root, **options
     )

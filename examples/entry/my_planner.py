@@ -1,4 +1,4 @@
-"""Write a planner and see where it stands: the lazy one, which only moves more gently."""
+"""A planner of one's own, and where it stands: the lazy one, which only moves more gently."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ import ves_gym as vg
 class Gentle:
     """The straight line with the start and end of its time law drawn out."""
 
-    name = "gentle"
+    name = "gentle"  # on the leaderboard: a-z, 0-9 and hyphens
     summary = "straight joint line, degree-nine time law"
 
     def find(self, query, seed):
