@@ -31,13 +31,10 @@ _DAMPING = 0.05  # m/rad, of the least squares near singular configurations
 _NEAR, _FAR = 0.25, 2.0  # rad of the way left, told apart up to there: finely, coarsely
 _FAST = 0.5  # rad/s that take back what the base does
 _LEVER = 0.3  # m per radian, of turn beside place
-_NO_AXIS = 0.02  # of 1 + cosine: half a turn has no axis
-_ROUNDS, _MOST_ROUNDS = 4, 16
 _FURTHER = 6.3  # rad of the way left to a pose, told apart up to there
 _POSE_DAMPING = 0.03  # m/rad
 _LEAST = 1e-5  # of 1 + cosine, where an axis is turned
 _WEIGHTS = np.array([1.0, 1.0, 1.0, _LEVER, _LEVER, _LEVER])
-_STRIDE = 1.0  # rad, the most that a joint moves per round of Newton's method
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,11 +47,10 @@ class ArmFeatures:
     the base's axes. The observation has joint angles, pose and rate of the base, and either
     the way to the target or tool and target.
 
-    Where an orientation is asked too (`turn`), the Jacobian is that of place and turn. Both
-    ranges of joint angles are those to the nearest configuration for the pose, in closed form,
-    of an arm with a spherical wrist (`rounds` = 0), of others those that `rounds` of Newton's
-    method give. There follow the axes that the tool has and is to have, in the base's, and what
-    Newton's last round lacked.
+    Where an orientation is asked too (`turn`), of an arm with a spherical wrist, the Jacobian
+    is that of place and turn, and both ranges of joint angles are those to the nearest
+    configuration for the pose, in closed form. There follow the axes that the tool has and is
+    to have, in the base's.
     """
 
     arm: str  # a name of the arm library
@@ -65,7 +61,6 @@ class ArmFeatures:
     target: int  # less the tool, if `tool` is negative
     tool: int = -1
     turn: int = -1  # axis of the missing turn, times its sine, then the cosine; negative: any
-    rounds: int = 1  # of Newton's method; 0: closed form
 
     def __post_init__(self) -> None:
         if self.arm not in arm_names():
@@ -81,15 +76,9 @@ class ArmFeatures:
                 raise ParameterError(
                     f"ArmFeatures.{name} must be {first} to {last}, got {getattr(self, name)}"
                 )
-        if not 0 <= self.rounds <= _MOST_ROUNDS or (self.rounds != 1 and self.turn < 0):
+        if self.turn >= 0 and not has_spherical_wrist(self._arm):
             raise ParameterError(
-                f"ArmFeatures.rounds must be 0 to {_MOST_ROUNDS}, and 1 where no turn is asked,"
-                f" got {self.rounds}"
-            )
-        if not self.rounds and not has_spherical_wrist(self._arm):
-            raise ParameterError(
-                "ArmFeatures.rounds must be 1 or more for an arm without a spherical wrist, got"
-                f" 0 for {self.arm}"
+                f"ArmFeatures of a pose need an arm with a spherical wrist, got {self.arm}"
             )
 
     @cached_property
@@ -99,17 +88,15 @@ class ArmFeatures:
     @property
     def size(self) -> int:
         """How many there are."""
-        pose = 0 if self.turn < 0 else 24 if self.rounds else 18
-        return 5 * self._arm.n + 3 + pose
+        return 5 * self._arm.n + (3 if self.turn < 0 else 21)
 
     def __str__(self) -> str:
         if self.turn < 0:
             return "inverse Jacobian's answers, sines and cosines, tool's place"
-        way = f"{self.rounds} rounds of Newton's method" if self.rounds else "closed form"
         return (
-            f"joint angles missing to the nearest configuration for the pose ({way}), finely"
-            " and coarsely; inverse Jacobian's answer to the base's motion; sines and cosines;"
-            " tool's place and axes, axes it is to have"
+            "joint angles missing to the nearest configuration for the pose (closed form),"
+            " finely and coarsely; inverse Jacobian's answer to the base's motion; sines and"
+            " cosines; tool's place and axes, axes it is to have"
         )
 
     def __call__(self, observation: npt.ArrayLike) -> Array:
@@ -136,16 +123,11 @@ class ArmFeatures:
             missing = matvec(back, part(self.turn, 3))
             turn, far = self._turn(at), _FURTHER
             target_turn = _turned(missing, part(self.turn + 3, 1)[:, 0], turn)
-            residual = []
-            if self.rounds:
-                joint_way, lacking = self._to_pose(q, tool + desired, target_turn)
-                residual = [lacking]
-            else:
-                joint_way = shortest_way(arm, q, tool + desired, target_turn)
+            joint_way = shortest_way(arm, q, tool + desired, target_turn)
             both = np.concatenate([carried, _LEVER * turning], axis=-1)
             taken = _damped(moved * _WEIGHTS, both)
             axes = [np.swapaxes(k, -1, -2).reshape(len(q), 9) for k in (turn, target_turn)]
-            others = [tool, *axes, *residual]
+            others = [tool, *axes]
         parts = (
             np.clip(joint_way, -_NEAR, _NEAR) * (1 / _NEAR),
             np.clip(joint_way, -far, far),
@@ -155,23 +137,6 @@ class ArmFeatures:
             *others,
         )
         return np.concatenate(parts, axis=-1)
-
-    def _to_pose(self, q: Array, place: Array, turn: Array) -> tuple[Array, Array]:
-        """Way (n, joints) to a pose by Newton's method, and what its end lacked (n, 6)."""
-        end, residual = q, np.zeros(6)
-        for _ in range(self.rounds):
-            at = frames(self._arm, end)
-            gap, turned = place - at.position[..., -1, :], self._turn(at)
-            sine = 0.5 * cross(np.swapaxes(turned, -1, -2), np.swapaxes(turn, -1, -2)).sum(
-                axis=-2
-            )
-            cosine = 0.5 * ((turned * turn).sum(axis=(-2, -1)) - 1.0)
-            # twice the tangent of half the angle along the axis: the angle, where it is small
-            angle = (2.0 / (cosine + (1.0 + _NO_AXIS)))[:, None] * sine
-            residual = np.concatenate([gap, _LEVER * angle], axis=-1)
-            step = _damped(tool_motions(self._arm, at) * _WEIGHTS, residual)
-            end = end + np.clip(step, -_STRIDE, _STRIDE)
-        return end - q, residual
 
     def _turn(self, at: Frames) -> Array:
         """(n, 3, 3) from the tool's axes to the base's."""
@@ -212,8 +177,6 @@ def arm_features(task: Task, goal: bool = False) -> ArmFeatures:
             f"features of the arm need {', '.join(missing)} in the observation, which task"
             f" {task.kind} has not"
         )
-    closed = has_spherical_wrist(task.system.arm)
-    rounds = 1 if "to_turn" not in at else 0 if closed else _ROUNDS
     return ArmFeatures(
         arm=task.system.arm.name,
         scales=tuple(np.concatenate(scales).tolist()),
@@ -223,5 +186,4 @@ def arm_features(task: Task, goal: bool = False) -> ArmFeatures:
         target=at[way],
         tool=at["tool"] if way == "target" else -1,
         turn=at.get("to_turn", -1),
-        rounds=rounds,
     )
