@@ -65,7 +65,7 @@ def line(
     verdicts = [executed_violation(plans[i].query, run, k) for k, i in enumerate(answers)]
     why = Counter(next(k for k in _KINDS if k in v) for v in verdicts if v is not None)
     found = energies(run)
-    least = [plan.predicted.E_mean if plan.predicted else np.nan for plan in optimum]
+    least = [plan.predicted.E_mean if plan.found else np.nan for plan in optimum]
     ratios = [np.nanmedian(found / np.array(of)[answers]) for of in (straight, least)]
     reasons = ", ".join(f"{n} {kind}" for kind, n in why.items()) or "-"
     return [*out, str(verdicts.count(None)), reasons, f"{ratios[0]:.4f}", f"{ratios[1]:.3f}"]

@@ -32,8 +32,6 @@ def ratios(
         begin = time.process_time()
         plan = solve(get_planner(planner), query)
         seconds.append(time.process_time() - begin)
-        assert plan.motion is not None
-        assert plan.predicted is not None
         assert plan.feasible, plan.failure
         run = play_motions(judge, [query.straight, plan.motion], servo=query.servo)
         straight, found = (e.E_mean for e in run.energies())

@@ -250,9 +250,9 @@ def test_a_plan_without_a_motion_is_not_simulated(plan):
             raise vg.NoPlan("no motion: stuck")
 
     blocked = vg.plan([0, 0, 0], GOAL, duration=1.0, planner=Stuck())
-    assert blocked.motion is None and blocked.query == plan.query
+    assert blocked.found is None and blocked.query == plan.query
     assert "no motion" in repr(blocked) and "<img" not in blocked._repr_html_()
-    with pytest.raises(vg.ParameterError, match="stuck found no motion"):
+    with pytest.raises(vg.NoPlan, match="stuck found no motion"):
         vg.simulate(blocked)
 
 

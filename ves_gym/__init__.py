@@ -128,4 +128,4 @@ __all__ = sorted([*_HOMES, "effects"])
 _LOADERS["effects"] = lambda: _import("ves_gym.effects")
 _LOADERS["views"] = lambda: _import("ves_gym.report.views")
 
-__getattr__, __dir__ = _lazily(__name__, _HOMES, _ROOMS)
+_lazily(__name__, _HOMES, _ROOMS)

@@ -681,9 +681,7 @@ def _case(
     from ves_gym.planners.query import Plan
 
     if isinstance(motion, Plan):
-        if motion.motion is None:
-            raise ParameterError(f"{motion.planner} found no motion: {motion.failure}")
-        motion = motion.case
+        motion = dataclasses.replace(motion.case, motion=motion.motion)
     if isinstance(motion, Motion):
         return Case(system=_system(system), motion=motion, servo=servo or OWN_SERVO)
     if not isinstance(motion, Case):

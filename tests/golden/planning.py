@@ -62,11 +62,10 @@ def planned(planner: str, machine: str, **options: Any) -> Callable[[], dict[str
 def found(plan: vg.Plan) -> dict[str, Any]:
     """Return the motion that a planner found, and its energies; or why there is none."""
     out: dict[str, Any] = {"failed": plan.failure is not None}
-    if plan.motion is not None:
+    if plan.found:
         out["duration"] = float(plan.motion.duration)
         quarters = plan.motion.duration * np.array([0.25, 0.5, 0.75, 1.0])
         out["path"] = plan.motion.at(quarters).q
-    if plan.predicted is not None:
         out["energies"] = {k: float(v) for k, v in plan.predicted.to_dict().items()}
     return out
 

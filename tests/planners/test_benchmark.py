@@ -306,7 +306,7 @@ def test_a_planner_that_fails_costs_nothing_but_its_rows(monkeypatch):
 def crashing(job):
     if job[1].name.endswith("001"):
         os._exit(1)
-    return Plan(job[0], job[1], None, None, 0.0, "answered")
+    return Plan(job[0], job[1], None, 0.0, "answered")
 
 
 @pytest.mark.slow

@@ -65,7 +65,7 @@ def test_a_bound_that_is_let_go_buys_energy(vehicle):
 
 def test_a_bound_that_cannot_be_met_is_said_with_what_was_reached():
     plan = solve(Calm({"acceleration_peak": 0.01}), query_of("bent"))
-    assert not plan.feasible and plan.motion is not None
+    assert not plan.feasible and plan.found is not None
     reached = plan.info["reached"]["acceleration_peak"]
     said = f"acceleration_peak is {reached:.3g} of the straight line's, at most 0.01"
     assert reached > 0.01 and said in plan.failure
@@ -91,7 +91,7 @@ def test_obstacles_are_kept_clear_of():
     ball = Surroundings(obstacles=(Sphere(centre=(0.8, 0.0, 0.8), radius=0.1),), clearance=0.02)
     query = dataclasses.replace(query, surroundings=ball)
     plan = solve(Calm(), query)
-    assert plan.motion is not None
+    assert plan.found is not None
     assert plan.failure is None or "straight line's" in plan.failure
 
 

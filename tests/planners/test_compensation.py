@@ -29,7 +29,7 @@ def test_the_other_arm_takes_the_energy_out_of_the_beam(planner):
     free = vg.plan(START, GOAL, system=ON_BENT, planner=planner)
     held = vg.plan(START, np.r_[START[:6], GOAL], system=ON_BENT, planner=planner)
     assert free.feasible and held.feasible, (free, held)
-    assert free.motion is not None and held.motion is not None
+    assert free.found is not None and held.found is not None
     np.testing.assert_allclose(free.motion.goal[6:], GOAL, rtol=0, atol=1e-12)
     assert np.abs(free.motion.goal[:6] - START[:6]).max() > 0.05  # at rest elsewhere
     np.testing.assert_array_equal(held.motion.goal[:6], START[:6])

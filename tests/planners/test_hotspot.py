@@ -128,5 +128,5 @@ def test_a_base_without_stiffness_has_no_hot_spots():
     system = System(vehicle=get_vehicle("free-flying"))
     query = Query(system=system, start=(0.0, 0, 0), goal=(0.5, 0.2, 0.3), duration=2.0)
     plan = solve(get_planner("hotspot-q"), query)
-    assert plan.motion is None and plan.failure.startswith("no hot spots: ")
+    assert plan.found is None and plan.failure.startswith("no hot spots: ")
     assert plan.failure.endswith("has no stiffness (Q = 0)")

@@ -98,7 +98,7 @@ def test_an_end_in_an_obstacle_is_no_question():
         duration=2.0, surroundings=Surroundings(obstacles=(tip,)),
     )  # fmt: skip
     plan = solve(Ompl(), query)
-    assert plan.motion is None and plan.predicted is None and not plan.feasible
+    assert plan.found is None and not plan.feasible
     assert plan.failure.startswith("no motion: the goal is too near: ")
     assert "obstacle 1 (sphere)" in plan.failure
 
@@ -138,9 +138,9 @@ def test_a_failure_in_the_child_is_reported(monkeypatch):
     for _ in range(2):
         plan = solve(dataclasses.replace(patient, seconds=0.5), LONG)
         assert "the search did not answer within 1 s" in plan.failure
-        assert plan.motion is None
+        assert plan.found is None
     monkeypatch.undo()
-    assert solve(patient, LONG).motion is not None
+    assert solve(patient, LONG).found is not None
 
 
 # ------------------------------------------------------------------------------ options

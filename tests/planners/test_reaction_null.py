@@ -146,7 +146,7 @@ def test_an_arm_that_cannot_be_reactionless_says_so(vehicle, least):
     system = System(vehicle=vehicle)
     query = Query(system=system, start=(0.0, -0.2, 0.4), goal=(0.8, 0.5, -0.6), duration=2.0)
     plan = solve(ReactionNull(share=1e-9), query)
-    assert plan.motion is None
+    assert plan.found is None
     assert plan.failure.startswith("no reactionless motion: every motion of 3 joints moves")
     assert f"takes {least} joints" in plan.failure
 
@@ -160,7 +160,7 @@ def test_no_answer_is_worse_than_the_straight_line(vehicle):
     for query in queries:
         query = dataclasses.replace(query, system=System(vehicle=vehicle))
         plan, straight = (solve(p, query) for p in (ReactionNull(), get_planner("straight")))
-        if plan.motion is None:
+        if plan.found is None:
             refused += "x the straight line" in plan.failure
         else:
             assert plan.predicted.E_mean <= straight.predicted.E_mean
@@ -175,6 +175,6 @@ def test_nearly_reactionless_directions_of_the_puma_are_used_where_they_pay(dura
     ends = (tuple((middle + k * direction).tolist()) for k in (-0.4, 0.4))
     query = Query(system=BENT, start=next(ends), goal=next(ends), duration=duration)
     plan = solve(ReactionNull(), query)
-    assert plan.motion is not None
+    assert plan.found is not None
     assert plan.info["null_share"] > 0.8
     assert plan.predicted.E_mean < 0.85 * solve(get_planner("straight"), query).predicted.E_mean

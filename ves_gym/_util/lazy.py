@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
 
-def lazily(
-    package: str, homes: Mapping[str, str], modules: tuple[str, ...] = ()
-) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Return `__getattr__` and `__dir__` of a package that imports its names on first use.
+def lazily(package: str, homes: Mapping[str, str], modules: tuple[str, ...] = ()) -> None:
+    """Let a package import its names on first use; then they are ordinary attributes of it.
+
+    The functions are set here, not named in the package: a type checker that saw its
+    `__getattr__` would take every misspelt name for one of the package's.
 
     Args:
         package: its `__name__`.
         homes: name -> "module" below the package, or "module:name" where it is called
             otherwise there.
         modules: modules of the package that are attributes themselves.
-
-    Returns:
-        The two functions; a name once resolved is an ordinary attribute of the package.
     """
 
     def resolve(name: str) -> Any:
@@ -37,4 +35,4 @@ def lazily(
     def names() -> list[str]:
         return sorted({*vars(sys.modules[package]), *homes, *modules})
 
-    return resolve, names
+    vars(sys.modules[package]).update(__getattr__=resolve, __dir__=names)

@@ -29,4 +29,4 @@ _HOMES = {
     "read_episodes": "minari_files",
     "save_policy": "policy",
 }
-__getattr__, __dir__ = _lazily(__name__, _HOMES)
+_lazily(__name__, _HOMES)

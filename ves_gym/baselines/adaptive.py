@@ -184,7 +184,7 @@ class Adaptive(Follow):
             base=self._base_at(env, arm, i, begin),
         )
         plan = solve(Direct(), query, self.seed)
-        if plan.motion is not None and _slow_enough(plan.motion, arm):
+        if plan.found and _slow_enough(plan.motion, arm):
             self._plan[i, begin:] = sampled(plan.motion, self._plan.shape[1] - begin, dt)
             self._planned_for[i] = payload
 

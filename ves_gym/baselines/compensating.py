@@ -36,7 +36,7 @@ class Compensating(Resolved):
         for i in ids.tolist():
             start, end = self._plan[i, 0], self._plan[i, -1]
             query = joint_query(env, start, end, _WAY * env.task.duration)
-            motion = solve(get_planner("direct"), replace(query, free_joints=free)).motion
-            if motion is not None:
-                along = sampled(motion, len(self._plan[i]), env.batch.dt)[:, 0]
+            plan = solve(get_planner("direct"), replace(query, free_joints=free))
+            if plan.found:
+                along = sampled(plan.motion, len(self._plan[i]), env.batch.dt)[:, 0]
                 self._plan[i], self._path[i] = along, joint_positions(arm, along)[:, -1]

@@ -179,8 +179,8 @@ class Follow:
         from ves_gym.planners.query import solve
         from ves_gym.planners.registry import get_planner
 
-        motion = solve(get_planner(self.planner), query, self.seed).motion
-        return query.straight if motion is None else motion  # better than not to move
+        plan = solve(get_planner(self.planner), query, self.seed)
+        return plan.motion if plan.found else query.straight  # better than not to move
 
     def act(self, env: VesVectorEnv, observation: Any) -> Array:
         control, s, arm = env.task.control, env.batch.scene, env.task.system.arm

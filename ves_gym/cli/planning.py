@@ -124,7 +124,7 @@ def plan(
     report = report_plan(planned)
     text = "\n".join([*lines, str(report)])
     answer = Answer(text=text, plain=report.to_dict(), negative=report.failure is not None)
-    if planned.motion is None:
+    if planned.found is None:
         return answer
     path = at.folder("out/plan") / "case.toml"
     replace(planned.case, log=str(path.with_name("run.csv"))).save(path)

@@ -31,4 +31,4 @@ _HOMES = {
     "samples": "machines.residual",
 }
 __all__ = sorted(_HOMES)
-__getattr__, __dir__ = _lazily(__name__, _HOMES)
+_lazily(__name__, _HOMES)

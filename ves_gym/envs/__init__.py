@@ -28,6 +28,6 @@ _HOMES = {
     "get_control": "control",
 }
 __all__ = sorted(_HOMES)
-__getattr__, __dir__ = _lazily(__name__, _HOMES)
+_lazily(__name__, _HOMES)
 
 register()

@@ -13,4 +13,4 @@ if TYPE_CHECKING:
 __all__ = ["Evaluations", "Spec", "merge", "sweep_units"]
 
 _HOMES = {"Evaluations": "spec", "Spec": "spec", "merge": "sweep", "sweep_units": "sweep:sweep"}
-__getattr__, __dir__ = _lazily(__name__, _HOMES)
+_lazily(__name__, _HOMES)

@@ -12,4 +12,4 @@ if TYPE_CHECKING:
 __all__ = ["ForceSensor", "LegServo", "PoseServo"]
 
 _HOMES = {"ForceSensor": "force_sensor", "LegServo": "leg_servo", "PoseServo": "platform"}
-__getattr__, __dir__ = _lazily(__name__, _HOMES)
+_lazily(__name__, _HOMES)

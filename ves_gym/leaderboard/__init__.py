@@ -10,4 +10,4 @@ if TYPE_CHECKING:
 __all__ = ["statistics"]
 
 _HOMES: dict[str, str] = {}
-__getattr__, __dir__ = _lazily(__name__, _HOMES, ("statistics",))
+_lazily(__name__, _HOMES, ("statistics",))

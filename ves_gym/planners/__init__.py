@@ -12,4 +12,4 @@ if TYPE_CHECKING:
 __all__ = ["coupling_matrix", "modes", "predict"]
 
 _HOMES = {"coupling_matrix": "coupling", "modes": "coupling", "predict": "prediction"}
-__getattr__, __dir__ = _lazily(__name__, _HOMES)
+_lazily(__name__, _HOMES)

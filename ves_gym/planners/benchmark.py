@@ -152,7 +152,7 @@ def _plan_one(job: Work) -> Plan:
         raise  # a wrong question, not a planner that failed
     except Exception as error:  # reported for this query; the run goes on
         why = f"{type(error).__name__}: {error}"
-        return Plan(name, query, None, None, time.perf_counter() - begin, why)
+        return Plan(name, query, None, time.perf_counter() - begin, why)
 
 
 def _run_workers(
@@ -169,7 +169,7 @@ def _run_workers(
                 yield future.result()
             except ProcessExpired:
                 why = "the planning process crashed"
-                yield Plan(job[0], job[1], None, None, 0.0, why)
+                yield Plan(job[0], job[1], None, 0.0, why)
 
 
 # ----------------------------------------------------------------------- simulation
@@ -193,7 +193,7 @@ def _simulate_all(
     batches: dict[tuple[str, System, float], list[int]] = defaultdict(list)
     rows: dict[int, dict[str, Any]] = {}
     for i, run in enumerate(runs):
-        if run.plan.motion is None:
+        if run.plan.found is None:
             rows[i] = _unplayed(run)
         else:
             batches[run.vehicle, run.system, run.plan.query.duration].append(i)
@@ -222,7 +222,7 @@ def _simulate_all(
 
 def _play(system: System, plans: Sequence[Plan], clock: System, seed: int) -> Recording:
     """Play motions; the laboratory (`clock`) records whole control periods."""
-    motions, servo = [p.motion for p in plans if p.motion is not None], plans[0].query.servo
+    motions, servo = [plan.motion for plan in plans], plans[0].query.servo
     dt = _RECORD
     if clock.mode == "emulated":
         dt = max(1, round(dt / clock.control_dt)) * clock.control_dt
@@ -269,7 +269,7 @@ def _played(
     plan, recording, k, _, ideal = played
     query = plan.query
     assert in_space is not None  # nothing stops a run in space
-    assert plan.predicted is not None and plan.reference is not None
+    assert plan.reference is not None
     why, moved = plan.failure, None
     if measured is not None:
         moved = recording.disturbance(k, as_it_is=True, weight=query.weight)

@@ -149,7 +149,7 @@ def compare_planners(query: Query, planners: Sequence[Planner], *, seed: int = 0
             f"planners must be one or more of different names, got {', '.join(names) or 'none'}"
         )
     plans = [solve(planner, query, seed) for planner in planners]
-    motions = [plan.motion for plan in plans if plan.motion is not None]
+    motions = [plan.motion for plan in plans if plan.found]
     run = simulate_motions(query, motions)
     energies = measured(run)
     straight = energies[-1]
@@ -157,7 +157,7 @@ def compare_planners(query: Query, planners: Sequence[Planner], *, seed: int = 0
     played = itertools.count()
     for plan in plans:
         values: dict[str, Any] = {"failure": plan.failure}
-        if plan.motion is not None and plan.predicted and plan.reference:
+        if plan.found and plan.reference:
             i = next(played)  # its run
             values["predicted"] = plan.predicted.to_dict()
             values["failure"] = plan.failure or executed_violation(plan.query, run, i)
@@ -231,7 +231,7 @@ class PlanReport:
 
     def __str__(self) -> str:
         plan = self.plan
-        if self.reference is None or self.simulated is None or plan.predicted is None:
+        if self.reference is None or self.simulated is None:
             return f"{plan.planner}: {plan.failure} ({plan.seconds:.2f} s)"
         rows: list[tuple[str, list[float]]] = []
         for name, value in plan.predicted.to_dict().items():
@@ -263,7 +263,7 @@ class PlanReport:
 
 def report_plan(plan: Plan) -> PlanReport:
     """Simulate a plan beside the straight line between its ends."""
-    if plan.motion is None:
+    if plan.found is None:
         return PlanReport(plan, {}, {}, failure=plan.failure)
     query = plan.query
     run = simulate_motions(query, [plan.motion])

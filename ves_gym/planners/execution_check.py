@@ -87,7 +87,7 @@ def solve_with_reserve(
         return solve(planner, query, seed)
     slower = replace(query, v_max=tuple((1 - reserve) * k for k in query.v_max))
     plan = solve(planner, slower, seed)
-    kept = plan.motion is not None and first_violation(query, plan.motion) is None
+    kept = plan.found and first_violation(query, plan.motion) is None
     if plan.feasible and kept:
         return replace(plan, query=query)
     plan_again = solve(planner, query, seed)

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -37,24 +37,46 @@ SCHEMA = "ves-plan/1"
 _NO_SPEED = 1e9  # rad/s: as good as no limit
 
 
+class Found(NamedTuple):
+    """A motion that a planner found."""
+
+    motion: Motion
+    predicted: Prediction  # energies of it
+
+
 @dataclass(frozen=True, repr=False)
 class Plan(Viewable):
     """A planner's answer: a motion, or the reason why there is none."""
 
     planner: str
     query: Query
-    motion: Motion | None
-    predicted: Prediction | None
+    found: Found | None
     seconds: float  # planning time, prediction included
     failure: str | None = None  # why there is no motion, or what limit it breaks
     info: dict[str, Any] = field(default_factory=dict)
     seed: int = 0
 
     @property
+    def motion(self) -> Motion:
+        """The motion; NoPlan is raised where there is none."""
+        return self._answer.motion
+
+    @property
+    def predicted(self) -> Prediction:
+        """Energies of the motion; NoPlan is raised where there is none."""
+        return self._answer.predicted
+
+    @property
+    def _answer(self) -> Found:
+        if self.found is None:
+            raise NoPlan(f"{self.planner} found no motion: {self.failure}")
+        return self.found
+
+    @property
     def case(self) -> Case:
         """What was asked and what was found, to be saved, played and asked again."""
-        q = self.query
-        return Case(system=q.system, query=q, motion=self.motion, servo=q.servo, seed=self.seed)
+        q, motion = self.query, self.found and self.found.motion
+        return Case(system=q.system, query=q, motion=motion, servo=q.servo, seed=self.seed)
 
     @property
     def feasible(self) -> bool:
@@ -64,17 +86,17 @@ class Plan(Viewable):
     @property
     def reference(self) -> LimitCheck | None:
         """The motion against the limits of arm and query; None without a motion."""
-        if self.motion is None:
+        if self.found is None:
             return None
         return check_motion(self.query, self.motion, limits_of_query(self.query))
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What the machine has that the plan does not know, a sentence each."""
-        return notes(self.query, self.motion)
+        return notes(self.query, self.found and self.found.motion)
 
     def __repr__(self) -> str:
-        if self.predicted is None:
+        if self.found is None:
             return f"<Plan: {self.planner}, no motion: {self.failure}>"
         verdict = f"NOT feasible: {self.failure}"
         if self.feasible and self.reference is not None:
@@ -90,7 +112,7 @@ class Plan(Viewable):
             "schema": SCHEMA,
             "planner": self.planner,
             "case": self.case.to_dict(),
-            "predicted": None if self.predicted is None else self.predicted.to_dict(),
+            "predicted": self.found and self.predicted.to_dict(),
             "seconds": self.seconds,
             "feasible": self.feasible,
             "failure": self.failure,
@@ -99,7 +121,7 @@ class Plan(Viewable):
         }
 
 
-class NoPlan(Exception):
+class NoPlan(ParameterError):
     """A planner found no motion; the message says why."""
 
 
@@ -142,7 +164,7 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
     if seed < 0:
         raise ParameterError(f"seed must be >= 0, got {seed}")
     begin = time.perf_counter()
-    motion, predicted = None, None
+    found = None
     info: dict[str, Any] = {}
     with on_one_thread():
         try:
@@ -153,9 +175,10 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
             if query.free_joints:  # the answer is to the ends that it chose
                 query = replace(query, goal=motion.control[-1])
             predicted = predict(query.system, motion, query.servo, base=query.base, parts=FINE)
+            found = Found(motion, predicted)
             failure = first_violation(query, motion) or info.get("unmet")
     seconds = time.perf_counter() - begin
-    return Plan(planner.name, query, motion, predicted, seconds, failure, info, seed)
+    return Plan(planner.name, query, found, seconds, failure, info, seed)
 
 
 def first_violation(query: Query, motion: Motion) -> str | None:

@@ -98,7 +98,6 @@ def map_data(vehicle: str, section: CouplingMap, plans: list[Plan]) -> dict[str,
         "paths": [],
     }
     for plan in plans:
-        assert plan.motion is not None
         path = plan.motion.at(np.linspace(0, plan.query.duration, 41)).q[:, [i, j]]
         data["paths"].append({"planner": plan.planner, "points": [_degrees(p) for p in path]})
     if plans:

@@ -53,7 +53,7 @@ def solve_to_tool(
     if not len(goals):
         raise ParameterError(_out_of_reach(query, pose))
     plans = [solve(planner, replace(query, goal=tuple(goal.tolist())), seed) for goal in goals]
-    costs = [None if p.predicted is None else p.predicted.E_mean for p in plans]
+    costs = [p.found and p.predicted.E_mean for p in plans]
     ranks = [
         (not p.feasible, np.inf if k is None else k) for p, k in zip(plans, costs, strict=True)
     ]

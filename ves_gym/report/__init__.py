@@ -11,4 +11,4 @@ if TYPE_CHECKING:
 __all__ = ["Studio", "progress_bar"]
 
 _HOMES = {"Studio": "notebook", "progress_bar": "notebook"}
-__getattr__, __dir__ = _lazily(__name__, _HOMES)
+_lazily(__name__, _HOMES)

@@ -256,7 +256,7 @@ def studio_data(
     planned = [
         {"kind": "motion", "name": plan.planner, "motion": to_plain(plan.motion)}
         for plan in plans
-        if plan.motion is not None
+        if plan.found
     ]
     start, goal = query.ends
     motions = reference_motions(system, start, goal, query.duration)

@@ -54,8 +54,6 @@ def open_item(
     if isinstance(item, RunLog):
         return _log(str(item.meta.get("note") or "log"), item, system)
     if isinstance(item, Plan):
-        if item.motion is None:
-            raise ParameterError(f"{item.planner} found no motion: {item.failure}")
         return _motion(item.planner, item.motion, item.query.system, system)
     if isinstance(item, Motion):
         return _motion("motion", item, None, system)

@@ -180,8 +180,6 @@ def _(balance: EnergyBalance, ax: Any = None) -> Any:
 @draw.register
 def _(plan: Plan, ax: Any = None) -> Any:
     """Joint angles over time with their limits; dotted: the straight line."""
-    if plan.motion is None:
-        raise ParameterError(f"{plan.planner} found no motion to draw: {plan.failure}")
     (axes,) = _axes(ax, ("joint angles",), (8.0, 3.6))
     arm, duration = plan.query.system.arm, plan.query.duration
     t = np.linspace(0.0, duration, 301)
@@ -200,7 +198,7 @@ def _(plan: Plan) -> Iterable[tuple[str, str]]:
     """Query, prediction and planning time."""
     yield "query", plan.query.ends_in_words
     yield "system", repr(plan.query.system).strip("<>")
-    if plan.predicted is not None:
+    if plan.found:
         values = plan.predicted.to_dict()
         yield "predicted", ", ".join(f"{name} {x:.4g} J" for name, x in values.items())
     yield "planned in", f"{plan.seconds:.2f} s"
@@ -249,7 +247,7 @@ def _(section: CouplingMap, ax: Any = None, paths: Sequence[Plan] = ()) -> Any:
     """Minimum-energy lines over the coupling, and the `paths` of plans across them."""
     (axes,) = _axes(ax, ("coupling",), (6.4, 5.2))
     axes.grid(visible=False)
-    plans = [plan for plan in paths if plan.motion is not None]
+    plans = [plan for plan in paths if plan.found]
     names = list(dict.fromkeys(plan.planner for plan in plans))
     data = map_data("", section, plans)
     draw_map(axes.figure, axes, data, names)

@@ -20,4 +20,4 @@ _HOMES = {
     "play_motions": "playback",
     "weigh_poses": "playback",
 }
-__getattr__, __dir__ = _lazily(__name__, _HOMES)
+_lazily(__name__, _HOMES)

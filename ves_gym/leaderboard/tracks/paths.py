@@ -74,7 +74,7 @@ class PathTrack(BoardTrack):
                 plans.append(plan)
                 progress("planning", len(plans) / len(jobs))
         none = np.zeros((0, *self.shape()))
-        points = [none if p.motion is None else np.array(p.motion.control) for p in plans]
+        points = [none if p.found is None else np.array(p.motion.control) for p in plans]
         groups = [points[k : k + len(queries)] for k in range(0, len(points), len(queries))]
         seconds = np.array([plan.seconds for plan in plans]).reshape(len(agents), -1)
         return Answers(groups, seconds)
@@ -142,7 +142,7 @@ def _planned(job: tuple[Planner, Query, int]) -> Plan:
     except ParameterError:
         raise
     except Exception as error:  # a planner that fails has no answer to this query
-        return Plan(planner.name, query, None, None, 0.0, f"{type(error).__name__}: {error}")
+        return Plan(planner.name, query, None, 0.0, f"{type(error).__name__}: {error}")
 
 
 def _motion(query: Query, control: Array) -> Motion | None:
