@@ -44,7 +44,7 @@ benchmark: $(RUN) ## run the planning benchmark; the whole of it: make benchmark
 	$(BIN)/ves-gym benchmark $(ARGS)
 
 policies: $(DEV) ## train every released policy again, going on where it stopped (90 min)
-	for config in ves_gym/baselines/configs/*.toml; do $(BIN)/ves-gym train $$config --resume $(ARGS) || exit 1; done
+	$(BIN)/python scripts/training.py --train out/train
 	$(BIN)/python scripts/training.py out/train
 
 leaderboard: $(DEV) ## answer what the board lacks; write its page

@@ -1,10 +1,14 @@
-"""Release what `make policies` trained, and write docs/training.md from it.
+"""Train the policies of the package, release them, and write docs/training.md from them.
 
 `python scripts/training.py RUNS [NAME ...]` takes the runs in RUNS (all configurations, or
 those named): learning curves to docs/training, the best policy of each to the package, its
 figures on the test episodes to docs/training/NAME.json, an animation to docs/pictures.
 `--measure [NAME ...]` in place of RUNS measures released policies again. Without arguments the
 page and the figure of the curves are written again from what is there.
+
+`--train RUNS [NAME ...]` trains first, all seeds of each, as many at once as there are
+processors; runs that are there go on from their checkpoints. `--missing RUNS` says what no
+policy is released of and why, and how many hours all of it takes.
 """
 
 from __future__ import annotations
@@ -12,19 +16,24 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import os
 import shutil
 import sys
+import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+from gymnasium.vector import AutoresetMode
 
+import ves_gym.api as vg
 from ves_gym._util.params import ParameterError, write_bytes, write_text
 from ves_gym.baselines.comparison import ControllerComparison
 from ves_gym.baselines.config import CONFIGS, TrainConfig, read_config
 from ves_gym.baselines.controllers import Controller
-from ves_gym.baselines.evaluate import evaluate
+from ves_gym.baselines.evaluate import evaluate, make_vector
+from ves_gym.baselines.learner import Learner
 from ves_gym.baselines.policy import RELEASED, Policy, load_policy, released
 from ves_gym.baselines.registry import REFERENCES, get_controller
 from ves_gym.envs.registration import IDS
@@ -50,14 +59,75 @@ def task(config: TrainConfig) -> str:
     return config.env.rpartition("/")[2].rpartition("-v")[0]
 
 
+# ------------------------------------------------------------------------ training
+
+
+def train(found: Iterable[TrainConfig], runs: Path, workers: int) -> None:
+    """Train every seed, one configuration after another; what is done stays as it is."""
+    for config in found:
+        print(vg.train(config, folder=runs / config.name, workers=workers, resume=True))
+
+
+def missing(runs: Path) -> str:
+    """A line per policy that is not released, and hours of one core by measured rates."""
+    lines, hours = [], 0.0
+    for name in IDS:
+        found = [config for config in configs() if task(config) == name]
+        lines += [] if found else [f"{name}: no configuration"]
+        for config in found:
+            reason = _reason(config, runs)
+            lines += [f"{config.name}: {reason}"] if reason else []
+            each = _seconds_per_decision(config, runs)
+            hours += each * config.total_timesteps * len(config.seeds) / 3600
+    return "\n".join([*lines, f"all from nothing: {hours:.1f} hours of one core"])
+
+
+def _reason(config: TrainConfig, runs: Path) -> str:
+    """Why no policy of a configuration is released, empty if one is."""
+    total = config.total_timesteps
+    if (PLACE / f"{config.name}.json").exists() and config.label in released(config.env):
+        kept = min(map(_decisions, _curves(config, PLACE)))
+        return "" if kept >= total else f"released with {kept:,} of {total:,} decisions"
+    done = [_decisions(path) for path in _curves(config, runs)]
+    if min(done) < total:
+        return f"seeds are at {', '.join(f'{k:,}' for k in done)} of {total:,} decisions"
+    return f"trained, not released: python scripts/training.py {runs} {config.name}"
+
+
+def _curves(config: TrainConfig, folder: Path) -> list[Path]:
+    """Files of the curves, of runs or as committed."""
+    inside = "seed-{}.jsonl" if folder == PLACE else "seed-{}/curve.jsonl"
+    return [folder / config.name / inside.format(seed) for seed in config.seeds]
+
+
+def _decisions(path: Path) -> int:
+    """So many has a run taken, by its curve."""
+    return int(read_curve(path)[-1]["steps"]) if path.exists() else 0
+
+
+def _seconds_per_decision(config: TrainConfig, runs: Path) -> float:
+    """Least of all seeds' curves; where there is none, what one iteration takes."""
+    every = [path for folder in (runs, PLACE) for path in _curves(config, folder)]
+    ends = [read_curve(path)[-1] for path in every if path.exists()]
+    rates = [end["seconds"] / end["steps"] for end in ends if end["steps"]]
+    if rates:
+        return float(min(rates))
+    env = make_vector(
+        config.env, config.n_envs, AutoresetMode.SAME_STEP, threads=1, **config.settings
+    )
+    learner, begin = Learner(config, 0, env), time.process_time()
+    learner.learn(1, lambda: None)
+    env.close()
+    return (time.process_time() - begin) / learner.steps
+
+
 # ------------------------------------------------------------------------- release
 
 
 def release(config: TrainConfig, runs: Path) -> None:
     """Curves and the best policy of a finished run."""
     curves = {}
-    for seed in config.seeds:
-        path = runs / config.name / f"seed-{seed}" / "curve.jsonl"
+    for seed, path in zip(config.seeds, _curves(config, runs), strict=True):
         curves[seed] = rows = read_curve(path)
         if rows[-1]["steps"] < config.total_timesteps:
             raise ParameterError(f"{path}: {rows[-1]['steps']} steps: not finished")
@@ -198,8 +268,7 @@ def draw_curves(found: Sequence[TrainConfig]) -> None:
 
 def curves(config: TrainConfig) -> dict[int, list[dict[str, Any]]]:
     """Committed learning curves by seed."""
-    folder = PLACE / config.name
-    return {seed: read_curve(folder / f"seed-{seed}.jsonl") for seed in config.seeds}
+    return dict(zip(config.seeds, map(read_curve, _curves(config, PLACE)), strict=True))
 
 
 def results(config: TrainConfig) -> dict[str, Any]:
@@ -275,6 +344,14 @@ def _value(e: dict[str, Any] | None) -> str:
 
 def main(words: Sequence[str]) -> None:
     """See the module's docstring."""
+    if words and words[0] == "--missing":
+        print(missing(Path(words[1])))
+        return
+    if words and words[0] == "--train":
+        words = words[1:]
+        chosen = [c for c in configs() if c.name in (words[1:] or [c.name])]
+        train(chosen, Path(words[0]), os.cpu_count() or 1)
+        return
     for config in configs() if words else ():
         if words[1:] and config.name not in words[1:]:
             continue

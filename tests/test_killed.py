@@ -57,9 +57,30 @@ methods = [
     { name = "PPO", policy = "ppo" },
 ]
 """
+IMITATION = """
+env = "ves/PumaReach-v0"
+algorithm = "DAgger"
+imitate = "closing"
+total_timesteps = 800
+n_envs = 8
+hold = 2
+seeds = [0, 1]
+layers = [8, 8]
+eval_episodes = 4
+settings = { duration = 0.5, hold = 0.1, control = "joint_velocity" }
+imitation = { rounds = 5, batch_size = 64 }
+"""
+ZOO = """
+from pathlib import Path
+from scripts import training
+
+training.CONFIGS = Path("zoo")
+training.main(["--train", "out"])
+"""
 COMMANDS = {
     "sweep": ("sweep", "sweep.toml", "--workers", "2", "--out", "out"),
     "train": ("train", "mine.toml", "--resume", "--workers", "2", "--out", "out"),
+    "zoo": ("-c", ZOO),  # every configuration of a folder
     "matrix": ("matrix", "matrix.toml", "--workers", "2", "--out", "out"),
     "diagnose": (
         "diagnose",
@@ -79,7 +100,7 @@ ABOUT = "about"  # folder of a sweep: when, where and how long
 def started(words, folder):
     """The command as a process, in a folder."""
     return subprocess.Popen(
-        [sys.executable, "-m", "ves_gym.cli.main", *words],
+        [sys.executable, *(words if words[0] == "-c" else ("-m", "ves_gym.cli.main", *words))],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         stdout=subprocess.PIPE,
@@ -113,6 +134,9 @@ def desk(tmp_path_factory):
     (folder / "sweep.toml").write_text(SWEEP)
     (folder / "mine.toml").write_text(TRAINING)
     (folder / "matrix.toml").write_text(MATRIX)
+    (folder / "zoo").mkdir()
+    (folder / "zoo" / "a.toml").write_text(TRAINING)
+    (folder / "zoo" / "b.toml").write_text(IMITATION)
     for name, goal in (("a", "-10,5,-15"), ("b", "10,-5,15")):
         finished((*LOGS, "--goal", goal, "--log", f"{name}.parquet", "--out", "runs"), folder)
     return folder
