@@ -14,7 +14,8 @@ from tests.diagnosis.conftest import MOVES, SINES
 from tests.diagnosis.logs import told
 from ves_gym._util.params import ParameterError
 from ves_gym.diagnosis import diagnose as d
-from ves_gym.diagnosis.data.measured_run import require_plausible, run_of
+from ves_gym.diagnosis.data.measured_run import run_of
+from ves_gym.diagnosis.data.sanity_checks import require_plausible
 from ves_gym.diagnosis.inference.candidates import library, without
 from ves_gym.diagnosis.inference.explanations import classes, ranked
 from ves_gym.diagnosis.inference.fit import fit

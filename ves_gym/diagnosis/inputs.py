@@ -12,7 +12,8 @@ from typing import Any
 
 from ves_gym._util.params import ParameterError
 from ves_gym.diagnosis.data.drive_gains import with_drive_gains
-from ves_gym.diagnosis.data.measured_run import BAND, Run, require_plausible, run_of
+from ves_gym.diagnosis.data.measured_run import BAND, Run, run_of
+from ves_gym.diagnosis.data.sanity_checks import require_plausible
 from ves_gym.diagnosis.inference.cache import digest_of
 from ves_gym.diagnosis.inference.candidates import Candidate, library, without
 from ves_gym.diagnosis.machines.base import Machine
@@ -185,7 +186,12 @@ def _logs(sources: Sequence[Source]) -> tuple[list[Path], list[RunLog]]:
         else:
             paths.append(path)
     _require_distinct(paths)
-    return paths, [in_memory[p] if p in in_memory else RunLog.load(p) for p in paths]
+    logs = [in_memory[p] if p in in_memory else RunLog.load(p) for p in paths]
+    seen: dict[str, Path] = {}
+    for path, log in zip(paths, logs, strict=True):
+        if seen.setdefault(log.digest, path) != path:
+            raise ParameterError(f"{path}: is {seen[log.digest]} again; is it another run's?")
+    return paths, logs
 
 
 def machine_inputs(

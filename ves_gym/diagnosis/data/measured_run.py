@@ -26,7 +26,6 @@ from ves_gym._util.signals import (
 )
 from ves_gym.mechanics.servo import JointServo
 from ves_gym.system.runlog import RunLog
-from ves_gym.system.system import System
 
 T = TypeVar("T")
 BAND = 12.0  # Hz: motion above it is below the noise of differentiated encoders
@@ -35,14 +34,6 @@ NEAR = "near"  # in the memory of noisy copies: that of the run itself
 COMMANDED = ("q_cmd", "v_cmd")  # that a controller is told
 REMEMBERED = 40  # of one kind: both ports of an arm ask, with one friction after another
 _SAME_CLOCK = 1e-3  # relative difference of steps
-_UNITS = (  # signal, what no such machine reaches, unit expected, unit it may be in
-    ("q", 13.0, "rad", "degrees"),
-    ("q_cmd", 13.0, "rad", "degrees"),
-    ("y", 5.0, "m", "millimetres"),
-    ("y", 3.2, "rad", "degrees"),
-    ("y_cmd", 5.0, "m", "millimetres"),
-    ("y_cmd", 3.2, "rad", "degrees"),
-)
 _STILL = 1e-4  # rad/s: noise of a rate that turns no friction round, a hundredth of its creep
 _PER_BAND = 4.0  # samples per period of the band's top that derivatives need
 _SHORTEST = 15.0  # periods of the band's top: in less, slow motion is no more than a slope
@@ -323,9 +314,10 @@ def run_of_signals(
     stacked = np.concatenate(list(signals.values()), axis=1)
     dt, even = on_uniform_clock(t, stacked)
     if 1 / dt < _PER_BAND * band:
+        milli = "; is the clock in ms? s is expected" if 1e3 / dt >= _PER_BAND * band else ""
         raise ParameterError(
             f"{name}: sampled at {1 / dt:.4g} Hz, comparing up to {band:g} Hz needs at least"
-            f" {_PER_BAND * band:g} Hz"
+            f" {_PER_BAND * band:g} Hz{milli}"
         )
     shortest = max(4 * margin(dt, band) * dt, _SHORTEST / band)
     if dt * len(even) < shortest:
@@ -365,31 +357,6 @@ def with_shared_colour(runs: Sequence[Run], like: Sequence[Run]) -> list[Run]:
                 noise[name] = SensorNoiseModel(noise[name].std, np.max(correlations, axis=0))
         out.append(replace(run, noise=noise, memory={}))
     return out
-
-
-def require_plausible(log: RunLog, system: System, name: str) -> None:
-    """Refuse a log that cannot be of this system as it stands, and ask why.
-
-    Raises:
-        ParameterError: another number of joints, gaps in the clock, or numbers so large that
-            they look like another unit.
-    """
-    if log.n_joints != system.arm.n:
-        raise ParameterError(
-            f"{name}: has {log.n_joints} joints, {system.arm.name} has {system.arm.n}"
-        )
-    require_steady(log.t, name)
-    for key, most, expected, suspected in _UNITS:
-        x = getattr(log, key)
-        if x is None:
-            continue
-        columns = x[:, 3:] if expected == "rad" and key.startswith("y") else x
-        columns = x[:, :3] if expected == "m" else columns
-        far = float(np.abs(columns).max())
-        if far > most:
-            raise ParameterError(
-                f"{name}: {key} reaches {far:.4g}; is it in {suspected}? {expected} is expected"
-            )
 
 
 def require_steady(t: Array, name: str) -> None:

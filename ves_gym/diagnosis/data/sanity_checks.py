@@ -10,27 +10,40 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import scipy
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.data.measured_run import Run, require_steady
 from ves_gym.diagnosis.machines.base import WRENCH, Machine, Port, testable
 from ves_gym.mechanics.spatial import AXES
+from ves_gym.system.runlog import RunLog
+from ves_gym.system.system import System
 
 _BAD = 0.5  # of a channel's own movement: a residual that no effect of usual size makes
 _BADLY = {"servo": 0.15}  # where nothing but a controller known to all is between the signals
 _FAR = 0.2  # of it: what is left where a mistake is found
 _GOOD = 0.3  # of a channel's movement: more is no agreement
 _BETTER = {"admittance": 0.1}  # a computer's law on what it logs: it is right, or another is
+_SHIFTED = 0.1  # of a channel's movement: what a late recorder leaves of slow motion
 _SPOILED = 1.2  # of a residual: others may not get worse
 _NOISY = 2.0  # times noise drawn once, which scatters: what is below is no residual
 _MOVING = 0.1  # of the largest movement of its kind
 _HEARD = 3.0  # times the noise that a movement must have
 _LEAST = 0.02  # of a channel's movement: better does not count
-_SLOW = ("joint", "platform")  # ports that take a hundred times as long as others
+_UNITS = (  # signal, what no such machine reaches, unit expected, unit it may be in
+    ("q", 13.0, "rad", "degrees"),
+    ("q_cmd", 13.0, "rad", "degrees"),
+    ("y", 5.0, "m", "millimetres"),
+    ("y", 3.2, "rad", "degrees"),
+    ("y_cmd", 5.0, "m", "millimetres"),
+    ("y_cmd", 3.2, "rad", "degrees"),
+)
+_TURNED = 0.5  # rad: by which a jump may differ from a turn
+_SLOW = ("joint", "servo", "wrench", "platform")  # ports that take 100 times as long as others
 _LATE = (0.04, 0.5)  # s; what a machine itself is late by is shorter, and an effect
 _RECORDED = (  # signals that one recorder reads, and their name
     (("q", "v"), "q"),
@@ -67,6 +80,40 @@ _TOGETHER = (  # signals that one cable or one file mixes up together, and their
 Change = Callable[[Run], Mapping[str, Array]]
 
 
+def require_plausible(log: RunLog, system: System, name: str) -> None:
+    """Refuse a log that cannot be of this system as it stands, and ask why.
+
+    Raises:
+        ParameterError: another number of joints, gaps in the clock, or numbers so large that
+            they look like another unit.
+    """
+    if log.n_joints != system.arm.n:
+        raise ParameterError(
+            f"{name}: has {log.n_joints} joints, {system.arm.name} has {system.arm.n}"
+        )
+    require_steady(log.t, name)
+    for key, most, expected, suspected in _UNITS:
+        x = getattr(log, key)
+        if x is None:
+            continue
+        columns = x[:, 3:] if expected == "rad" and key.startswith("y") else x
+        columns = x[:, :3] if expected == "m" else columns
+        far = float(np.abs(columns).max())
+        if far > most:
+            raise ParameterError(
+                f"{name}: {key} reaches {far:.4g}; is it in {suspected}? {expected} is expected"
+            )
+    for key in ("q", "q_cmd"):
+        x = getattr(log, key)
+        jumps = np.zeros((1, 1)) if x is None else np.abs(np.diff(x, axis=0))
+        row, i = np.unravel_index(np.argmax(jumps), jumps.shape)
+        if abs(jumps[row, i] - 2 * np.pi) < _TURNED:
+            raise ParameterError(
+                f"{name}: row {row + 2}: {key}_{i + 1} jumps by {jumps[row, i]:.3g} rad; is it"
+                " wrapped into a turn? angles that go on are expected"
+            )
+
+
 @dataclass(frozen=True)
 class Question:
     """A mistake that would explain a run."""
@@ -91,9 +138,10 @@ class Question:
 @dataclass(frozen=True)
 class _Mistake:
     text: str
-    signals: frozenset[str]  # that it changes; none where it is in the description
+    signals: frozenset[str] = frozenset()  # that it changes; none: it is in the description
     change: Change | None = None
     machine: Machine | None = None
+    late: bool = False
 
 
 def require_as_logged(
@@ -126,111 +174,137 @@ def suspected_mistake(
     Returns:
         The question to ask; None where no mistake stands out.
     """
-    ports = testable(machine, [run])
-    every = [p.name for p in ports]
-    signals = {p.name: p.signal for p in ports}
-    tells = {name: _tells(run, signal) for name, signal in signals.items()}
-    noise = _noise(machine, run, ports)
-    current = _sizes(machine, run, every, tells, noise)
-    bad = {name: x > _BADLY.get(name, _BAD) for name, x in current.items()}
-    if not any(flags.any() for flags in bad.values()):
-        return None
-    best: tuple[float, Question] | None = None
-    lags = {abs(_lag(machine, run, p, tells[p.name])) for p in ports}
-    for mistake in (*_mistakes(machine, run, others), *_late(run, lags)):
-        touched = [p for p in ports if not mistake.signals or mistake.signals & set(p.needs)]
-        names = [p.name for p in touched if mistake.signals or bad[p.name].any()]
-        if not any(bad[name].any() for name in names):
-            continue
-        changed = run
-        if mistake.change is not None:
-            changed = run.with_signals(mistake.change(run))
-        revised: dict[str, Array] = {}
-        for name in sorted(names, key=_SLOW.__contains__):  # most are refuted by others
-            revised |= _sizes(mistake.machine or machine, changed, [name], tells, noise)
-            if spoiled := (revised[name] > np.maximum(_SPOILED * current[name], _GOOD)).any():
-                break
-        if spoiled:
-            continue
-        before, after = (
-            np.concatenate([x[name] for name in names]) for x in (current, revised)
-        )
-        worst = np.concatenate([bad[name] for name in names])
-        good = [np.full(len(bad[name]), _BETTER.get(name, _GOOD)) for name in names]
-        # a channel that no longer stands out of its noise would agree with anything
-        heard = np.concatenate([_tells(changed, signals[name]) for name in names])
-        healed = worst & heard & (after < np.minimum(_FAR * before, np.concatenate(good)))
-        if not healed.any():
-            continue
-        gain = float(np.log(np.maximum(before, _LEAST) / np.maximum(after, _LEAST)).sum())
-        if best is None or gain > best[0] + 1e-9:
-            k = int(np.argmax(np.where(healed, before / np.maximum(after, 1e-9), 0.0)))
-            labels = [(p.name, c) for p in touched if p.name in names for c in p.channels]
-            port, channel = labels[k]
-            values = float(before[k]), float(after[k])
-            best = gain, Question(run.name, mistake.text, port, channel, *values)
-    return None if best is None else best[1]
+    look = _Look(machine, run)
+    if dead := look.dead():
+        return dead
+    lags = {abs(look.lag(p)) for p in look.ports}
+    late = list(_late(run, [k for k in lags if k * run.dt >= _LATE[0]]))
+    usual = _mistakes(machine, run, others) if look.disagrees(_BAD) else ()
+    judged = (look.judged(mistake) for mistake in (*usual, *late))
+    return max(filter(None, judged), key=lambda k: k[0], default=(0.0, None))[1]
 
 
-def _noise(machine: Machine, run: Run, ports: Sequence[Port]) -> dict[str, Array]:
-    """Return (c,) per port: size of what noise as logged makes of the residual."""
-    out, logged = {}, replace(run, by_log=True)
-    for port in ports:
-        copy = logged.with_noise(np.random.default_rng(0), 1, port.exact)
-        noisy, plain = (
-            machine.residuals(k, [machine.nominal], [port.name])[port.name][0]
-            for k in (copy, logged)
-        )
-        out[port.name] = np.linalg.norm(run.window.spectrum(noisy[0] - plain)[1:], axis=0)
-    return out
+class _Look:
+    """A run beside its description: what each channel leaves, in parts of its movement."""
 
+    def __init__(self, machine: Machine, run: Run) -> None:
+        self.machine, self.run = machine, replace(run, by_log=True)
+        # a torque logged in another unit must not be told by what the controller asked
+        self.ports = testable(machine, [run])
+        self.heard = {p.name: _tells(run, p.signal) for p in self.ports}
+        self._noise = {p.name: self._of_noise(p) for p in self.ports}
+        self.logged = {p.name: self.size(p, machine, self.run) for p in self.ports}
 
-def _sizes(
-    machine: Machine,
-    run: Run,
-    ports: Sequence[str],
-    tells: Mapping[str, Array],
-    noise: Mapping[str, Array],
-) -> dict[str, Array]:
-    """Return (c,) per port: size of the residual beyond its noise, over that of the channel's
-    movement; 0 where a channel does not tell anything."""
-    # a torque logged in another unit must not be told by what the controller asked
-    residuals = machine.residuals(replace(run, by_log=True), [machine.nominal], ports)
-    logged_as = {p.name: p.signal for p in machine.ports}
-    out = {}
-    for name in ports:
-        residual_size, signal_size = (
+    def _of_noise(self, port: Port) -> Array:
+        """Size (c,) of what noise as logged makes of a residual."""
+        copy = self.run.with_noise(np.random.default_rng(0), 1, port.exact)
+        noisy, plain = (self._residual(port, self.machine, k) for k in (copy, self.run))
+        return np.linalg.norm(self.run.window.spectrum(noisy[0] - plain)[1:], axis=0)
+
+    def _residual(self, port: Port, machine: Machine, run: Run) -> Array:
+        return machine.residuals(run, [machine.nominal], [port.name])[port.name][0]
+
+    def size(self, port: Port, machine: Machine, run: Run) -> Array:
+        """Return (c,) size of the residual beyond its noise, over that of the movement.
+
+        It is 0 where a channel does not tell anything.
+        """
+        residual, signal = (
             np.linalg.norm(run.window.spectrum(x)[1:], axis=0)
-            for x in (residuals[name][0], _logged(run, logged_as[name]))
+            for x in (self._residual(port, machine, run), _logged(run, port.signal))
         )
-        beyond = np.sqrt(np.maximum(residual_size**2 - (_NOISY * noise[name]) ** 2, 0.0))
-        size = np.where(np.isfinite(beyond), beyond, np.inf) / np.maximum(signal_size, 1e-300)
-        out[name] = np.where(tells[name], size, 0.0)
-    return out
+        noise = _NOISY * self._noise[port.name]
+        beyond = np.sqrt(np.maximum(residual**2 - noise**2, 0.0))
+        size = np.where(np.isfinite(beyond), beyond, np.inf) / np.maximum(signal, 1e-300)
+        return np.where(self.heard[port.name], size, 0.0)
 
+    def disagrees(self, least: float) -> bool:
+        """Return True if a channel leaves more than a part of its movement, or a port's own."""
+        return any((x > _BADLY.get(k, least)).any() for k, x in self.logged.items())
 
-def _lag(machine: Machine, run: Run, port: Port, tells: Array) -> int:
-    """Return the samples by which a port's signal comes after what it is predicted to be."""
-    residual = machine.residuals(replace(run, by_log=True), [machine.nominal], [port.name])
-    x = _logged(run, port.signal)
-    most = min(round(_LATE[1] / run.dt), run.length // 4)
-    likeness = np.zeros(2 * most + 1)
-    for signal, left in zip(x.T[tells], residual[port.name][0].T[tells], strict=True):
-        a, b = (k - k.mean() for k in (signal, signal - left))
-        full = scipy.signal.correlate(a, b) / (np.linalg.norm(a) * np.linalg.norm(b) + 1e-300)
-        likeness += full[len(b) - 1 - most : len(b) + most]
-    return int(np.argmax(likeness)) - most
+    def dead(self) -> Question | None:
+        """Return the channel that stands still to the last digit where it must move."""
+        run, left = (
+            self.run,
+            {p.name: self._residual(p, self.machine, self.run) for p in self.ports},
+        )
+        for port in self.ports:
+            for signal in {port.signal} | ({"q"} if port.name == "velocity" else set()):
+                x, residual = _logged(run, signal), left[port.name]
+                size, moved = (
+                    np.linalg.norm(run.window.spectrum(k)[1:], axis=0)
+                    for k in (residual, _logged(run, port.signal))
+                )
+                still = np.ptp(x, axis=0) <= 1e-12 * np.abs(x).max()
+                still &= size > np.maximum(
+                    _MOVING * moved.max(), _NOISY * self._noise[port.name]
+                )
+                for i in np.flatnonzero(still):
+                    channel = port.channels[i]
+                    axis = channel if signal in _OF_A_BODY else str(i + 1)
+                    label = f"{signal} {axis}" if signal in _OF_A_BODY else f"{signal}_{axis}"
+                    text = f"is {label} dead, {x[0, i]:g} all the time"
+                    return Question(run.name, text, port.name, channel, 1.0, 0.0)
+        return None
+
+    def lag(self, port: Port) -> int:
+        """Return the samples by which a port's signal comes after what is predicted."""
+        run, heard = self.run, self.heard[port.name]
+        x, residual = _logged(run, port.signal), self._residual(port, self.machine, run)
+        most = min(round(_LATE[1] / run.dt), run.length // 4)
+        likeness, ones = np.zeros(2 * most + 1), np.ones(run.length)
+        inner = slice(run.length - 1 - most, run.length + most)
+        for signal, left in zip(x.T[heard], residual.T[heard], strict=True):
+            a, b = (k - k.mean() for k in (signal, signal - left))
+            shared, *sizes = (
+                scipy.signal.correlate(*k)[inner] for k in ((a, b), (a**2, ones), (ones, b**2))
+            )
+            likeness += shared / np.sqrt(np.maximum(sizes[0] * sizes[1], 1e-300))
+        return int(np.argmax(likeness)) - most
+
+    def judged(self, mistake: _Mistake) -> tuple[float, Question] | None:
+        """Return how much better a run is without a mistake, and the question, if it is."""
+        badly = {} if mistake.late else _BADLY
+        least = _SHIFTED if mistake.late else _BAD
+        bad = {k: x > badly.get(k, least) for k, x in self.logged.items()}
+        keys = mistake.signals
+        touched = [
+            p for p in self.ports if (keys & set(p.needs) if keys else bad[p.name].any())
+        ]
+        # most are refuted by ports that take no time
+        touched.sort(key=lambda p: (p.name in _SLOW, not bad[p.name].any()))
+        run = self.run
+        if mistake.change is not None and any(bad[p.name].any() for p in touched):
+            run = run.with_signals(mistake.change(run))
+        gain, best, question = 0.0, 1.0, None
+        for i, port in enumerate(touched):
+            name, before = port.name, self.logged[port.name]
+            if not question and not any(bad[p.name].any() for p in touched[i:]):
+                return None
+            after = self.size(port, mistake.machine or self.machine, run)
+            allowed = _LEAST if mistake.late else _GOOD
+            if (after > np.maximum(_SPOILED * before, allowed)).any():
+                return None
+            # a channel that no longer stands out of its noise would agree with anything
+            better = after < np.minimum(_FAR * before, _BETTER.get(name, _GOOD))
+            healed = np.logical_and.reduce([bad[name], _tells(run, port.signal), better])
+            ratio = np.maximum(before, _LEAST) / np.maximum(after, _LEAST)
+            gain += float(np.log(ratio).sum())
+            for k in np.flatnonzero(healed):
+                value = float(before[k] / max(after[k], 1e-9))
+                if question is None or value > best:
+                    at = (mistake.text, name, port.channels[k], float(before[k]))
+                    best, question = value, Question(self.run.name, *at, float(after[k]))
+        return (gain, question) if question else None
 
 
 def _late(run: Run, lags: Collection[int]) -> Iterator[_Mistake]:
     """Yield each recorder that may be as late, or as early, as a port's signal seems to be."""
     for (keys, name), lag in itertools.product(_RECORDED, sorted(lags)):
         have = tuple(k for k in keys if k in run)
-        if not have or lag * run.dt < _LATE[0]:
-            continue
-        late = f"is {name} {1e3 * lag * run.dt:.3g} ms late"
-        yield _Mistake(late, frozenset(have), _put_off(have, lag))
-        yield _Mistake(late.replace("late", "early"), frozenset(have), _put_off(have, -lag))
+        for word, way in (("late", lag), ("early", -lag)) if have else ():
+            text = f"is {name} {1e3 * lag * run.dt:.3g} ms {word}"
+            yield _Mistake(text, frozenset(have), _put_off(have, way), late=True)
 
 
 def _put_off(keys: tuple[str, ...], lag: int) -> Change:
@@ -264,47 +338,44 @@ def _mistakes(
     machine: Machine, run: Run, others: Sequence[tuple[str, Machine]]
 ) -> Iterator[_Mistake]:
     for text, other in others:
-        yield _Mistake(text, frozenset(), machine=other)
+        yield _Mistake(text, machine=other)
+    for pairs in ((("q", "q_cmd"), ("v", "v_cmd")), (("y", "y_cmd"),)):
+        if all(a in run and b in run for a, b in pairs):
+            ways = {a: b for pair in pairs for a, b in (pair, pair[::-1])}
+            text = f"are {pairs[0][0]} and {pairs[0][1]} exchanged"
+            yield _Mistake(text, frozenset(ways), partial(_exchanged, ways))
     n = run["q"].shape[1] if "q" in run else 0
     for keys, name in _TOGETHER:
         have = tuple(k for k in keys if k in run)
-        if not have or (name != "joint" and name not in have):
-            continue
         all_joints = name == "joint"
+        if not have or not (all_joints or name in have):
+            continue
         labels = [f"joint {i + 1}" if all_joints else f"{name}_{i + 1}" for i in range(n)]
         yield from _orders(have, labels, [range(n)])
-        units = (
-            _TORQUE + _FORCE[:2] if name == "tau" else () if all_joints else _ANGLE + _LENGTH
-        )
-        for factor, wording in units:
-            yield _scaled(have, slice(None), factor, f"is {name} in {wording}")
-            for i in range(n) if n > 1 else ():
-                yield _scaled(have, slice(i, i + 1), factor, f"is {labels[i]} in {wording}")
+        units = _TORQUE + _FORCE[:2] if name == "tau" else _ANGLE + _LENGTH
+        yield from _units(have, slice(None), f"is {name}", () if all_joints else units)
+        for i in range(n) if n > 1 and not all_joints else ():
+            yield from _units(have, slice(i, i + 1), f"is {labels[i]}", units)
     angles = tuple(k for k in _JOINT[:4] if k in run)
-    for factor, wording in _ANGLE if angles else ():
-        yield _scaled(angles, slice(None), factor, f"are all joint angles in {wording}")
+    yield from _units(angles, slice(None), "are all joint angles", _ANGLE if angles else ())
+    first, last = slice(0, 3), slice(3, 6)
     for keys, name in ((("y",), "y"), (("y_cmd",), "y_cmd"), (("y", "y_cmd"), "y and y_cmd")):
-        if not all(k in run for k in keys):
-            continue
-        yield from _orders(keys, [f"{name} {a}" for a in AXES], [range(3), range(3, 6)])
-        for factor, wording in _LENGTH:
-            yield _scaled(keys, slice(0, 3), factor, f"is the position in {name} in {wording}")
-        for factor, wording in _ANGLE:
-            yield _scaled(keys, slice(3, 6), factor, f"are the angles in {name} in {wording}")
-    for keys, name in ((("w",), "w"), (("wg",), "wg"), (("w", "wg"), "w and wg")):
-        if "w" not in run or ("wg" in keys and "weight" not in run):
-            continue
-        yield from _orders(keys, [f"{name} {a}" for a in WRENCH], [range(3), range(3, 6)])
-        swapped = [3, 4, 5, 0, 1, 2]
-        yield _Mistake(
-            f"are forces and moments of {name} exchanged",
-            _changed(keys),
-            _picked(keys, np.eye(6)[swapped]),
-        )
-        for factor, wording in _FORCE:
-            yield _scaled(keys, slice(0, 3), factor, f"are the forces in {name} in {wording}")
-        for factor, wording in _TORQUE:
-            yield _scaled(keys, slice(3, 6), factor, f"are the moments in {name} in {wording}")
+        if all(k in run for k in keys):
+            yield from _orders(keys, [f"{name} {a}" for a in AXES], [range(3), range(3, 6)])
+            yield from _units(keys, first, f"is the position in {name}", _LENGTH)
+            yield from _units(keys, last, f"are the angles in {name}", _ANGLE)
+    for keys, name in ((("w", "wg"), "w and wg"), (("w",), "w"), (("wg",), "wg")):
+        if "w" in run and ("wg" not in keys or "weight" in run):
+            yield from _orders(keys, [f"{name} {a}" for a in WRENCH], [range(3), range(3, 6)])
+            halves = _picked(keys, np.eye(6)[[3, 4, 5, 0, 1, 2]])
+            text = f"are forces and moments of {name} exchanged"
+            yield _Mistake(text, _changed(keys), halves)
+            yield from _units(keys, first, f"are the forces in {name}", _FORCE)
+            yield from _units(keys, last, f"are the moments in {name}", _TORQUE)
+
+
+def _exchanged(ways: Mapping[str, str], run: Run) -> dict[str, Array]:
+    return {a: run[b] for a, b in ways.items()}
 
 
 def _orders(
@@ -324,14 +395,18 @@ def _orders(
             yield _Mistake(text, _changed(keys), _picked(keys, order))
 
 
-def _scaled(keys: tuple[str, ...], part: slice, factor: float, text: str) -> _Mistake:
-    def change(run: Run) -> dict[str, Array]:
-        width = _logged(run, keys[0]).shape[-1]
-        scale = np.ones(width)
+def _units(
+    keys: tuple[str, ...], part: slice, what: str, units: Sequence[tuple[float, str]]
+) -> Iterator[_Mistake]:
+    """Yield some channels in each of other units."""
+
+    def change(factor: float, run: Run) -> Mapping[str, Array]:
+        scale = np.ones(_logged(run, keys[0]).shape[-1])
         scale[part] = factor
         return _picked(keys, np.diag(scale))(run)
 
-    return _Mistake(text, _changed(keys), change)
+    for factor, wording in units:
+        yield _Mistake(f"{what} in {wording}", _changed(keys), partial(change, factor))
 
 
 def _picked(keys: tuple[str, ...], matrix: Array) -> Callable[[Run], dict[str, Array]]:

@@ -40,6 +40,7 @@ _COM, _FRICTION, _OFFSET = 1.2e-4, 0.03, 0.018  # m; N m; N, N m
 _WEIGHT, _MOMENT = 0.03, 0.006  # kg, kg m, of the weight estimate
 _INNER, _RESIDUAL = (8.0, 8.5, 9.5), 0.7  # Hz, kg: modes that the vehicle's model leaves out
 _BASE, _LOSS = 0.0012, 0.006  # relative, of the base's mass and stiffness; of its damping
+_BIAS = 50.0  # N, N m: an effect's bound, which an arm described in grams would pass
 _SEEN = 24.0  # Hz: twice the band, below which inner modes show
 
 
@@ -186,7 +187,8 @@ def _of_the_laboratory(
         error = np.zeros((6, 6))
         error[i, i] = 0.01
         gain = SensorCalibration(error=tuple(map(tuple, error.tolist())))
-        zero = SensorBias(**six(-0.01 * float(resting[i])))  # it was zeroed under the arm
+        off = float(np.clip(-0.01 * resting[i], -_BIAS, _BIAS))  # it was zeroed under the arm
+        zero = SensorBias(**six(off))
         yield effect(f"gain of {axis}", "wrench", 0.01, GAIN, gain, zero)
     yield effect("sensor filter", "wrench", 0.01, _FILTER, SensorLag(error=0.01))
     if system.emulator_settings.operation == "microgravity":
