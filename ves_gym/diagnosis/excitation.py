@@ -78,13 +78,10 @@ def excitation_motions(
 def drawn_motion(
     arm: Arm, duration: float, rng: np.random.Generator, brisk: bool = False
 ) -> Motion:
-    """Draw one sequence of moves and rests inside 0.9 of all limits.
+    """Draw one sequence of moves and rests in duration s inside 0.9 of all limits.
 
-    Args:
-        arm: with its limits.
-        duration: [s].
-        rng: of the draw.
-        brisk: short moves, as sharp as the joints allow: they bring out the motors' limits.
+    Where it is `brisk` moves are short and as sharp as the joints allow: they bring out the
+    motors' limits.
     """
     t = _clock(duration)
     q = np.stack([_moves(arm, j, t, rng, brisk) for j in range(arm.n)], axis=1)
@@ -92,13 +89,7 @@ def drawn_motion(
 
 
 def drawn_series(arm: Arm, duration: float, rng: np.random.Generator) -> Motion:
-    """Draw a finite Fourier series per joint inside 0.9 of all limits, from rest to rest.
-
-    Args:
-        arm: with its limits.
-        duration: [s].
-        rng: of the draw.
-    """
+    """Draw a Fourier series per joint inside 0.9 of all limits, from rest to rest."""
     t, half = _clock(duration), (arm.column("q_max") - arm.column("q_min")) / 2
     middle = (arm.column("q_min") + arm.column("q_max")) / 2
     lowest = rng.uniform(*_LOWEST)
@@ -118,13 +109,7 @@ def _clock(duration: float) -> Array:
 def within_limits(
     arm: Arm, q: Array, duration: float, controls_per_second: int = _CONTROLS
 ) -> Motion:
-    """Return the motion through angles, made smaller until it keeps 0.9 of all limits.
-
-    Args:
-        arm: with its limits.
-        q: (N, n) angles at even times [rad].
-        duration: [s].
-        controls_per_second: of the motion.
+    """Return the motion through angles (N, n), made smaller until it keeps 0.9 of all limits.
 
     Raises:
         ParameterError: no size keeps them.

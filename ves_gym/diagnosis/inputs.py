@@ -201,13 +201,9 @@ def machine_inputs(
     final: int | None = None,
     leave_out: Sequence[str] = (),
 ) -> DiagnosisInputs:
-    """Take runs of a machine that says itself which candidates it has.
+    """Take runs of a machine that says itself which `candidates()` it has.
 
-    Args:
-        machine: with `candidates()`, such as a `MjcfMachine`.
-        runs: as its loader reads them.
-        final: how many of the last runs to hold back; default the last third.
-        leave_out: kinds of effects.
+    The last `final` are held back, default the last third.
 
     Raises:
         ParameterError: no candidates, or no run is left to fit.

@@ -25,10 +25,7 @@ def with_drive_gains(
 ) -> tuple[list[Run], list[str]]:
     """Return runs with forces in N m (N), and what was found in words.
 
-    Args:
-        machine: some of its joints with `gain_unknown`.
-        runs: as logged.
-        fitted: indices of the runs in which scales are looked for.
+    Scales of joints with `gain_unknown` are looked for in the runs `fitted`.
 
     Raises:
         ParameterError: a joint whose load does not show in its signal, or no model.

@@ -52,15 +52,7 @@ def cached(
     make: Callable[[], T],
     most: int = REMEMBERED,
 ) -> T:
-    """Return what a run remembers for a key, computed once while among the latest of its kind.
-
-    Args:
-        memory: of the run.
-        kind: of what is remembered.
-        key: that it depends on.
-        make: computes it.
-        most: entries of the kind that stay.
-    """
+    """Return what a run remembers of a kind for a key: the `most` latest are computed once."""
     entries: dict[Any, T] = memory.setdefault(kind, {})
     if key not in entries:
         entries[key] = make()
@@ -134,11 +126,7 @@ class Run:
         return self.joints_ahead(0.0)
 
     def joints_ahead(self, ahead: float) -> Kinematics:
-        """Motion of the joints, from angles and rates as measured.
-
-        Args:
-            ahead: they are of this much later [s].
-        """
+        """Motion of the joints from angles and rates as measured, `ahead` s later."""
         if self.crossover is None:
             return Kinematics(*differentiated(self["q"], self.dt, self.band, ahead))
         q, v = self["q"], self["v"]
@@ -147,11 +135,7 @@ class Run:
         )
 
     def noise_of_angles(self, f: Array) -> Array:
-        """Return the power (K, n) of the noise that the joints' motion has in their angles.
-
-        Args:
-            f: (K,) frequencies [Hz].
-        """
+        """Return the power (K, n) of noise in the joints' angles at f (K,) Hz."""
         power = noise_power(self.noise["q"], f, self.dt)
         for signals, late in self.jitter.items():
             if "q" in signals:
@@ -185,11 +169,7 @@ class Run:
     ) -> T:
         """Return what follows from some signals alone, computed once.
 
-        Args:
-            name: of the quantity.
-            signals: names.
-            make: computes it.
-            near: noise hardly moves it: a noisy copy takes that of the run itself.
+        Where it is `near`, noise hardly moves it: a noisy copy takes that of the run itself.
         """
         key = Derived(name, frozenset(signals))
         original = self.memory.get(NEAR, {}) if near else {}
@@ -199,11 +179,7 @@ class Run:
         return out
 
     def with_signals(self, changes: Mapping[str, Array]) -> Run:
-        """Return the run with other values of some signals; what others lead to is kept.
-
-        Args:
-            changes: (..., T, c) by name.
-        """
+        """Return the run with other signals (..., T, c); what the rest leads to is kept."""
         memory = {
             key: value
             for key, value in self.memory.items()
@@ -227,11 +203,8 @@ class Run:
     ) -> Run:
         """Return the run n times, each with another draw of its noise on top: (n, T, c).
 
-        Args:
-            rng: of the draws.
-            n: number of copies.
-            exact: signals that the part in question was really given, as the log has them.
-            sensors, jitter: noise of the sensors; of instants, common to a recorder's signals.
+        Signals that are `exact` were really given as the log has them. Jitter is that of
+        instants, common to the signals of a recorder.
         """
         noisy = {k: np.broadcast_to(x, (n, *x.shape)) for k, x in self.signals.items()}
         inexact = [k for k in noisy if k not in exact]
@@ -254,15 +227,10 @@ def _rms(x: Array) -> Array:
 
 
 def run_of(log: RunLog, name: str, band: float = BAND) -> Run:
-    """Return a log on an even clock.
+    """Return a log as a run called `name`, on an even clock, compared up to `band` Hz.
 
     Noise is the metadata's `noise_std` where stated, else estimated from the signal; its colour
     is always estimated.
-
-    Args:
-        log: run log.
-        name: of the run, in messages and results.
-        band: frequencies compared reach up to it [Hz].
 
     Raises:
         ParameterError: too short, or sampled too slowly for the band.
@@ -338,14 +306,10 @@ def run_of_signals(
 
 
 def with_shared_colour(runs: Sequence[Run], like: Sequence[Run]) -> list[Run]:
-    """Return runs in which noise of a stated size has the colour that all runs tell together.
+    """Return runs whose noise of a stated size has the colour that runs `like` them tell.
 
     Colour is a sensor's, not a run's, and whatever moves fast makes noise look whiter: the run
     in which the least does tells it.
-
-    Args:
-        runs: to return.
-        like: runs that tell the colour, of the same sensors on the same clock.
     """
     out = []
     for run in runs:

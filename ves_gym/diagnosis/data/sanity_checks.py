@@ -149,9 +149,6 @@ def require_as_logged(
 ) -> None:
     """Refuse runs that a mistake would explain far better, as a question.
 
-    Args:
-        others: mistakes in the description: what they are, and the machine without.
-
     Raises:
         ParameterError: the question.
     """
@@ -164,15 +161,9 @@ def require_as_logged(
 def suspected_mistake(
     machine: Machine, run: Run, others: Sequence[tuple[str, Machine]] = ()
 ) -> Question | None:
-    """Return the mistake that explains a run best, if it does so far better than none.
+    """Return the question about what explains a run best, if it does so far better.
 
-    Args:
-        machine: the description.
-        run: as logged.
-        others: usual mistakes in the description: wording, and the machine without it.
-
-    Returns:
-        The question to ask; None where no mistake stands out.
+    `others` are usual mistakes in the description: wording, and the machine without it.
     """
     look = _Look(machine, run)
     if dead := look.dead():

@@ -52,12 +52,9 @@ class ClockError:
 def clock_errors(
     run: Run, tolerance: ClockTolerance, emulated: bool
 ) -> Iterator[tuple[str, ClockError, float]]:
-    """Yield name, error and usual size of each; of an error in units of itself.
+    """Yield name, error and usual size of each, in units of the error itself.
 
-    Args:
-        run: measured.
-        tolerance: of the clocks.
-        emulated: the force sensor's amplifier is the loop's own.
+    On Earth (`emulated`) the force sensor's amplifier is the loop's own.
     """
     recorders = {"robot": ROBOT, "tracker": TRACKER}
     if not emulated:

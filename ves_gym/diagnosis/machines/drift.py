@@ -47,19 +47,12 @@ class SlowPath:
 
 
 def courses(run: Run, drift: Array, time: float) -> list[tuple[SlowPath, float]]:
-    """Return independent courses that a drift of known size may take in a run.
+    """Return independent courses of a drift in a run, of unit size, and their deviations.
 
     The axes of its covariance (Karhunen and Loeve): any course of the drift is a sum of them,
     each by a normal number of its own. The sensor may be warm, so that the level is as unknown
-    as at any other time.
-
-    Args:
-        run: which takes its course.
-        drift: (6,) standard deviation of the sensor's signals [N, N m]; 0 without drift.
-        time: correlation time [s].
-
-    Returns:
-        Each course as one of unit size, and its standard deviation.
+    as at any other time. `drift` (6,) is the standard deviation of the sensor's signals
+    [N, N m], `time` its correlation time [s].
     """
     t = (np.arange(_INSTANTS) + 0.5) / _INSTANTS
     waves = np.cos(np.pi * np.arange(WAVES) * t[:, None])

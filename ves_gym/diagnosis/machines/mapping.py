@@ -15,11 +15,7 @@ from ves_gym.diagnosis.machines.residual_mapping import residual_machine_of
 
 
 def read_machine(path: str | os.PathLike[str], band: float | None = None) -> tuple[Any, Loader]:
-    """Return machine and loader of its data files from a mapping file (.toml, .json).
-
-    Args:
-        path: of the mapping file.
-        band: Hz, in place of the file's.
+    """Return machine and loader of its data, up to `band` Hz, from a mapping file.
 
     Raises:
         ParameterError: naming file and key.

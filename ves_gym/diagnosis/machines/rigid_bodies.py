@@ -60,11 +60,7 @@ class RigidBodies(Protocol):
 
 
 class MjcfBodies:
-    """Bodies of a compiled MJCF model.
-
-    Args:
-        model: of exactly these joints.
-        joints: names and types ("hinge", "slide"), in the order of the columns.
+    """Bodies of a compiled MJCF model of exactly these joints, names and types.
 
     Raises:
         ParameterError: joints that the model lacks, has besides, or has of another type.
@@ -125,10 +121,10 @@ class MjcfBodies:
 
 
 class UrdfBodies:
-    """Bodies of a URDF file, its fixed joints merged.
+    """Bodies of a URDF file, its fixed joints merged; meshes need not be there.
 
     Args:
-        path: the file; meshes need not be there.
+        path: the file.
         joints: names and types ("hinge", "slide"), in the order of the columns.
         locked: joints that stand still at zero.
 
@@ -219,16 +215,10 @@ class UrdfBodies:
 
 
 def visible_parameters(bodies: RigidBodies, n: int) -> tuple[list[int], Array]:
-    """Return which of `PARAMETERS` of a payload the forces at the joints can tell, in order.
+    """Return which k of `PARAMETERS` of a payload the forces at n joints can tell, in order.
 
-    A parameter that does the same as those before it is left out.
-
-    Args:
-        bodies: of the machine.
-        n: joints.
-
-    Returns:
-        Their k places, and (k, 10) what each shows of all ten, those left out included.
+    One that does the same as those before it is left out. Beside them, (k, 10), what each shows
+    of all ten, those left out included.
     """
     q, v, a = np.random.default_rng(0).normal(size=(3, 40, n))
     columns = bodies.payload(q, v, a).reshape(-1, 10)

@@ -234,55 +234,38 @@ class SystemMachine:
         Clocks that are not in step; in the laboratory the course of a described drift of the
         force sensor; in space how the vehicle's internal modes moved when the run began.
         """
-        return (*self._clocks(run), *self._courses(run))
+        system, emulated, out = self.system, self.system.mode == "emulated", list[Nuisance]()
 
-    def _clocks(self, run: Run) -> Iterator[Nuisance]:
-        emulated = self.system.mode == "emulated"
+        def unknown(
+            name: str, ports: tuple[str, ...], size: float, scales: bool = False, **of: Any
+        ) -> None:
+            variant = SystemVariant(system, **of)
+            out.append(Nuisance(name, ports, variant, 1.0, float(size), scales))
+
         for name, error, std in clock_errors(run, self._stated.clocks, emulated):
             ports = tuple(p.name for p in self.ports if set(error.signals) & set(p.needs))
-            variant = SystemVariant(self.system, clock=error)
-            yield Nuisance(f"{name} in {run.name}", ports, variant, 1.0, std)
-
-    def _courses(self, run: Run) -> tuple[Nuisance, ...]:
-        system = self.system
-        if system.mode != "emulated":
-            return self._inner_starts(run)
-        sensor = system.loop_parameters.sensor
-        return tuple(
-            Nuisance(
-                f"drift of {WRENCH[path.channel]} in {run.name}",
-                ("wrench",),
-                SystemVariant(system, (path,)),
-                1.0,
-                size,
-                scales=False,
-            )
-            for path, size in courses(run, sensor.drift[0], float(sensor.drift_time[0]))
-        )
-
-    def _inner_starts(self, run: Run) -> tuple[Nuisance, ...]:
-        modes = self.system.actual.base.internal
-        if modes is None or "y" not in run or "w" not in run:
-            return ()
-        sizes = np.maximum(inner_sizes(run, modes), 1e-12)
-        return tuple(
-            Nuisance(
-                f"state {i + 1} of the internal modes where {run.name} begins",
-                ("base", "wrench"),
-                SystemVariant(self.system, starts=(InnerStart(run.name, i),)),
-                1.0,
-                float(size),
-                scales=False,
-            )
-            for i, size in enumerate(sizes)
-        )
+            unknown(f"{name} in {run.name}", ports, std, True, clock=error)
+        if emulated:
+            sensor = system.loop_parameters.sensor
+            for path, size in courses(run, sensor.drift[0], float(sensor.drift_time[0])):
+                name = f"drift of {WRENCH[path.channel]} in {run.name}"
+                unknown(name, ("wrench",), size, paths=(path,))
+        elif (modes := system.actual.base.internal) and "y" in run and "w" in run:
+            for i, size in enumerate(np.maximum(inner_sizes(run, modes), 1e-12)):
+                name = f"state {i + 1} of the internal modes where {run.name} begins"
+                unknown(name, ("base", "wrench"), size, starts=(InnerStart(run.name, i),))
+        return tuple(out)
 
     def residuals(
         self, run: Run, models: Sequence[SystemVariant], ports: Sequence[str]
     ) -> dict[str, Array]:
         """Return (m, ..., T, c) per port, as `Machine.residuals`."""
         if any(m.clock is not None for m in models):
-            single = [self._of_clock(run, m, ports) for m in models]
+            stamped = [run if m.clock is None else m.clock.undone(run) for m in models]
+            single = [
+                self.residuals(k, [dataclasses.replace(m, clock=None)], ports)
+                for k, m in zip(stamped, models, strict=True)
+            ]
             return {p: np.concatenate([k[p] for k in single]) for p in ports}
         systems = [m.system for m in models]
         residual_of: dict[str, Callable[[], Any]] = {
@@ -308,14 +291,6 @@ class SystemMachine:
                 if "wrench" in ports:
                     out["wrench"][k] -= self._seen_in_wrench(run, without_modes, force)
         return out
-
-    def _of_clock(
-        self, run: Run, model: SystemVariant, ports: Sequence[str]
-    ) -> dict[str, Array]:
-        if model.clock is None:
-            return self.residuals(run, [model], ports)
-        plain = dataclasses.replace(model, clock=None)
-        return self.residuals(model.clock.undone(run), [plain], ports)
 
     # ------------------------------------------------------------------- arm
 

@@ -18,12 +18,7 @@ _LINE = 1.6e-3  # s, the longest straight line: 0.1 % of a tone of 12 Hz
 
 
 def vehicle_gap(run: Run, base: BaseModel) -> Array:
-    """Return the wrench on a vehicle in space less what moves it (..., T, 6).
-
-    Args:
-        run: with y and w.
-        base: the vehicle.
-    """
+    """Return the wrench on a vehicle in space less what moves it (..., T, 6)."""
     turn, force = along_rates(run)
     y, yd, ydd = run.base
     force = force - (ydd @ base.M.T + yd @ base.D.T + y @ base.K.T)
@@ -37,12 +32,9 @@ def vehicle_gap(run: Run, base: BaseModel) -> Array:
 
 
 def dynamic_stiffness(base: BaseModel, turn: Array, w: Array) -> Array:
-    """Return the force that each motion of a base takes, along its coordinates (K, 6, 6).
+    """Return the force per motion of a base (K, 6, 6) at w (K,) rad/s, without drag.
 
-    Args:
-        base: the vehicle; its drag is left out.
-        turn: (6, 6) from rates of the pose to the twist.
-        w: (K,) rad/s.
+    `turn` (6, 6) makes the twist from rates of the pose.
     """
     s = 1j * w[:, None, None]
     mass = base.M if base.body is None else base.M + turn.T @ base.body.spatial() @ turn
@@ -63,14 +55,7 @@ def _internal(modes: InternalModes, w: Array) -> Array:
 
 
 def along_rates(run: Run) -> tuple[Array, Array]:
-    """Return the map from wrenches to forces along rates, and the measured force.
-
-    Args:
-        run: with y and w.
-
-    Returns:
-        (..., T, 6, 6) and (..., T, 6).
-    """
+    """Return the map (..., T, 6, 6) from wrenches to forces along rates, and the force."""
 
     def make() -> tuple[Array, Array]:
         turn = np.swapaxes(rate_matrix(run.base.x), -1, -2)
@@ -90,12 +75,7 @@ class InnerStart:
     state: int
 
     def force(self, run: Run, base: BaseModel) -> Array:
-        """Return the force (T, 6) of the free decay on the vehicle; zeros in other runs.
-
-        Args:
-            run: with y.
-            base: the vehicle.
-        """
+        """Return the force (T, 6) of the free decay on the vehicle; zeros in other runs."""
         modes, still = base.internal, np.zeros((run["y"].shape[-2], 6))
         if run.name != self.run or modes is None:
             return still
@@ -106,12 +86,7 @@ class InnerStart:
 
 
 def inner_sizes(run: Run, modes: InternalModes) -> Array:
-    """Return (2 m,) root mean squares of the internal modes' states in a run.
-
-    Args:
-        run: with y.
-        modes: of the vehicle.
-    """
+    """Return (2 m,) root mean squares of the internal modes' states in a run."""
     states = _driven(modes, run)
     return np.asarray(np.sqrt(np.mean(states.reshape(-1, *states.shape[-2:])[0] ** 2, axis=0)))
 
@@ -128,12 +103,9 @@ def _driven(modes: InternalModes, run: Run) -> Array:
 
 
 def force_of_states(modes: InternalModes, states: Array, yd: Array) -> Array:
-    """Return the force (..., T, 6) of internal modes on their base.
+    """Return the force (..., T, 6) of m internal modes on a base of rates yd (..., T, 6).
 
-    Args:
-        modes: m of them.
-        states: (..., T, 2 m) their ways against the base, then their rates.
-        yd: (..., T, 6) rates of the base.
+    States (..., T, 2 m) are ways against the base, then their rates.
     """
     m, P, C = modes.m, modes.coupling, modes.damping
     rate = states[..., m:] + yd @ P

@@ -30,14 +30,9 @@ def write_system(
     final: Sequence[Run],
     free: bool = True,
 ) -> DescriptionFiles:
-    """Write a system and prove that the file says what was diagnosed.
+    """Write a better system, and prove that the file says what was diagnosed.
 
-    Args:
-        described, better: systems.
-        folder: of the file.
-        runs, final: what every port plays; the loop as a whole (`free`) plays `final`, or the
-            first of `runs` where none is held back.
-        free: replay the loop, too.
+    Every port plays all runs; the loop as a whole (`free`) `final`, or the first of `runs`.
 
     Raises:
         ParameterError: what is read back plays otherwise.
