@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from ves_gym._util.params import Array, Index
 from ves_gym.baselines.controllers import remember, require_fit, torque_action
 from ves_gym.baselines.resolved import damped_inverse
-from ves_gym.envs.control import Acceleration, Torque
+from ves_gym.envs.control import Acceleration, Torque, guided
 from ves_gym.envs.servicer_capture import ServicerCapture, meeting
 from ves_gym.envs.vector import VesVectorEnv
 from ves_gym.mechanics.attitude import IDENTITY, from_angles, to_matrix
@@ -113,7 +113,7 @@ class Servicer:
         desired = np.concatenate([matvec(back, motion[:, :3]), matvec(back, motion[:, 3:])], 1)
         residual = Y - matvec(moved, s.v[ids])  # what the base does besides the arm's momentum
         v = matvec(damped_inverse(J, _DAMPING), desired - matvec(_lifted(at), residual))
-        self._led[ids] = _quintic(led, q, v, horizon, dt)
+        self._led[ids] = guided(led, q, horizon, dt, v)
 
     def _joint_action(self, env: VesVectorEnv, masses: Masses) -> Array:
         """(n, joints) that give the torque which the wanted motion takes."""
@@ -215,20 +215,3 @@ def _fixture_after(env: VesVectorEnv, ids: Index, time: Array) -> tuple[Array, A
 def _lifted(place: Array) -> Array:
     """(k, 6, 6) from the twist of the base to that of its point at a place (k, 3)."""
     return to_point(np.zeros_like(place), place)
-
-
-def _quintic(led: Array, q: Array, v: Array, time: Array, dt: float) -> Array:
-    """Motion (k, 3, joints) a period later, on the quintic to q, v and no acceleration."""
-    x, xd, xdd = led.swapaxes(0, 1)
-    T = time[:, None]
-    gap = q - x - T * xd - T * T / 2 * xdd
-    slope = T * (v - xd - T * xdd)
-    bend = -T * T * xdd
-    c3 = 10 * gap - 4 * slope + bend / 2
-    c4 = -15 * gap + 7 * slope - bend
-    c5 = 6 * gap - 3 * slope + bend / 2
-    k = dt / T
-    angle = x + dt * xd + dt * dt / 2 * xdd + k**3 * (c3 + k * (c4 + k * c5))
-    rate = xd + dt * xdd + k * k * (3 * c3 + k * (4 * c4 + k * 5 * c5)) / T
-    bent = xdd + k * (6 * c3 + k * (12 * c4 + k * 20 * c5)) / T**2
-    return np.stack([angle, rate, bent], axis=1)

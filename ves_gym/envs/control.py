@@ -178,13 +178,13 @@ class Guided(Control):
 
     def advance(self, s: Moving, action: Array, arm: Arm, dt: float, remaining: Array) -> None:
         periods = np.floor(remaining / dt + 0.5)  # whole periods
-        moved = _guided(s.ref, s.goal[:, : arm.n], np.maximum(periods, 1.0) * dt, dt)
+        moved = guided(s.ref, s.goal[:, : arm.n], np.maximum(periods, 1.0) * dt, dt)
         free = np.where(periods > 2.5, self.jerk, 0.0)[:, None] * action
         s.ref = moved + _pushed(dt) * free[:, None]
 
 
-def _guided(ref: Array, goal: Array, T: Array, dt: float) -> Array:
-    """Return the reference one period on, on the quintic to rest at the goal.
+def guided(ref: Array, goal: Array, T: Array, dt: float, rate: Array | float = 0.0) -> Array:
+    """Return the reference one period on, on the quintic to the goal and no acceleration there.
 
     q(t) = q + v t + a t^2/2 + c3 t^3 + c4 t^4 + c5 t^5.
 
@@ -193,13 +193,14 @@ def _guided(ref: Array, goal: Array, T: Array, dt: float) -> Array:
         goal: (n, joints) angles at the deadline [rad].
         T: (n,) until the deadline [s].
         dt: period [s].
+        rate: (n, joints) at the deadline [rad/s].
 
     Returns:
         (n, 3, joints).
     """
     q, v, a = ref.swapaxes(0, 1)
     T = T[:, None]
-    gap, slope, bend = goal - q - T * (v + T * a / 2), -T * (v + T * a), -T * T * a
+    gap, slope, bend = goal - q - T * (v + T * a / 2), T * (rate - v - T * a), -T * T * a
     c3 = (10 * gap - 4 * slope + bend / 2) / T**3
     c4 = (-15 * gap + 7 * slope - bend) / T**4
     c5 = (6 * gap - 3 * slope + bend / 2) / T**5

@@ -392,11 +392,7 @@ def meeting(s: Scene, joints: int) -> tuple[Array, Array]:
 
 def _angle(s: Scene) -> Array:
     """(n,) angle by which the base has turned since the start [rad]."""
-    turn = rotation(s.y)
-    pairs = ((2, 1), (0, 2), (1, 0))
-    aside = np.stack([turn[:, i, j] - turn[:, j, i] for i, j in pairs], axis=1)
-    along = turn[:, 0, 0] + turn[:, 1, 1] + turn[:, 2, 2] - 1
-    out: Array = np.arctan2(np.linalg.norm(aside, axis=1), along)  # twice sine and cosine
+    out: Array = np.linalg.norm(log(from_matrix(rotation(s.y))), axis=1)
     return out
 
 
