@@ -41,6 +41,7 @@ PPO = TrainConfig(
     hold=2,
     eval_every=400,
     settings=SHORT,
+    curriculum={"tolerance": (0.3, 0.01)},
     layers=(8, 8),
     eval_episodes=4,
     hyperparameters={
@@ -48,12 +49,12 @@ PPO = TrainConfig(
     },
 )  # fmt: skip
 IMITATING = replace(
-    PPO, env="ves/PumaReach-v0", imitate="resolved", frames=3,
+    PPO, env="ves/PumaReach-v0", imitate="resolved", frames=3, curriculum={},
     imitation={"rounds": 3, "batch_size": 64, "recall": 2},
 )  # fmt: skip
 DAGGER = replace(
     PPO, env="ves/PumaReach-v0", algorithm="DAgger", imitate="closing", features="arm",
-    settings={**SHORT, "control": "joint_velocity"}, eval_every=200,
+    settings={**SHORT, "control": "joint_velocity"}, curriculum={}, eval_every=200,
     total_timesteps=8 * 20 * 5, hyperparameters={},
     imitation={"rounds": 5, "batch_size": 64, "batches": 9, "late": 2.0},
 )  # fmt: skip
@@ -122,7 +123,7 @@ def test_a_stopped_run_ends_as_if_it_had_not_been(config, tmp_path):
 def test_the_curve_is_what_evaluate_says(tmp_path):
     config = replace(
         PPO, env="ves/PumaRestToRest-v0", settings={"duration": 0.5, "tail": 0.5}, hold=1,
-        hyperparameters={"n_steps": 16, "batch_size": 64, "n_epochs": 2},
+        curriculum={}, hyperparameters={"n_steps": 16, "batch_size": 64, "n_epochs": 2},
     )  # fmt: skip
     rows = run(config, tmp_path)
     policy = load_policy(tmp_path / "best.json")
@@ -315,6 +316,7 @@ def test_the_learning_rate_falls_linearly():
         ({"imitation": {"rounds": 2}}, "need a controller"),
         ({"algorithm": "DAgger"}, "DAgger need a controller"),
         ({"features": "leg"}, "features must be one of"),
+        ({"curriculum": {"tolerance": [0.0, 0.1]}}, "curriculum must be > 0"),
     ],
 )
 def test_a_bad_configuration_is_refused(changes, message):

@@ -24,6 +24,7 @@ CONFIGS = Path(__file__).parent / "configs"
 GENERAL = "PumaReach-ppo"  # whose hyper-parameters serve where nobody has searched any
 FEATURES, CRITICS = ("", "arm"), ("", "privileged")
 ALGORITHMS = ("PPO", "DAgger")
+_STAGES, _EASIER = 6, 0.6  # steps of a curriculum, and its share of the training
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,8 +32,10 @@ class TrainConfig:
     """A training run.
 
     A step is a decision, held for `hold` control periods of each of `n_envs` environments.
-    `settings` go to the environment (see `envs.build_task`), `hyperparameters` are the fields
-    of `ppo.Settings`; the learning rate falls linearly to `final_rate` of itself. Where the
+    `settings` go to the environment (see `envs.build_task`); those of `curriculum`, name =
+    [first, last], go from one to the other by equal factors over the first 0.6 of the training
+    and are left alone when it is judged. `hyperparameters` are the fields of
+    `ppo.Settings`; the learning rate falls linearly to `final_rate` of itself. Where the
     network or the noise start is said by `layers`, `activation` and `log_std`.
 
     With `imitate`, the policy first learns what a built-in controller does (`imitation` are
@@ -51,6 +54,7 @@ class TrainConfig:
     critic: str = ""  # privileged: PPO's critic sees `Batch.privileged` too
     hold: int = 1
     settings: dict = field(default_factory=dict)
+    curriculum: dict[str, tuple[float, float]] = field(default_factory=dict)
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     hyperparameters: dict = field(default_factory=dict)
     layers: tuple[int, ...] = (64, 64)
@@ -76,11 +80,21 @@ class TrainConfig:
         require_least(self, 0, "eval_every", "checkpoint_every")
         if not self.seeds or any(s < 0 for s in self.seeds):
             raise ParameterError(f"TrainConfig.seeds must be numbers >= 0, got {self.seeds}")
+        if any(not min(ends) > 0 for ends in self.curriculum.values()):
+            raise ParameterError(f"TrainConfig.curriculum must be > 0, got {self.curriculum}")
         if not 0 <= self.final_rate <= 1 or not self.reward_scale > 0:
             raise ParameterError(
                 "TrainConfig needs 0 <= final_rate <= 1 and reward_scale > 0, got"
                 f" {self.final_rate} and {self.reward_scale}"
             )
+
+    def settings_at(self, steps: int) -> dict[str, Any]:
+        """Settings of the environment after a number of decisions."""
+        done = min(1.0, steps / (_EASIER * self.total_timesteps))
+        share = int(_STAGES * done) / _STAGES
+        return self.settings | {
+            k: a * (b / a) ** share for k, (a, b) in self.curriculum.items()
+        }
 
     @property
     def name(self) -> str:

@@ -25,6 +25,7 @@ from ves_gym.baselines.action_repeat import ActionRepeat, Endings
 from ves_gym.baselines.arm_features import arm_features
 from ves_gym.baselines.config import TrainConfig
 from ves_gym.baselines.controllers import Controller
+from ves_gym.baselines.evaluate import make_vector
 from ves_gym.baselines.perceptron import ActorCritic, Adam, Floats, clipped
 from ves_gym.baselines.policy import Network, Policy
 from ves_gym.baselines.ppo import PPO, ObservationStack, Settings, flat
@@ -198,7 +199,8 @@ class Learner:
     ) -> None:
         settings: Settings = from_plain(Settings, config.hyperparameters, "PPO")
         self.config, self.settings, self.steps = config, settings, 0
-        env.reset(seed=episodes + seed)
+        self._given, self._first = config.settings, episodes + seed
+        env.reset(seed=self._first)
         self.decisions = ActionRepeat(env, hold=config.hold, reward_scale=config.reward_scale)
         rng = np.random.default_rng(seed)
         size = flat(self.decisions.observe()).shape[1]
@@ -228,6 +230,7 @@ class Learner:
     def learn(self, total: int, between: Callable[[], None]) -> None:
         """Train up to `total` decisions; `between` is called between rollouts."""
         while self.steps < total:
+            self._meet_curriculum()
             between()
             if self.imitation is not None and not self.imitation.over:
                 self.steps += self.imitation.advance()
@@ -240,6 +243,17 @@ class Learner:
                 remaining = 1 - self.steps / total
                 rate = self.config.learning_rate(self.settings.learning_rate, remaining)
                 self.ppo.update(rollout, rate)
+
+    def _meet_curriculum(self) -> None:
+        """Go on in the environment that is asked for now, where it is another one."""
+        k, old, settings = self.config, self.decisions.env, self.config.settings_at(self.steps)
+        if settings != self._given:
+            self._given = settings
+            env = make_vector(k.env, k.n_envs, old.autoreset_mode, threads=1, **settings)
+            env.reset(seed=self._first)
+            old.close()
+            self.decisions.env = env
+            self.ppo.restart()
 
     @property
     def logged(self) -> dict[str, float]:
@@ -279,6 +293,7 @@ class Learner:
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a state."""
         self.steps = state["steps"]
+        self._meet_curriculum()
         self.ppo.restore(state["ppo"])
         if self.imitation is not None:
             self.imitation.restore(state["imitation"])
