@@ -114,7 +114,7 @@ constraints: ## rewrite the known-good versions, keeping what still fits; newest
 		"$$tools/bin/uv" $(COMPILE) --extra build --extra report --extra docs \
 		--constraint constraints.txt --output-file constraints-site.txt
 
-platforms: $(DEV) ## write the README's table of what has wheels where
+platforms: $(DEV) ## write the table of docs/install.md: what has wheels where
 	@$(UV) --version && $(BIN)/python scripts/platforms.py "$$tools/bin/uv"
 
 test-oldest: ## run the tests on the oldest versions that pyproject.toml admits

@@ -200,10 +200,8 @@ def schematic(target: Path) -> None:
 
 
 THESIS = ("--suite", "thesis")
-REACH = ("--vehicle", "bent-thesis", "--planners", "hotspot-q,hotspot-qt,direct")
 PARETO = ("--planners", "direct,refined", "--bounds", "acceleration_peak=0.5,0.7,1,2",
           "--first", "4", "--durations", "1,2,4")  # fmt: skip
-BOARD = ROOT / "docs" / "leaderboard" / "index.html"
 ANIMATED = ("BeamLQR", "FreeFlyerReach", "PoseReach", "PumaDamp", "PumaReach", "PumaReachGoal",
             "PumaTrack")  # fmt: skip
 
@@ -226,14 +224,8 @@ FIGURES: dict[str, Figure] = {
         partial(animation, ("--mode", "emulated"), "640x320", "3"),
         "`ves-gym simulate --mode emulated`, `ves-gym view`",
     ),
-    "leaderboard.png": Figure(
-        partial(screenshot, BOARD, (1265, 780)), "docs/leaderboard/index.html in a browser"
-    ),
     "pareto.png": Figure(
         partial(benchmark, "pareto.png", PARETO), f"`ves-gym benchmark {' '.join(PARETO)}`"
-    ),
-    "ratio_reach100.png": Figure(
-        partial(benchmark, "ratio.png", REACH), f"`ves-gym benchmark {' '.join(REACH)}`"
     ),
     "shoulder_turn.gif": Figure(shoulder_turn, "`ves-gym plan`, `simulate` and `view`"),
     "studio.png": Figure(studio, "`ves-gym studio --duration 3 --via 55,0,-45`"),

@@ -1,7 +1,8 @@
 """Fill the board in docs/leaderboard: `python scripts/leaderboard.py [--workers N]`.
 
 Every entry of the table below that docs/leaderboard/entries lacks is answered and added, then
-docs/leaderboard/index.html is written. Stopped at any moment, it goes on where it was.
+docs/leaderboard/index.html and the README's table are written. Stopped at any moment, it goes
+on where it was.
 
     --track T       only entries of this track; repeatable
     --problem P     only entries of this problem; repeatable
@@ -20,7 +21,7 @@ from concurrent.futures import as_completed
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ves_gym._util.own import import_own
 from ves_gym._util.params import ParameterError
@@ -31,6 +32,7 @@ from ves_gym.leaderboard.board import make_board, read_board, write_page
 from ves_gym.leaderboard.entry import Entry
 from ves_gym.leaderboard.problems import (
     GAINS,
+    PUBLIC,
     QUICK,
     SCORES,
     UNKNOWN,
@@ -43,6 +45,9 @@ from ves_gym.leaderboard.tracks.damping import TUNERS
 from ves_gym.leaderboard.verify import add, make_entry
 
 PLACE = Path(__file__).parents[1] / "docs" / "leaderboard"
+README = Path(__file__).parents[1] / "README.md"
+SHOWN = "bent-2s"  # problem of the README's table, and methods, one of each kind
+KINDS = ("refined", "calm", "shaped-zv", "drake-torque", "ompl-qt", "straight")
 PEER_FILES = Path(__file__).parents[1] / "examples" / "peers"
 AUTHOR = "ves-gym"
 PLANNERS = (
@@ -157,6 +162,24 @@ def fill(wanted: Sequence[Wanted], board: Path, workers: int, salt: str | None) 
     return failed
 
 
+def readme(board: dict[str, Any]) -> str:
+    """Text of the README with the table of one problem, as the board has it."""
+    (group,) = (
+        group
+        for track in board["tracks"]
+        for group in track["groups"]
+        if (group["problem"], group["seeds"]) == (SHOWN, PUBLIC)
+    )
+    rows = ["| | energy | peak acceleration | success | planning |", "|---|---|---|---|---|"]
+    for entry in group["entries"]:
+        if entry["name"] in KINDS:
+            amounts = f"{entry['score'][0]:.3g} | {entry['acceleration']:.2g}"
+            price = f"{100 * entry['success'][0]:.0f} % | {entry['seconds']:.2g} s"
+            rows.append(f"| `{entry['name']}` | {amounts} | {price} |")
+    head, mark, tail = README.read_text("utf-8").partition("<!-- board -->\n")
+    return "".join((head, mark, "\n".join(rows), "\n", tail[tail.index("<!-- end -->") :]))
+
+
 def main(words: Sequence[str]) -> int:
     """See the module's docstring."""
     parser = argparse.ArgumentParser(usage=__doc__)
@@ -183,7 +206,10 @@ def main(words: Sequence[str]) -> int:
     finally:  # of what is there, also when it was stopped
         entries = read_board(args.board)
         page = args.board.with_name("index.html")
-        write_page(make_board(entries), page)
+        board = make_board(entries)
+        write_page(board, page)
+        if args.board == PLACE / "entries":
+            README.write_text(readme(board), encoding="utf-8")
         print(f"{len(entries)} entries; written {page}")
 
 

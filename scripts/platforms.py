@@ -1,4 +1,4 @@
-"""Write the README's table of what works where: `python scripts/platforms.py UV`.
+"""Write the table of docs/install.md of what works where: `python scripts/platforms.py UV`.
 
 The index is asked which of the package's requirements can be resolved to wheels on each
 platform and Python. UV is the program that resolves: pip takes environment markers from the
@@ -16,7 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-README = ROOT / "README.md"
+PAGE = ROOT / "docs" / "install.md"
 MARK = "<!-- platforms -->"
 PLATFORMS = {  # column -> uv's name
     "Linux x86-64": "x86_64-manylinux_2_28",
@@ -112,12 +112,12 @@ def span(versions: list[str]) -> str:
 
 
 def main() -> None:
-    """Ask, and put the table between the two marks in the README."""
+    """Ask, and put the table between the two marks of the page."""
     if len(sys.argv) != 2:
         sys.exit(__doc__)
     text = table(sys.argv[1])
-    head, _, tail = README.read_text("utf-8").split(MARK)
-    README.write_text(f"{head}{MARK}\n{text}\n{MARK}{tail}", encoding="utf-8")
+    head, _, tail = PAGE.read_text("utf-8").split(MARK)
+    PAGE.write_text(f"{head}{MARK}\n{text}\n{MARK}{tail}", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -102,9 +102,12 @@ def test_evaluate_is_that_of_the_command(tmp_path):
 # --------------------------------------------------------- hide, name, better, picture
 
 
-def readme_diagnosis():
-    """The README's lines that hide a friction and name it; no other test runs them."""
-    text = (Path(__file__).parents[1] / "README.md").read_text("utf-8")
+FIRST_HOUR = Path(__file__).parents[1] / "docs" / "site" / "first-hour" / "logs.md"
+
+
+def first_diagnosis():
+    """The lines that hide a friction and name it; no other test runs them."""
+    text = FIRST_HOUR.read_text("utf-8")
     snippets = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     (snippet,) = [s for s in snippets if "vg.diagnose(" in s]
     return snippet
@@ -113,9 +116,9 @@ def readme_diagnosis():
 @pytest.fixture(scope="module")
 def diagnosis(tmp_path_factory):
     names = {}
-    with contextlib.chdir(tmp_path_factory.mktemp("readme")):
-        exec(readme_diagnosis(), names)
-        plt.close("all")  # the README's figure, which a test would take for one of its own
+    with contextlib.chdir(tmp_path_factory.mktemp("first_hour")):
+        exec(first_diagnosis(), names)
+        plt.close("all")  # the page's figure, which a test would take for one of its own
         assert Path("found.png").is_file()
         assert vg.System.load("better.toml") == names["found"].system
     return names["found"]
@@ -293,7 +296,7 @@ def test_the_page_of_names_is_up_to_date():
 
 
 def test_the_readme_names_a_friction_in_twelve_lines_and_one_import():
-    snippet = readme_diagnosis()
+    snippet = first_diagnosis()
     lines = [line for line in snippet.splitlines() if line.strip()]
     assert len(lines) <= 12
     assert [line for line in lines if "import" in line] == ["import ves_gym as vg"]

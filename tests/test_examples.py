@@ -25,7 +25,7 @@ CODE = {str(k): k.read_text("utf-8") for k in sorted(EXAMPLES)}
 for page in PAGES:
     snippets = re.findall(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
     for i, text in enumerate(snippets):
-        if page.name != "README.md" or "vg.diagnose(" not in text:  # tests/test_api.py runs it
+        if page.name != "logs.md" or "vg.diagnose(" not in text:  # tests/test_api.py runs it
             CODE[f"{page.relative_to(ROOT).as_posix()}-{i}"] = text
 # each in an empty folder with names of its own; the others go on where one fails
 RUNNER = """
