@@ -27,7 +27,7 @@ from ves_gym.mechanics.vehicle import (
 )
 from ves_gym.planners.prediction import predict
 from ves_gym.planners.query import Query
-from ves_gym.planners.suites import get_suite, reach_range
+from ves_gym.planners.suites import get_suite, part_of, reach_range
 from ves_gym.system.system import System
 
 BEAMS = {
@@ -48,7 +48,8 @@ def main() -> None:
     parser.add_argument("--queries", type=int, default=20)
     options = parser.parse_args()
     for name, beam in BEAMS.items():
-        suite = get_suite("reach100", system=System(vehicle=beam), vehicle=name, quick=True)
+        suite = get_suite("reach100", system=System(vehicle=beam), vehicle=name)
+        suite = part_of(suite, first=10)
         every = [query for _, query in suite.queries]
         queries = every[:: len(every) // options.queries][: options.queries]
         numbers = sorted({*TRIED, *(2 * m for m in TRIED)})

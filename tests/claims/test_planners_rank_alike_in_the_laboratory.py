@@ -18,9 +18,7 @@ PLANNERS = ("straight", "smooth-jerk", "shaped-zv", "bad-path", "hotspot-q", "di
 
 @pytest.mark.slow
 def test_ranks_agree():
-    suite = get_suite(
-        "reach100", system=System(mode="emulated"), quick=True, vehicle="bent-thesis"
-    )
+    suite = get_suite("reach100", system=System(mode="emulated"), vehicle="bent-thesis")
     queries = [(v, q) for v, q in suite.queries if q.duration == 4.0][:2]
     result = run_benchmark(
         dataclasses.replace(suite, queries=tuple(queries)), planners=PLANNERS, workers=1

@@ -39,5 +39,8 @@ def table(
             out.add_row(*map(str, row))
     page = io.StringIO()
     wide = Console().width if sys.stdout.isatty() else width
-    Console(file=page, width=wide, markup=False, emoji=False, highlight=False).print(out)
+    console = Console(file=page, width=wide, markup=False, emoji=False, highlight=False)
+    if console.measure(out, options=console.options.update_width(10_000)).maximum > wide:
+        out.padding = (0, 0)
+    console.print(out)
     return page.getvalue().rstrip("\n")

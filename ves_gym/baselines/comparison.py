@@ -83,12 +83,12 @@ class ControllerComparison(Viewable):
                     _value(ratios["E_int"], ".3f"),
                 )
             )
-        head = ("controller", "return", "success", "failed", "E_mean [J]", "ratio", "E_peak",
+        head = ("controller", "return", "success", "failed", "E_mean\n[J]", "ratio", "E_peak",
                 "E_int")  # fmt: skip
         seeds = [row["seed"] for row in first.rows]
         title = f"{first.id}, {len(set(seeds))} episodes from seed {min(seeds)}"
         return (
-            table(head, rows, title=title, width=132)
+            table(head, rows, title=title, width=80)
             + "\nreturn: interquartile mean; E_mean: median; ratio, E_peak, E_int: median of"
             f" E_mean, E_peak, E_int over\nthat of {first.name} in the same episode. In"
             " brackets: 95 % intervals."
@@ -139,7 +139,7 @@ class ControllerComparison(Viewable):
 def _interval(e: Estimate | None, form: str) -> str:
     if e is None or not math.isfinite(e.value):
         return "-"
-    return f"{e.value:{form}} ({e.low:{form}} to {e.high:{form}})"
+    return f"{e.value:{form}}\n({e.low:{form}} to {e.high:{form}})"
 
 
 def _value(e: Estimate | None, form: str) -> str:

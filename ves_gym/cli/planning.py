@@ -176,6 +176,9 @@ def _bounds(value: str, place: Place) -> list[str]:
     return ["refined", *(bounded(get_planner("calm"), each).name for each in bounds)]
 
 
+_QUICK = 5
+
+
 def benchmark(
     at: Context,
     *,
@@ -192,9 +195,10 @@ def benchmark(
     **how: Any,
 ) -> Answer:
     """Plan, simulate; the table, JSON, figures and the HTML report."""
-    chosen = get_suite(
-        suite, system=at.case.system, vehicle=vehicle, quick=quick, obstacles=obstacles
-    )
+    chosen = get_suite(suite, system=at.case.system, vehicle=vehicle, obstacles=obstacles)
+    if quick:
+        every = sorted({q.duration for _, q in chosen.queries})
+        first, durations = first or _QUICK, durations or [every[len(every) // 2]]
     chosen = part_of(chosen, durations, first=first, skip=skip)
     queries = tuple((name, replace(q, weight=weight)) for name, q in chosen.queries)
     if bounds is not None:
@@ -293,7 +297,7 @@ TABLE = {
              "only queries of these durations [s]; default all"),
         Flag("--first", "N", integer(1), "only N queries per duration"),
         Flag("--skip", "N", integer(), "leave out N of each first (0)"),
-        Flag("--quick", help="ten queries per duration"),
+        Flag("--quick", help=f"{_QUICK} queries of the middle duration: half a minute"),
         Flag("--bounds", "NAME=SHARE,SHARE,...", _bounds,
              "also `refined` and `calm` with each of these bounds on a disturbance measure"
              f" (pareto.png): {', '.join(MEASURES)}"),

@@ -69,7 +69,6 @@ def get_suite(
     *,
     system: System,
     vehicle: str | None = None,
-    quick: bool = False,
     obstacles: str = "off",
 ) -> Suite:
     """Return a suite by name.
@@ -78,7 +77,6 @@ def get_suite(
         name: one of `SUITES`.
         system: everything but the vehicle (mode, drive, steps).
         vehicle: name or file; default the suite's own.
-        quick: ten queries per duration instead of a hundred (reach100).
         obstacles: off, on, or both, the second time among `REACH_OBSTACLES` (reach100).
 
     Raises:
@@ -92,7 +90,7 @@ def get_suite(
         return thesis(system, vehicle)
     vehicle = vehicle or "bent"
     if name == "transfer":
-        return transfer(system, vehicle, 3 if quick else 10)
+        return transfer(system, vehicle, 10)
     if name in ARM_SUITES:
         arm = get_arm(ARM_SUITES[name])
         if system.arm not in (PUMA_560, arm):
@@ -101,7 +99,7 @@ def get_suite(
                 " any arm)"
             )
         system = system.replace(arm=arm)
-    return replace(reach100(system, vehicle, 10 if quick else 100, obstacles), name=name)
+    return replace(reach100(system, vehicle, 100, obstacles), name=name)
 
 
 def part_of(
