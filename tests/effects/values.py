@@ -20,6 +20,11 @@ VALUES = {
         "damping_ratio": 0.02,
         "direction": (1.0, 0.0, 0.5),
     },
+    "base/mode": {
+        "error": 0.05,
+        "frequency": 1.5,
+        "momentum": (5.0, 0.0, 1.0, 0.0, 2.0, 0.0),
+    },
     "base/stiffness": {"error": -0.2},
     "base/virtual_mass": {"error": 0.2},
     "base/unknown": {

@@ -8,6 +8,7 @@ from __future__ import annotations
 from ves_gym.effects.base import BaseAmplitudeDamping as BaseAmplitudeDamping
 from ves_gym.effects.base import BaseDamping as BaseDamping
 from ves_gym.effects.base import BaseExtraMode as BaseExtraMode
+from ves_gym.effects.base import BaseMode as BaseMode
 from ves_gym.effects.base import BaseStiffness as BaseStiffness
 from ves_gym.effects.base import BaseUnknown as BaseUnknown
 from ves_gym.effects.base import BaseVirtualMass as BaseVirtualMass

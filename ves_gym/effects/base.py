@@ -7,13 +7,17 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy
 
 from ves_gym._util.params import Array, ParameterError, Vector
+from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.spatial import AXES
 from ves_gym.mechanics.vehicle import BaseModel, InternalModes, Oscillator, Satellite, has
 from ves_gym.system.candidate import Candidate, Scope, number_of, placed
 from ves_gym.system.effect import BaseEffect, parameter, register
 from ves_gym.system.system import System
+
+_HELD = 1e-9  # of the largest stiffness per mass: less is none
 
 
 def _require_held(effect: BaseEffect, system: System) -> None:
@@ -163,6 +167,62 @@ class BaseExtraMode(BaseEffect):
         mode = InternalModes.of((self.oscillator,))
         internal = mode if base.internal is None else base.internal.joined(mode)
         return replace(base, internal=internal)
+
+
+@register("base/mode")
+class BaseMode(BaseEffect):
+    """One mode of the vehicle under its arm is stiffer; the others are as described.
+
+    Its stiffness is w^2 p p^T, p = M f its momentum per modal rate with f^T M f = 1 (modal
+    expansion; Ewins, Modal Testing, 2000). In the laboratory a vehicle is what is integrated,
+    to the last digit.
+    """
+
+    modes = ("ideal",)
+    error: float = parameter("1", bounds=(-0.5, 1.0), start=0.03, name="frequency error")
+    frequency: float = parameter("Hz", bounds=(1e-3, 1e3), null=None)
+    momentum: Vector = parameter(
+        "kg^(1/2), kg^(1/2) m", bounds=(-1e4, 1e4), null=None, shape=(6,)
+    )
+
+    def check(self, system: System) -> None:
+        """Nothing holds a satellite."""
+        _require_held(self, system)
+
+    @classmethod
+    def candidates(cls, scope: Scope) -> Iterator[Candidate]:
+        """Each mode with the arm locked at zero, by its frequency and number."""
+        system = scope.system
+        if system is None or isinstance(system.vehicle, Satellite):
+            return
+        M, _, K = system.base.condensed()
+        M = M + inertia(system.arm, np.zeros(system.arm.n))[:6, :6]
+        for i, (frequency, momentum) in enumerate(modes_of(M, K), 1):
+
+            def fields(x: Array, at: Any = (frequency, tuple(momentum))) -> dict[str, Any]:
+                return {"error": float(x[0]), "frequency": at[0], "momentum": at[1]}
+
+            yield placed(
+                cls, f"{frequency:.3g} Hz, mode {i}", [number_of(cls, "error")], fields
+            )
+
+    def base(self, base: BaseModel) -> BaseModel:
+        """K more along the mode."""
+        if self.is_null:
+            return base
+        rate, p = 2 * np.pi * self.frequency, np.array(self.momentum)
+        stiffer = (1 + self.error) ** 2 - 1
+        return replace(base, K=base.K + stiffer * rate**2 * p[:, None] * p[None])
+
+
+def modes_of(M: Array, K: Array) -> list[tuple[float, Array]]:
+    """Return frequency [Hz] and momentum per modal rate (k,) of the modes of M, K (k, k).
+
+    Modes of no stiffness are left out.
+    """
+    squares, ways = scipy.linalg.eigh(K, M)
+    at = np.flatnonzero(squares > _HELD * squares.max())
+    return [(float(np.sqrt(squares[i]) / (2 * np.pi)), M @ ways[:, i]) for i in at]
 
 
 _FAR = (0.0, 1e9)

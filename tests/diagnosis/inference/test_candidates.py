@@ -90,6 +90,7 @@ def test_every_registered_effect_has_a_candidate_or_a_reason():
     }
     assert every - {FRICTION} == {kind for kind, reason in reasons.items() if not reason}
     assert {kind for kind, reason in reasons.items() if reason} == {
+        "base/mode",
         "base/unknown",
         "joint/curves",
         "joint/memory",

@@ -31,6 +31,7 @@ from ves_gym.diagnosis.machines.vehicle_force import (
     vehicle_gap,
 )
 from ves_gym.effects import BaseExtraMode
+from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.link import Inertial, matrix
 from ves_gym.mechanics.spatial import rate_matrix
 from ves_gym.mechanics.vehicle import (
@@ -44,6 +45,7 @@ from ves_gym.mechanics.vehicle import (
     Satellite,
     get_vehicle,
 )
+from ves_gym.system.candidate import Scope
 from ves_gym.system.system import System
 
 SYSTEM = System(vehicle=STRAIGHT_VERTICAL)
@@ -361,11 +363,32 @@ def test_a_base_of_other_stiffness_with_its_modes_inside():
         assert other.internal.damping.shape == base.internal.damping.shape
 
 
+def loaded_modes(base):
+    """Frequencies of a base under the locked arm, by SciPy."""
+    M, _, K = base.condensed()
+    squares = scipy.linalg.eigvalsh(K, M + inertia(BENT.arm, np.zeros(3))[:6, :6])
+    return np.sqrt(squares) / (2 * np.pi)
+
+
+def test_a_mode_that_is_off_leaves_the_others_alone():
+    """3 % in the frequency of each mode in turn; SciPy's modes."""
+    base = BENT.actual.base
+    frequencies = loaded_modes(base)
+    candidates = list(E.BaseMode.candidates(Scope(3, BENT)))
+    slots = [f"{f:.3g} Hz, mode {i + 1}" for i, f in enumerate(frequencies)]
+    assert [c.slot for c in candidates] == slots
+    for i, c in enumerate(candidates):
+        stiffer = loaded_modes(c.effect(np.array([0.03])).base(base))
+        expected = frequencies * (1 + 0.03 * np.eye(6)[i])
+        np.testing.assert_allclose(stiffer, expected, rtol=1e-9)
+    assert not list(E.BaseMode.candidates(Scope(3, System(vehicle=FREE_FLOATING))))
+
+
 def gained(candidate_kind, *effects, machine_type=SystemMachine):
     """Gain of a kind at its ports, evidence for it, its number, its deviation."""
     machine, runs = machine_type(BENT), [run_of_noisy(BENT, *effects)]
     every = library(3, [p.name for p in machine.ports], "ideal", ["run"], system=BENT)
-    candidate = next(c for c in every if c.kind == candidate_kind)
+    candidate = next(c for c in every if candidate_kind in (c.kind, c.name))
     machine.ports = tuple(p for p in machine.ports if p.name in candidate.ports)
     residuals = WhitenedResiduals(machine, runs)
     null = fit(residuals, (), ())
@@ -392,4 +415,15 @@ def test_what_is_seen_through_a_noisy_pose(effect, number, deviation):
     assert evidence > 0 and value == pytest.approx(number, abs=3 * deviation)
     assert std < deviation
     _, evidence, _, _ = gained(effect.kind)
+    assert evidence < 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("i", [0, 3, 5])
+def test_one_mode_of_a_base_is_named_by_its_frequency(i):
+    """3 % off, all others as described."""
+    candidate = list(E.BaseMode.candidates(Scope(3, BENT)))[i]
+    _, evidence, value, std = gained(candidate.name, candidate.effect(np.array([0.03])))
+    assert evidence > 0 and value == pytest.approx(0.03, abs=3 * std)
+    _, evidence, _, _ = gained(candidate.name)
     assert evidence < 0

@@ -18,7 +18,7 @@ _LINE = 1.6e-3  # s, the longest straight line: 0.1 % of a tone of 12 Hz
 
 
 def vehicle_gap(run: Run, base: BaseModel) -> Array:
-    """Return the wrench on a vehicle in space less what moves it (..., T, 6)."""
+    """Return what a run with y and w has of wrench less what moves the vehicle (..., T, 6)."""
     turn, force = along_rates(run)
     y, yd, ydd = run.base
     force = force - (ydd @ base.M.T + yd @ base.D.T + y @ base.K.T)
@@ -55,7 +55,7 @@ def _internal(modes: InternalModes, w: Array) -> Array:
 
 
 def along_rates(run: Run) -> tuple[Array, Array]:
-    """Return the map (..., T, 6, 6) from wrenches to forces along rates, and the force."""
+    """Return the map (..., T, 6, 6) from w to forces along the rates of y, and the force."""
 
     def make() -> tuple[Array, Array]:
         turn = np.swapaxes(rate_matrix(run.base.x), -1, -2)
