@@ -47,7 +47,8 @@ def test_one_table_however_it_is_written(tmp_path, how, encoding):
         got = read_recording(tmp_path / name)
         assert tuple(got.columns) == NAMES
         np.testing.assert_array_equal(np.column_stack([*got.columns.values()]), DATA)
-        assert got.notes == ()
+        title = "left out above the names: Robot A; log 7"
+        assert got.notes == ((title,) if how == "a title" else ())
 
 
 def test_two_columns_with_decimal_commas(tmp_path):

@@ -52,15 +52,9 @@ def read_recording(path: str | os.PathLike[str], clock: str = "") -> FileColumns
     of names, columns are called column_1, column_2 and so on. Matrices of a .mat file are a
     column per signal (q_1, q_2), fields of a structure go by "structure.field", single numbers
     are columns of length 1. Columns of a folder of .csv have the name "file:name", too, and
-    only that where several files give one name to different columns. Of a log of ROS joints
-    are "joint_position" and so on, wrenches and poses "topic:name", all on one clock.
-
-    Args:
-        path: of the file or folder.
-        clock: of a log of ROS: "TOPIC:t", its column of time, where several topics have joints.
-
-    Raises:
-        ParameterError: not there, of another format, or not numbers.
+    only that where several files give one name to different columns. Of a log of ROS joints are
+    "joint_position" and so on, wrenches and poses "topic:name", all on one clock: where several
+    topics have joints, that of `clock`, "TOPIC:t".
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -86,11 +80,7 @@ def _ros_log(path: Path, clock: str) -> FileColumns:
 def column_of(
     columns: Mapping[str, Array], name: str, where: str, missing: bool = False
 ) -> Array:
-    """Return a column (T,), finite; NaN where `missing` lets it.
-
-    Raises:
-        ParameterError: not there, or not finite.
-    """
+    """Return a column (T,), finite; NaN where `missing` lets it."""
     if name not in columns:
         raise ParameterError(f"{where}: no column {name!r}; it has {', '.join(columns)}")
     column = columns[name]
@@ -125,11 +115,16 @@ def _table(data: bytes) -> FileColumns:
             f" numbers have {width}"
         )
     names = [f"column_{k}" for k in range(1, width + 1)]
-    if fitting:
+    if fitting:  # a title may stand above the names, cells of nothing beside it
+        first = fitting.index(max(fitting, key=lambda row: sum(map(bool, row))))
+        others = [" ".join(row) for row in titles if row not in fitting[first:]]
+        notes += [f"left out above the names: {text.strip()}" for text in others if heads]
+        fitting = fitting[first:]
         names = [name or place for name, place in zip(fitting[0], names, strict=True)]
     else:
         notes.append(f"no line of names: columns are called column_1 to column_{width}")
     comma = mark != "," and any(re.search(r"\d,\d", c) for row in sample[heads:] for c in row)
+    notes += _torn(text, lines, rows, mark)
     values, kept = _numbers(rows, mark, comma, names)
     lost = [name for name, keep in zip(names, kept, strict=True) if not keep]
     notes += [f"columns of words left out: {', '.join(lost)}"] if lost else []
@@ -137,6 +132,23 @@ def _table(data: bytes) -> FileColumns:
     named = [name for name, keep in zip(names, kept, strict=True) if keep]
     columns = _distinct(named, values, notes)
     return FileColumns(columns, units, (*notes, *_missing(columns)))
+
+
+def _torn(
+    text: str,
+    lines: Sequence[tuple[int, str]],
+    rows: Sequence[tuple[int, str]],
+    mark: str,
+) -> list[str]:
+    """What is to be told of comments between the numbers, and of a last one cut short."""
+    numbered = {k for k, _ in rows}
+    between = [k for k, _ in lines if k > rows[0][0] and k not in numbered]
+    count = len(between)
+    out = [f"{count} comments among the numbers left out, row {between[0]}"] if count else []
+    last, *others = (_cells(line, mark)[-1] for _, line in rows[-1:-_SAMPLE:-1])
+    if text[-1:] not in "\r\n" and others and len(last) < min(map(len, others)):
+        out.append(f"row {rows[-1][0]}, the last, may be cut off in its last number {last!r}")
+    return out
 
 
 def _decoded(data: bytes) -> tuple[str, list[str]]:
@@ -220,10 +232,18 @@ def _numbers(
         cells = cells if len(cells) == len(names) else _trimmed(cells)
         if len(cells) != len(names):
             raise ParameterError(
-                f"row {k}: expected {len(names)} numbers, got {len(cells)}: {cells}"
+                f"row {k}: expected {len(names)} numbers, got {len(cells)}: {line[:80]!r}"
             )
         table.append(cells)
     kept = [any(_is_cell(row[i]) for row in table[:_SAMPLE]) for i in range(len(names))]
+    for i in (i for i, keep in enumerate(kept) if not keep):
+        try:  # dates, like 2026-01-01T12:00:00.01
+            dates = np.array([row[i].removesuffix("Z") for row in table], "datetime64[ns]")
+        except ValueError:
+            continue
+        kept[i], seconds = True, (dates - dates[0]) / np.timedelta64(1, "s")
+        for cells, second in zip(table, seconds, strict=True):
+            cells[i] = f"{second:.9f}"
     columns = [i for i, keep in enumerate(kept) if keep]
     out = np.full((len(table), len(columns)), np.nan)
     for (k, _), cells, row in zip(rows, table, out, strict=True):
@@ -231,7 +251,8 @@ def _numbers(
             if cells[i].lower() in _EMPTY:
                 continue
             if not _is_number(cells[i], ","):
-                raise ParameterError(f"row {k}: {names[i]} must be a number, got {cells[i]!r}")
+                cell = cells[i][:40]
+                raise ParameterError(f"row {k}: {names[i]} must be a number, got {cell!r}")
             row[j] = float(cells[i])
     return out, kept
 
@@ -253,7 +274,7 @@ def _distinct(names: Sequence[str], values: Array, notes: list[str]) -> dict[str
 
 
 def _missing(columns: Mapping[str, Array]) -> list[str]:
-    counts = {name: int(np.isnan(column).sum()) for name, column in columns.items()}
+    counts = {name: int((~np.isfinite(column)).sum()) for name, column in columns.items()}
     return [f"{k}: no number in {n} of {len(columns[k])} rows" for k, n in counts.items() if n]
 
 

@@ -1,4 +1,4 @@
-"""Fifty damaged logs: each is read, with what was lost told, or refused by one sentence."""
+"""Damaged logs: each is read, with what was lost told, or refused by one sentence."""
 
 import numpy as np
 import pytest
@@ -53,8 +53,8 @@ DAMAGED = {
     "a cell too few": (H + [r[:-1] if k == 40 else r for k, r in enumerate(rows())],
                        "row 42: expected 7 numbers, got 6"),
     "the end torn off": (H + rows()[:-1] + [["5.99", "0.3"]], "row 601: expected 7 numbers"),
-    "infinity": (H + with_cell(30, 5, "inf"), "tau_1"),
-    "half of a joint is gone": (H + with_column(1, GONE), "q_1"),
+    "infinity": (H + with_cell(30, 5, "inf"), "tau_1: no number in 1 of 600 rows"),
+    "half of a joint is gone": (H + with_column(1, GONE), "q_1: no number in 299 of 600 rows"),
     "a column of nothing": (H + with_column(1, np.nan), "q_1 left out: 0 numbers in 600 rows"),
     "two columns of one name": (named("t", "q_1", "q_1", "v_1", "v_2", "tau_1", "tau_2"),
                                 "q_1 stands again in column 3, with other numbers"),
@@ -74,10 +74,25 @@ DAMAGED = {
     "the clock is all zero": (H + with_column(0, 0.0), "a clock: say the step"),
     "a clock without numbers": (H + with_column(0, np.nan), "t left out: 0 numbers"),
     "samples in alternation": (H + with_column(0, T + 0.003 * (np.arange(600) % 2)),
-                               "uneven steps of 7 to 13 ms"),
+                               "* t: uneven steps of 7 to 13 ms"),
     "rows turned round": (H + rows()[::-1], "a clock: say the step"),
-    "names exchanged": (exchanged(), ""),
-    "degrees": (H + with_column(1, np.rad2deg(DATA[:, 1])), "degrees?"),
+    "names exchanged": (exchanged(), "v_1 is not the rate of q_1, by"),
+    "a rate of the other sign": (H + with_column(4, -DATA[:, 4]), "v_2 is not the rate of q_2"),
+    "a rate in other units": (H + with_column(4, 7 * DATA[:, 4]), "v_2 is not the rate of q_2"),
+    "an angle that sticks": (H + with_column(1, np.where(T > 3, 0.14, DATA[:, 1])),
+                             "v_1 is not the rate of q_1"),
+    "an angle that jumps by a turn": (H + with_column(2, np.mod(3 * DATA[:, 2], 2 * np.pi)),
+                                      "v_2 is not the rate of q_2"),
+    "9999 for none": (H + with_cell(30, 2, "9999"), "q_2 leaps away and back, 1 times"),
+    "a position without a name": (named("t", "q_1", "", "v_1", "v_2", "tau_1", "tau_2"),
+                                  "no position has their name: v_2, tau_2"),
+    "a title": ([["log"] + [""] * 6, *H, *rows()], "left out above the names: log"),
+    "a comment half way": (H + rows()[:300] + [["# stop"]] + rows()[300:], "1 comments among"),
+    "the last number torn": (H + rows()[:-1] + [[*rows()[-1][:-1], "0.1"]],
+                             "row 601, the last, may be cut off in its last number '0.1'"),
+    "dates": ([H[0], *([f"2026-01-01T12:00:{t:09.6f}Z", *r[1:]]
+               for t, r in zip(T, rows(), strict=True))], "even steps of 10 ms"),
+    "degrees": (H + with_column(1, np.rad2deg(DATA[:, 1])), "* q_1: -57.3 to 57.3: degrees?"),
     "one row": (H + rows()[:1], "no column looks like"),
     "nothing": ([], "expected a line of names and rows of numbers"),
 }  # fmt: skip

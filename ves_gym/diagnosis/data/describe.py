@@ -25,27 +25,27 @@ from ves_gym.diagnosis.machines.mjcf_mapping import SCHEMA
 
 _WORDS = {  # what a part of a column's name says
     "clock": ("t", "time", "timestamp", "stamp", "sec", "secs", "seconds"),
-    "position": ("q", "pos", "position", "angle", "theta", "qpos", "joint", "actual"),
+    "position": ("q", "pos", "position", "angle", "ang", "theta", "qpos", "joint", "actual"),
     "velocity": ("v", "dq", "qd", "vel", "velocity", "rate", "speed", "qvel"),
-    "force": ("tau", "torque", "effort", "eff", "force", "current", "curr", "i", "cur", "load"),
-    "command": (
-        "cmd",
-        "command",
-        "des",
-        "desired",
-        "ref",
-        "reference",
-        "target",
-        "goal",
-        "set",
+    "force": (
+        "tau", "torque", "trq", "effort", "eff", "force", "current", "curr", "i", "cur", "load",
     ),
-}
+    "command": (
+        "cmd", "command", "des", "desired", "ref", "reference", "target", "goal", "set",
+    ),
+}  # fmt: skip
 _AMPERE = ("current", "curr", "i", "cur")
 # of what is no joint's
 _OTHERS = ("tcp", "pose", "cartesian", "wrench", "quaternion", "temp", "temperature", "voltage")
-_FILLER = ("read", "data", "meas", "measured", "motor", "m", "raw", "log")
+_FILLER = (
+    "read", "data", "meas", "measured", "motor", "m", "raw", "log", "act", "present", "fb",
+    "feedback", "state", "value", "val",
+)  # fmt: skip
 _TURNS = 13.0  # rad: more than two turns looks like degrees
 _STILL = 1e-3  # rad, m: less is no motion
+_FEWEST = 100  # samples: fewer tell nothing
+_WAY = 0.2  # s over which ways and rates are compared: noise of either counts little
+_OTHER = 0.1  # share of the way that a rate may not explain: a late one leaves 0.02
 _UNEVEN = 0.05  # of a step
 _FORWARD = 0.95  # share of steps that run forward: less is no clock
 _DEGREES, _TURN = np.pi / 180, 2 * np.pi
@@ -83,6 +83,7 @@ class _Time:
     text: str  # of the key `time`
     step: float  # s
     remarks: tuple[str, ...]
+    grounds: str = ""
 
 
 def describe(
@@ -118,7 +119,10 @@ def describe(
     used = [c for guess in joints.values() for c in guess.columns.values()]
     time = _time(complete, clock, names, used)
     named = _names(list(joints), model, notes)
+    notes += [f"{clock}: {time.grounds}"] if time.grounds.startswith("uneven") else []
     missing = [*time.remarks]
+    if (samples := len(next(iter(complete.values())))) < _FEWEST:
+        missing.append(f"a log that is long enough: it has {samples} samples")
     for what, consequence in (
         ("velocity", "port `velocity` (rates logged) is not tested"),
         ("force", "port `joint` (friction, payload, drives) is not tested"),
@@ -132,7 +136,13 @@ def describe(
         missing.append(
             'a model: `model = "robot.urdf"` or .xml; without it only rates are tested'
         )
+    for key, _, kind in named:
+        notes += _doubts(complete, joints[key], kind, 0.0 if time.remarks else time.step)
     unused = [k for k in complete if k not in (*used, clock)]
+    alone = [k for k in unused if (kind := _kind(names[k].words)) in ("velocity", "force")
+             and _key(names[k].words, kind) not in joints]  # fmt: skip
+    if alone:
+        notes.append(f"not used, for no position has their name: {', '.join(alone)}")
     lines = [f"# Mapping of {source}: check every guess, then run", "#"]
     lines += [f"#   ves-gym diagnose {source} --machine THIS_FILE", "#"]
     lines += ["# Missing:", *(f"#   - {text}" for text in missing)] if missing else []
@@ -301,7 +311,7 @@ def _time(
     keys = f'column = "{clock}"'
     if gain != 1.0 or abs(gain * t[0]) > 1e3:
         keys += f", gain = {gain:g}, offset = {0.0 - gain * float(t[0])!r}"
-    return _Time(f"time = {{ {keys} }} # {unit}; {even}", mean, tuple(remarks))
+    return _Time(f"time = {{ {keys} }} # {unit}; {even}", mean, tuple(remarks), even)
 
 
 def _joints(names: Mapping[str, _Name]) -> dict[str, _Guess]:
@@ -392,37 +402,74 @@ def _of_model(model: Path) -> list[tuple[str, str]]:
     ]
 
 
+def _position_gain(position: Array, guess: _Guess, kind: str) -> tuple[float, str]:
+    """Gain to rad or m, and its grounds, which ask where it is taken by the range."""
+    low, high = float(position.min()), float(position.max())
+    far, remark = max(abs(low), abs(high)), f"{low:.4g} to {high:.4g}"
+    if unit := guess.units.get("position"):
+        return _UNITS["position"][unit], f"{remark} {unit}"
+    if kind == "hinge" and far > _TURNS:
+        asked = "degrees? else take gain away, or 1 / gear ratio for angles of a motor"
+        return _DEGREES, f"{remark}: {asked}"
+    if kind == "slide" and far > 5.0:
+        return 1e-3, f"{remark}: mm? else take gain away"
+    return 1.0, remark
+
+
+def _rate_gain(position: Array, logged: Array, step: float, guess: _Guess) -> tuple[float, str]:
+    """Gain of a rate to rad/s or m/s, and its grounds, by its unit or else by the position."""
+    rate = np.gradient(position, step)
+    ratio = float(rate @ logged) / max(float(logged @ logged), 1e-300)
+    remark = f"rate of the position over it {ratio:.4g}"
+    if unit := guess.units.get("velocity"):
+        return _UNITS["velocity"][unit], f"{unit}; {remark}"
+    size = abs(ratio) if abs(ratio) > 1e-4 else 1.0  # of what stands nothing is told
+    return min((1.0, _DEGREES, 1e-3), key=lambda s: abs(np.log(size / s))), remark
+
+
+def _doubts(columns: Mapping[str, Array], guess: _Guess, kind: str, step: float) -> list[str]:
+    """What is to be told of a joint: a unit by its range, spikes, and, of a clock with even
+    steps (else 0), a rate that is not its position's."""
+    name, rate = guess.columns["position"], guess.columns.get("velocity")
+    gain, remark = _position_gain(columns[name], guess, kind)
+    out = [f"{name}: {remark}"] if "?" in remark else []
+    x = gain * columns[name]
+    off = np.abs(x[1:-1] - (x[:-2] + x[2:]) / 2)
+    usual = float(np.subtract(*np.quantile(x, (0.95, 0.05))))
+    spikes = [k for k in np.flatnonzero(off > max(2 * usual, _STILL))
+              if off[k] == off[max(k - 1, 0) : k + 2].max()]  # fmt: skip
+    if spikes:
+        out.append(f"{name} leaps away and back, {len(spikes)} times, first in row"
+                   f" {spikes[0] + 3}: what stands for a missing number?")  # fmt: skip
+    window = round(_WAY / step) if step else 0
+    if rate is None or not 0 < window < len(x) / 2:
+        return out
+    v = _rate_gain(x, columns[rate], step, guess)[0] * columns[rate]
+    run = step * np.r_[0.0, np.cumsum((v[1:] + v[:-1]) / 2)]
+    way, travelled = x[window:] - x[:-window], run[window:] - run[:-window]
+    most = max(float(way @ way), float(travelled @ travelled))
+    share = float(np.square(way - travelled).sum()) / max(most, 1e-300)
+    if most > len(way) * _STILL**2 and share > _OTHER:
+        out.append(f"{rate} is not the rate of {name}, by {100 * min(share, 1.0):.0f} %: names"
+                   " exchanged, a sign, a unit, a reading that sticks or leaps?")  # fmt: skip
+    return out
+
+
 def _joint_lines(
     columns: Mapping[str, Array], key: str, guess: _Guess, name: str, kind: str, step: float
 ) -> list[str]:
     """Entries of a joint, each with its grounds."""
     position = columns[guess.columns["position"]]
-    low, high = float(position.min()), float(position.max())
     out = ["[[joint]]", f"name = {_text(name)}"]
     if kind == "slide":
         out += ['type = "slide"', "radius = 0.1 # m: of the pinion that friction sees"]
-    far = max(abs(low), abs(high))
-    gain, remark = 1.0, f"{low:.4g} to {high:.4g}"
-    if unit := guess.units.get("position"):
-        gain, remark = _UNITS["position"][unit], f"{remark} {unit}"
-    elif kind == "hinge" and far > _TURNS:
-        gain = _DEGREES
-        remark += ": degrees? else take gain away, or 1 / gear ratio for angles of a motor"
-    elif kind == "slide" and far > 5.0:
-        gain, remark = 1e-3, f"{remark}: mm? else take gain away"
-    if high - low < _STILL / gain:
+    gain, remark = _position_gain(position, guess, kind)
+    if np.ptp(position) < _STILL / gain:
         remark += "; hardly moves, so nothing can be told of this joint"
     out.append(_quantity("position", guess.columns["position"], gain, remark))
     if "velocity" in guess.columns:
-        rate = np.gradient(gain * position, step)
         logged = columns[guess.columns["velocity"]]
-        ratio = float(rate @ logged) / max(float(logged @ logged), 1e-300)
-        scale = min(
-            (1.0, _DEGREES, 1e-3), key=lambda s: abs(np.log(max(abs(ratio), 1e-12) / s))
-        )
-        remark = f"rate of the position over it {ratio:.4g}"
-        if unit := guess.units.get("velocity"):
-            scale, remark = _UNITS["velocity"][unit], f"{unit}; {remark}"
+        scale, remark = _rate_gain(gain * position, logged, step, guess)
         out.append(_quantity("velocity", guess.columns["velocity"], scale, remark))
     if "force" in guess.columns:
         force = columns[guess.columns["force"]]
