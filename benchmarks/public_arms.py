@@ -210,7 +210,10 @@ class ByMujoco:
         self.mj, self.model = mujoco, mujoco.MjModel.from_xml_path(str(path))
         self.model.opt.gravity[:] = GRAVITY
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-        self.data, self.tool = mujoco.MjData(self.model), self.model.body(tool).id
+        self.data = mujoco.MjData(self.model)
+        site = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, tool)  # before a body
+        self.jacobian = mujoco.mj_jacBody if site < 0 else mujoco.mj_jacSite
+        self.tool = self.model.body(tool).id if site < 0 else site
         self.still = self.model.qpos0.copy()
         for name, value in found.at.items():
             if self.model.joint(name).qposadr.size == 1:
@@ -232,7 +235,7 @@ class ByMujoco:
         self.mj.mj_forward(model, data)
         M, J = np.zeros((model.nv, model.nv)), np.zeros((6, model.nv))
         self.mj.mj_fullM(model, data, M)
-        self.mj.mj_jacBody(model, data, J[:3], J[3:], self.tool)
+        self.jacobian(model, data, J[:3], J[3:], self.tool)
         H = M[np.ix_(k, k)] - np.diag(model.dof_armature[k])
         return G.T @ H @ G, G.T @ data.qfrc_bias[k], J[:, k] @ G
 
