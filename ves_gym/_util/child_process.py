@@ -30,11 +30,7 @@ class ChildDied(Exception):
 
 
 class Child:
-    """A process that runs `serve`.
-
-    Args:
-        program: Python text of it.
-    """
+    """A process that runs the Python text of a program that calls `serve`."""
 
     def __init__(self, program: str) -> None:
         self.program = program

@@ -29,12 +29,7 @@ except (ImportError, RuntimeError, AttributeError):
 
 
 def read_model(path: str | os.PathLike[str]) -> mujoco.MjModel:
-    """Return the model of an MJCF file, compiled in a process of its own.
-
-    Raises:
-        ParameterError: MuJoCo cannot compile it, or not within the memory and time of
-            `read_apart`.
-    """
+    """Return the model of an MJCF file, compiled by `read_apart` in a process of its own."""
     compiled = read_apart("ves_gym._util.mujoco_loader:binary_of", path)["model"].tobytes()
     return mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": compiled})
 

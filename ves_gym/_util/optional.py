@@ -53,15 +53,9 @@ class MissingPackageError(ParameterError):
 
 
 def require(purpose: str, *modules: str) -> None:
-    """Do nothing if the modules are installed; none of them is loaded.
-
-    Args:
-        purpose: what needs them, the sentence's subject: "training", "planner ompl-qt".
-        modules: names as in `PACKAGES`.
-
-    Raises:
-        MissingPackageError: with each package that is missing and the command for it.
-    """
+    """Do nothing if the modules of `PACKAGES` are installed, of which none is loaded; else name
+    each package that is missing and its command. `purpose`, like "planner ompl-qt", is the
+    subject."""
     sentence = lacking(purpose, *modules)
     if sentence:
         raise MissingPackageError(sentence)

@@ -15,14 +15,8 @@ IMPORTED: list[str] = []  # that processes begun later, and commands said to be 
 
 
 def import_own(name: str) -> ModuleType:
-    """Import a module, so that what it registers goes by its name from here on.
-
-    Args:
-        name: package.module, as `python -m` finds it, or a .py file.
-
-    Raises:
-        ParameterError: there is none, or it raises something: what, and in which line.
-    """
+    """Import a module, package.module as `python -m` finds it or a .py file, so that what it
+    registers goes by its name from here on."""
     file = Path(name).absolute()
     is_file = file.suffix == ".py"
     # last: a file here called like a module of Python's is not in its way
@@ -45,18 +39,10 @@ def import_own(name: str) -> ModuleType:
 
 
 def require_free(name: str, what: str, new: type, old: type | None) -> None:
-    """Refuse a name that another class has.
+    """Refuse to file a new class under a name that another has; `what` says as what, such as
+    "planner".
 
     A script's or notebook's own class may be defined again, as when a cell is run twice.
-
-    Args:
-        name: to be filed.
-        what: is filed, such as "planner".
-        new: class to be filed.
-        old: the class that has the name, None if it is free.
-
-    Raises:
-        ParameterError: the name is taken.
     """
     again = old is not None and new.__module__ == "__main__" == old.__module__
     if old is not None and not (again and new.__qualname__ == old.__qualname__):

@@ -61,16 +61,7 @@ def units(cls: type) -> dict[str, str]:
 
 
 def finite(value: object, shape: tuple[int, ...], name: str) -> Array:
-    """Return a value as a float64 array of exactly the given shape.
-
-    Args:
-        value: number, or nested sequence of numbers.
-        shape: expected shape.
-        name: of the value, for the message.
-
-    Raises:
-        ParameterError: another shape, text, or a number that is not finite.
-    """
+    """Return a value as a float64 array of exactly the given shape, all its numbers finite."""
     try:
         raw = np.asarray(value)
     except ValueError:  # ragged
@@ -111,16 +102,7 @@ def nested_tuples(value: Any) -> Any:
 
 
 def require_positive(params: object, *names: str, zero: bool = False) -> None:
-    """Check that each named field is a finite number > 0.
-
-    Args:
-        params: the parameter set.
-        names: of its fields.
-        zero: also admit 0.
-
-    Raises:
-        ParameterError: names the field and the number received.
-    """
+    """Check that each named field is a finite number > 0; with `zero` it may be 0."""
     for name in names:
         value = getattr(params, name)
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
@@ -134,16 +116,7 @@ def require_positive(params: object, *names: str, zero: bool = False) -> None:
 
 
 def require_least(params: object, least: float, *names: str) -> None:
-    """Check that each named field is a number of at least so much.
-
-    Args:
-        params: the parameter set.
-        least: admitted.
-        names: of its fields.
-
-    Raises:
-        ParameterError: names the field and the number received.
-    """
+    """Check that each named field is a number of at least so much."""
     for name in names:
         value = getattr(params, name)
         if not value >= least:
@@ -153,16 +126,7 @@ def require_least(params: object, least: float, *names: str) -> None:
 
 
 def require_choice(params: object, name: str, choices: tuple[str, ...]) -> None:
-    """Check that the named field is one of the choices.
-
-    Args:
-        params: the parameter set.
-        name: of its field.
-        choices: known values.
-
-    Raises:
-        ParameterError: lists the choices.
-    """
+    """Check that the named field is one of the choices."""
     require_one_of(f"{type(params).__name__}.{name}", getattr(params, name), choices)
 
 
@@ -176,18 +140,10 @@ def require_one_of(name: str, value: object, choices: Collection[str]) -> None:
 
 
 def symmetric(value: object, name: str, size: int = 6) -> Array:
-    """Return a value as a symmetric positive semidefinite matrix.
+    """Return a value as a symmetric positive semidefinite matrix (size, size).
 
-    Symmetry is tested to 1e-9 of the largest entry (rounding of a printed or inverted
-    matrix); an eigenvalue may be negative by 1e-12 of the largest.
-
-    Args:
-        value: (size, size) numbers.
-        name: of the value, for the message.
-        size: rows and columns.
-
-    Raises:
-        ParameterError: not symmetric, or tells the offending eigenvalue.
+    Symmetry is tested to 1e-9 of the largest entry (rounding of a printed or inverted matrix);
+    an eigenvalue may be negative by 1e-12 of the largest.
     """
     matrix = finite(value, (size, size), name)
     largest = max(float(np.abs(matrix).max()), np.finfo(float).tiny)
@@ -238,17 +194,10 @@ def to_plain(value: Any, compared: bool = False) -> Any:
 
 
 def from_plain(cls: Any, plain: Any, where: str = "") -> Any:
-    """Rebuild a parameter set of type `cls` from plain data.
+    """Rebuild a parameter set of type `cls` from plain data, as `to_plain` gives them.
 
-    A field annotated with a union of parameter sets is resolved by the entry `kind`.
-
-    Args:
-        cls: dataclass, or annotation of a field.
-        plain: tables, lists and numbers as `to_plain` gives them.
-        where: path of the entry, for the message.
-
-    Raises:
-        ParameterError: unknown or missing keys, or values of another type.
+    A field annotated with a union of parameter sets is resolved by the entry `kind`; `where` is
+    the path of the entry, for the message.
     """
     where = where or getattr(cls, "__name__", "value")
     origin = typing.get_origin(cls)
@@ -388,12 +337,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def write_table(path: str | os.PathLike[str], value: Any) -> None:
-    """Write a parameter set as TOML or JSON, atomically.
-
-    Args:
-        path: ends in .toml or .json.
-        value: parameter set or plain data.
-    """
+    """Write a parameter set or plain data as .toml or .json, atomically."""
     path = Path(path)
     plain = to_plain(value)
     if path.suffix == ".toml":
@@ -420,30 +364,14 @@ def _on_a_line(row: re.Match[str]) -> str:
 
 
 def write_result(path: str | os.PathLike[str], plain: Mapping[str, Any]) -> None:
-    """Write a result as JSON, atomically.
-
-    Args:
-        path: ends in .json.
-        plain: plain data with an entry `schema`, all numbers finite.
-
-    Raises:
-        ParameterError: another suffix.
-    """
+    """Write plain data with an entry `schema`, all numbers finite, as .json, atomically."""
     if Path(path).suffix != ".json":
         raise ParameterError(f"{path}: expected a .json name, got {Path(path).suffix!r}")
     write_text(path, json.dumps(plain, indent=1, allow_nan=False) + "\n")
 
 
 def read_result(path: str | os.PathLike[str], schema: str) -> dict[str, Any]:
-    """Read what `write_result` wrote.
-
-    Args:
-        path: the file.
-        schema: that it must have.
-
-    Raises:
-        ParameterError: it cannot be read, or has another schema.
-    """
+    """Read what `write_result` wrote; it must have this schema."""
     plain = read_table(path)
     if plain.get("schema") != schema:
         raise ParameterError(f"{path}: schema must be {schema!r}, got {plain.get('schema')!r}")
@@ -451,25 +379,15 @@ def read_result(path: str | os.PathLike[str], schema: str) -> dict[str, Any]:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a file completely or not at all: temporary name, fsync, rename.
-
-    Args:
-        path: its folder must exist.
-        text: written as UTF-8.
-    """
+    """Write a file in UTF-8, as `write_bytes`; its folder must exist."""
     write_bytes(path, text.encode("utf-8"))
 
 
 def write_bytes(path: str | os.PathLike[str], data: bytes, *, private: bool = False) -> None:
     """Write a file completely or not at all: temporary name, fsync, rename.
 
-    Args:
-        path: its folder is made if it is not there.
-        data: content.
-        private: nobody else may read or write it.
-
-    Raises:
-        OSError: no room, or no right to write; it names the file, and what was there stays.
+    Its folder is made if it is not there. `private`: nobody else may read or write it. An
+    OSError names the file, and what was there stays.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -26,13 +26,10 @@ from ves_gym._util.threads import ONE_THREAD
 
 
 class Workers(Executor):
-    """Processes that run functions of modules; leaving the `with` block waits for them.
+    """So many processes that run functions of modules; leaving the `with` block waits for them.
 
-    Left by an exception (Ctrl-C among them), what runs is killed and what waits is dropped.
-
-    Args:
-        count: processes.
-        seconds: that a job may take, None for any time.
+    Left by an exception (Ctrl-C among them), what runs is killed and what waits is dropped. A
+    job may take so many seconds, None for any time.
     """
 
     def __init__(self, count: int, *, seconds: float | None = None) -> None:

@@ -47,11 +47,7 @@ def named(file: object, kind: type[ValueError] = ParameterError) -> Iterator[Non
 
 
 def read_bytes(path: str | os.PathLike[str], most: int = MOST) -> bytes:
-    """Return a file's bytes.
-
-    Raises:
-        ParameterError: not there, or more than `most`.
-    """
+    """Return a file's bytes, refused if it is not there or has more than `most`."""
     try:
         size = os.stat(path).st_size
         if size > most:
@@ -62,11 +58,7 @@ def read_bytes(path: str | os.PathLike[str], most: int = MOST) -> bytes:
 
 
 def read_xml(path: str | os.PathLike[str]) -> Element:
-    """Return the top element of an XML file.
-
-    Raises:
-        ParameterError: no XML, in an unknown encoding, or deeper than `DEEPEST`.
-    """
+    """Return the top element of an XML file, refused beyond `DEEPEST` levels."""
     data = read_bytes(path).lstrip(b" \t\r\n")
     try:
         top = _parsed(data)
@@ -106,14 +98,10 @@ def _parsed(data: bytes) -> Element:
 
 
 def read_apart(reader: str, path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return what a reader makes of a file, in a process of its own.
+    """Return arrays by name that a reader, "module:function" of this package, makes of a file
+    or of a folder, in a process of its own.
 
-    Args:
-        reader: "module:function" of this package; (path) -> arrays by name.
-        path: of the file, or of a folder whose files belong together.
-
-    Raises:
-        ParameterError: it cannot be read; the reader crashed, or took too much memory or time.
+    Refused where the reader crashed, or took too much memory or time.
     """
     try:
         inside = Path(path).iterdir() if os.path.isdir(path) else [path]

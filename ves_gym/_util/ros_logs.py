@@ -204,14 +204,8 @@ class _Table:
 def columns_of(arrays: dict[str, Any], clock: str) -> tuple[dict[str, Array], list[str]]:
     """Return columns on the clock of one topic, and what is to be told of them.
 
-    What has another clock is interpolated to the stamps of the first.
-
-    Args:
-        arrays: of `arrays_of`.
-        clock: "TOPIC:t" or "t": column of the clock, where several topics have one joint.
-
-    Raises:
-        ParameterError: no topic of use, or several of one joint and none is chosen.
+    What has another clock is interpolated to the stamps of the first. Where several topics have
+    one joint, `clock` is "TOPIC:t" or "t" of the one that is chosen.
     """
     tables, notes = _tables(arrays), arrays["notes"].tolist()
     first = _first(tables, clock.rpartition(":")[0])

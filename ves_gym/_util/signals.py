@@ -24,17 +24,11 @@ _TAPER = 0.1  # share of a run that the window brings to zero
 
 
 def on_uniform_clock(t: Array, x: Array) -> tuple[float, Array]:
-    """Resample signals at equal steps.
+    """Resample signals (T, c) with stamps t (T,) [s] at equal steps; return step [s] and
+    samples.
 
-    Uneven stamps may be true, or a regular sampler's samples stamped late. Whichever makes
-    the signals smoother is taken: a wrong clock adds noise wherever something moves.
-
-    Args:
-        t: (T,) time stamps [s].
-        x: (T, c) samples.
-
-    Returns:
-        Step [s] and samples (T, c).
+    Uneven stamps may be true, or a regular sampler's samples stamped late. Whichever makes the
+    signals smoother is taken: a wrong clock adds noise wherever something moves.
     """
     dt = float(t[-1] - t[0]) / (len(t) - 1)
     even = t[0] + dt * np.arange(len(t))
@@ -49,13 +43,8 @@ def on_uniform_clock(t: Array, x: Array) -> tuple[float, Array]:
 
 
 def interpolated(t: Array, x: Array, at: Array) -> Array:
-    """Return signals at other stamps, by cubic splines; NaN outside of theirs and in gaps.
-
-    Args:
-        t: (T,) stamps, increasing [s].
-        x: (T, c) samples, NaN where one is missing.
-        at: (S,) stamps [s].
-    """
+    """Return signals (T, c) at other stamps (S,) [s], by cubic splines; NaN outside of theirs,
+    which increase, and in gaps; NaN where a sample is missing."""
     out = np.full((len(at), x.shape[1]), np.nan)
     most = GAP * float(np.median(np.diff(t)))
     for column, series in zip(out.T, x.T, strict=True):
@@ -71,14 +60,10 @@ def interpolated(t: Array, x: Array, at: Array) -> Array:
 
 
 def interpolation_error(t: Array, x: Array) -> Array:
-    """Return a bound (c,) of what cubic splines are wrong by between samples, noise included.
+    """Return a bound (c,) of what `interpolated` is wrong by between samples, noise included.
 
     Every second sample is foretold by the others, at steps twice as long: 16 times the error
     where a signal is smooth.
-
-    Args:
-        t: (T,) stamps, increasing [s].
-        x: (T, c) samples, NaN where one is missing.
     """
     if len(t) < 4:
         return np.full(x.shape[1], np.inf)
@@ -87,13 +72,8 @@ def interpolation_error(t: Array, x: Array) -> Array:
 
 
 def told_error(names: Sequence[str], t: Array, x: Array) -> str:
-    """Return a sentence on `interpolation_error`: the column that is worst for its range.
-
-    Args:
-        names: (c,) of the columns.
-        t: (T,) stamps, increasing [s].
-        x: (T, c) samples, NaN where one is missing.
-    """
+    """Return a sentence on `interpolation_error`: the one of the named columns that is worst
+    for its range."""
     error, far = interpolation_error(t, x), np.nan_to_num(np.abs(x)).max(axis=0)
     worst = int(np.argmax(error / np.maximum(far, 1e-300)))
     share = 100 * error[worst] / max(float(far[worst]), 1e-300)
@@ -103,16 +83,11 @@ def told_error(names: Sequence[str], t: Array, x: Array) -> str:
 def differentiated(
     x: Array, dt: float, band: float, ahead: float = 0.0
 ) -> tuple[Array, Array, Array]:
-    """Return x, x' and x'' of a sampled signal, flat up to `band`.
+    """Return x, x' and x'' of a signal (..., T, c) sampled every dt [s], flat up to `band`
+    [Hz], of `ahead` [s] later.
 
-    Correlation with a windowed sinc and its two derivatives; beyond the ends the signal goes
-    on point-symmetrically, so the first and last `margin` samples are less true.
-
-    Args:
-        x: (..., T, c) samples.
-        dt: step [s].
-        band: Hz.
-        ahead: the results are of this much later [s].
+    Correlation with a windowed sinc and its two derivatives; beyond the ends the signal goes on
+    point-symmetrically, so the first and last `margin` samples are less true.
     """
     out = _correlated(x, _kernels(dt, band, ahead))
     return out[0], out[1], out[2]
@@ -125,16 +100,9 @@ def differentiated_with_rates(
 
     With noise densities S_x and S_v the best linear estimate of x by frequency takes the
     integrated rate with the share w^2 / (w^2 + a^2), a^2 = S_v / S_x (Wiener): what rates and
-    differences disagree by, e, is noise alone, and comes in as
-    x - i w / (w^2 + a^2) e, with its derivatives. Otherwise as `differentiated`.
-
-    Args:
-        x: (..., T, c) samples.
-        rates: (..., T, c) samples of x'.
-        dt: step [s].
-        band: Hz.
-        crossover: (c,) a [rad/s], from where rates tell more; infinite: they are not used.
-        ahead: the results are of this much later [s].
+    differences disagree by, e, is noise alone, and comes in as x - i w / (w^2 + a^2) e, with
+    its derivatives. Otherwise as `differentiated`. `crossover` (c,) is a [rad/s], from where
+    rates tell more; infinite: they are not used.
     """
     plain = differentiated(x, dt, band, ahead)
     rate, change, _ = differentiated(rates, dt, band, ahead)
@@ -164,15 +132,11 @@ def rate_crossover(
     of_rates: SensorNoiseModel,
     window: SpectralWindow,
 ) -> Array:
-    """Return (c,) from where measured rates tell more of a signal than its differences [rad/s].
+    """Return (c,) from where measured rates (T, c) tell more of a signal than its differences
+    [rad/s].
 
-    Infinite where the two disagree by more than their noise: the rates are late, smoothed or
-    of another scale.
-
-    Args:
-        x, rates: (T, c) samples.
-        of_x, of_rates: their noise.
-        window: of the run.
+    Infinite where the two disagree by more than their noise: the rates are late, smoothed or of
+    another scale.
     """
     f = window.frequencies[1:]
     e = differentiated(rates, window.dt, window.top)[0]
@@ -211,14 +175,11 @@ def _correlated(x: Array, kernels: Sequence[Array]) -> list[Array]:
 
 
 def downsampled(x: Array, factor: int) -> Array:
-    """Return every `factor`-th sample of a signal whose higher frequencies are filtered out.
+    """Return every `factor`-th sample of a signal (T, c) whose higher frequencies are filtered
+    out.
 
-    The filter is symmetric (no delay), flat up to 0.3 of the new sampling rate and down by
-    80 dB from half of it; beyond its ends a signal goes on point-symmetrically.
-
-    Args:
-        x: (T, c) samples.
-        factor: of the sampling steps.
+    The filter is symmetric (no delay), flat up to 0.3 of the new sampling rate and down by 80
+    dB from half of it; beyond its ends a signal goes on point-symmetrically.
     """
     half = 15 * factor
     taps = scipy.signal.firwin(2 * half + 1, 0.8 / factor, window=("kaiser", 8.0))
@@ -283,22 +244,13 @@ class SensorNoiseModel:
 def estimate_noise(
     x: Array, quiet: float = _QUIET, std: Array | None = None, computed: bool = False
 ) -> SensorNoiseModel:
-    """Estimate the noise of a sampled signal, separated from its motion by frequency.
+    """Estimate the noise of a sampled signal (T, c), separated from its motion by frequency.
 
-    Above `quiet` there is no motion: first-order noise is fitted to the spectrum there by
-    Whittle's likelihood.
-
-    Args:
-        x: (T, c) samples.
-        quiet: part of the sampling rate.
-        std: (c,) standard deviations where they are stated. The median power above twice
-            `quiet`, which nothing that rings moves, then tells the correlation; the slope of
-            the spectrum alone tells it badly.
-        computed: no sensor gives it. What leaks from the motion then counts: it stands for
-            what the model that computes it leaves out.
-
-    Returns:
-        Standard deviations and correlations of neighbouring samples, (c,) each.
+    Above `quiet`, a part of the sampling rate, there is no motion: first-order noise is fitted
+    to the spectrum there by Whittle's likelihood. Where standard deviations (c,) are stated,
+    the median power above twice `quiet`, which nothing that rings moves, tells the correlation;
+    the slope of the spectrum alone tells it badly. Of a signal that is computed what leaks from
+    the motion counts: it stands for what the model that computes it leaves out.
     """
     d = x - np.linspace(0, 1, len(x))[:, None] * (x[-1] - x[0])  # ends meet: no leakage
     window = "boxcar" if computed else "hann"  # nor from rates that differ there

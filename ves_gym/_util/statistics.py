@@ -46,12 +46,11 @@ STATISTICS: dict[str, Statistic] = {
 
 
 def bootstrap(strata: Sequence[Array], statistic: Statistic) -> Estimate:
-    """Percentile interval of a statistic of all values; every stratum keeps its size.
+    """Percentile interval of a statistic, of the last axis, of all values; every stratum keeps
+    its size.
 
-    Args:
-        strata: each (n,), or (n, m): m values that belong together and are drawn together,
-            such as the same episode under m policies.
-        statistic: of the last axis.
+    A stratum is (n,), or (n, m): m values that belong together and are drawn together, such as
+    the same episode under m policies.
     """
     pooled = np.concatenate([g.ravel() for g in strata])
     with np.errstate(invalid="ignore"):  # inf - inf inside a median
@@ -61,15 +60,8 @@ def bootstrap(strata: Sequence[Array], statistic: Statistic) -> Estimate:
 
 
 def resample(strata: Sequence[Array], statistic: Statistic) -> Array:
-    """Return the statistic of every bootstrap draw.
-
-    Args:
-        strata: groups that are drawn from separately; those of equal sizes are drawn alike.
-        statistic: of the pooled values.
-
-    Returns:
-        (RESAMPLES,) values.
-    """
+    """Return the statistic of every bootstrap draw (RESAMPLES,); strata of equal sizes are
+    drawn alike."""
     places = _places(tuple(len(g) for g in strata))
     drawn = [g[at].reshape(RESAMPLES, -1) for g, at in zip(strata, places, strict=True)]
     with np.errstate(invalid="ignore"):

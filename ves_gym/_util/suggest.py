@@ -10,17 +10,11 @@ _LONGEST = 80  # characters: what is longer comes from a file that is no name at
 
 
 def did_you_mean(name: object, choices: Iterable[str]) -> str:
-    """Return the end of an error message that offers the closest known name.
+    """Return the end of an error message that offers the closest known name, or '' where none
+    is.
 
-    Capitals and the kind of dash do not count. A part of a name between slashes stands for
-    the whole name where only one has it: "coulomb" for "joint/coulomb".
-
-    Args:
-        name: what was received; anything but text has no close name.
-        known: names that would have been accepted.
-
-    Returns:
-        Like '; did you mean "refined"?', or '' where no name is close.
+    Capitals and the kind of dash do not count. A part of a name between slashes stands for the
+    whole name where only one has it: "coulomb" for "joint/coulomb".
     """
     if not isinstance(name, str) or not 0 < len(name) <= _LONGEST:
         return ""

@@ -17,14 +17,11 @@ def table(
     left: Sequence[int] = (0,),
     width: int = WIDTH,
 ) -> str:
-    """Return rows as text in columns, as wide as the terminal where there is one.
+    """Return rows as text in columns, as wide as the terminal where there is one, `width` in a
+    pipe.
 
-    Args:
-        head: names of the columns; none: the table has no head.
-        rows: cells of each row, None for a line between two.
-        title: above it.
-        left: columns that begin at their left side; the others are of numbers.
-        width: in characters, in a pipe.
+    Columns of `left` begin at their left side; the others are of numbers. A row that is None is
+    a line between two; without names of the columns the table has no head.
     """
     from rich.console import Console
     from rich.table import Table

@@ -24,11 +24,8 @@ ONE_THREAD = dict.fromkeys(
 
 @contextmanager
 def on_one_thread(scipy: bool = True) -> Iterator[None]:
-    """Run what is inside, or a function so decorated, on one thread of linear algebra.
-
-    Args:
-        scipy: SciPy's too; False where NumPy's is all there is, which spares an import.
-    """
+    """Run what is inside, or a function so decorated, on one thread of linear algebra; SciPy's
+    too, unless NumPy's is all there is, which spares an import."""
     if scipy:  # it has a BLAS of its own, which is limited only once it is there
         import_module("scipy.linalg")
     with _threads(scipy).limit(limits=1, user_api="blas"):

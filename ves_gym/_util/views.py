@@ -18,13 +18,8 @@ from ves_gym._util.params import ParameterError
 
 @singledispatch
 def draw(result: Any, ax: Any, **options: Any) -> Any:
-    """Draw a result into matplotlib axes and return them; one function per class.
-
-    Args:
-        result: what is drawn.
-        ax: axes, or None for a new figure.
-        options: of the class.
-    """
+    """Draw a result into matplotlib axes, or a new figure's, and return them; one function per
+    class."""
     raise ParameterError(f"{type(result).__name__} has no picture")
 
 

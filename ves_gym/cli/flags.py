@@ -39,12 +39,8 @@ Read: TypeAlias = Callable[[str, Place], Any]
 
 
 def read(convert: Callable[[str], Any], expected: str = "") -> Read:
-    """Read by a function of the text alone.
-
-    Args:
-        convert: raises a ValueError where the text is none of these.
-        expected: what it must be then, for the sentence; none: the function's own stands.
-    """
+    """Read by a function of the text alone; its ValueError becomes a sentence of what is
+    expected, or its own stands."""
 
     def reader(value: str, place: Place) -> Any:
         try:
@@ -99,13 +95,8 @@ def grouped(group: str, *flags: Flag) -> tuple[Flag, ...]:
 
 
 def values(flags: Sequence[Flag], texts: Mapping[str, Any], arm: Arm | None) -> dict[str, Any]:
-    """Return what was written, by parameter and in SI units; what was not is left out.
-
-    Args:
-        flags: of the command.
-        texts: by parameter, None or False where there is none.
-        arm: whose joints the options are about.
-    """
+    """Return what was written, by parameter and in SI units, about an arm's joints; what was
+    not is left out."""
     out: dict[str, Any] = {}
     angles = "degrees" if texts.get("degrees") else "radians" if texts.get("radians") else None
     beside: dict[str, dict[str, Any]] = {}
@@ -165,13 +156,7 @@ def integer(least: int = 0, most: int | None = None) -> Read:
 
 
 def word_or(word: str, reader: Read, expected: str) -> Read:
-    """Read a word that stands for None, such as `auto`, or what another reader takes.
-
-    Args:
-        word: that stands for None.
-        reader: of anything else.
-        expected: by both, for the sentence.
-    """
+    """Read a word that stands for None, such as `auto`, or what another reader takes."""
 
     def either(value: str, place: Place) -> Any:
         if value == word:
@@ -238,15 +223,12 @@ def joints(value: str, place: Place) -> Array:
 
 
 def radians_note(value: str, name: str) -> str | None:
-    """Return what is said of angles given in degrees that may be meant in radians.
+    """Return what is said of an option's angles, given in degrees, that may be meant in
+    radians.
 
     They may if none is beyond a whole turn in radians and one has decimals: the unit is said.
     It is asked if one of them has two decimals or more and is, to half of its last, a multiple
     of 15 degrees: 1.57, 0.785, -2.36.
-
-    Args:
-        value: numbers with commas between them.
-        name: of the option.
     """
     parts = value.split(",")
     if max(map(abs, floats(value))) > 2 * math.pi:

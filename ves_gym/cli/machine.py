@@ -90,9 +90,6 @@ def parse_effect(text: str) -> Effect:
 
     A value is a number or several with commas between them, 3,0,0; square brackets are for
     matrices and may be written around the latter as well, [[1, 0], [0, 1]].
-
-    Raises:
-        ParameterError: unknown kind or parameter, or a value that it cannot have.
     """
     kind, _, assignments = text.partition(":")
     if kind not in EFFECTS:
@@ -215,14 +212,11 @@ _LABORATORY = ("operation", "platform", "no_compensation", "zero", "calibration"
 
 
 def case_from(options: Mapping[str, Any], mode: str, seed: int | None) -> Case:
-    """Return the case that the options describe: a file's or the default, single changes of it.
+    """Return the case that options of `MACHINE` describe: a file's or the default, single
+    changes of it.
 
-    A note says where a case's motion is then played on another machine.
-
-    Args:
-        options: of `MACHINE`, those that are set, by parameter.
-        mode: where nothing says it.
-        seed: None for the case's.
+    Where nothing says it, the mode is this one, and the seed, if None, the case's. A note says
+    where a case's motion is then played on another machine.
     """
     case = options.get("case", Case())
     if "case" in options and "system" in options:

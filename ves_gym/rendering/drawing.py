@@ -226,11 +226,9 @@ class Drawing:
     def pose(self, y: Array, q: Array, u: Array | None = None) -> None:
         """Put the structure there.
 
-        Args:
-            y: (6,) base pose [m, rad].
-            q: (n,) joint angles [rad].
-            u: (p + c + m,) deflections of the arm's flexures [rad], of what a satellite
-                carries, then internal modes of the base; None: links are straight.
+        At base pose (6,), joint angles (n,) [rad] and u (p + c + m,) deflections of the arm's
+        flexures [rad], of what a satellite carries, then internal modes; None: links are
+        straight.
         """
         motors, passive, followers = places(self.system.arm)
         bends = self.system.arm.bends
@@ -250,15 +248,11 @@ class Drawing:
         mujoco.mj_camlight(self.model, self.data)
 
     def beam(self, y: Array, u: Array | None = None) -> Array | None:
-        """Bent centreline.
+        """Bent centreline (..., k, 3) [m] at base poses (..., 6), None of a system without a
+        beam.
 
-        Args:
-            y: (..., 6) base poses [m, rad].
-            u: (..., p + m) deflections of the arm, then internal modes; None: these rest on
-                the flange.
-
-        Returns:
-            (..., k, 3) [m]; None of a system without a beam.
+        u (..., p + m) are deflections of the arm, then internal modes; None: these rest on the
+        flange.
         """
         if self.rest_beam is None:
             return None
@@ -277,13 +271,8 @@ class Drawing:
         return np.stack([np.broadcast_to(self.feet, head.shape), head], axis=-2)
 
     def add_support(self, y: Array, extent: float, u: Array | None = None) -> None:
-        """Add what carries the arm and is no rigid body: the bent beam, or the legs.
-
-        Args:
-            y: (6,) base pose [m, rad].
-            extent: size of what the camera sees [m].
-            u: see `pose`; None: internal modes rest on the base's flange.
-        """
+        """Add what carries the arm and is no rigid body, see `pose`: the bent beam, or the
+        legs; `extent` is the size of what the camera sees [m]."""
         legs, centreline = self.legs(y), self.beam(y, u)
         if legs is not None:
             for foot, head in legs:
@@ -319,12 +308,8 @@ class Drawing:
         self.ball(grip, size * float(payload.edges.min()), _TOOL)
 
     def add_path(self, poses: Array, extent: float) -> None:
-        """Add the path of a point on the plate's rim.
-
-        Args:
-            poses: (N, 6) base poses up to now [m, rad].
-            extent: size of what the camera sees [m].
-        """
+        """Add the path of a point on the plate's rim at base poses (N, 6) up to now; see
+        `add_support`."""
         stride = max(1, (len(poses) - 1) // 60)
         poses = poses[::-stride][::-1]  # ends at the last
         points = poses[:, :3] + rotation(poses) @ self._rim
@@ -333,15 +318,10 @@ class Drawing:
             self.connect("CAPSULE", a, b, 0.005 * extent, fade)
 
     def add_wrench(self, y: Array, w: Array, most: tuple[float, float], longest: float) -> None:
-        """Add force and moment on the base.
+        """Add force and moment (6,) on a base at a pose (6,), of which `most` ([N], [N m]) are
+        drawn as long as `longest` [m].
 
         They begin on the plate's rim: at its centre the arm would hide them.
-
-        Args:
-            y: (6,) base pose [m, rad].
-            w: (6,) wrench [N, N m].
-            most: [N], [N m] drawn as long as `longest`.
-            longest: length of an arrow [m].
         """
         turn = rotation(y)
         origin = y[:3] + turn @ self._rim
@@ -358,14 +338,8 @@ class Drawing:
         return geom
 
     def connect(self, kind: str, a: Array, b: Array, radius: float, rgba: Any) -> None:
-        """Add a shape from a to b (3,) [m] to this frame; none where they coincide.
-
-        Args:
-            kind: name of MuJoCo's geom type, like CAPSULE.
-            a, b: (3,) [m].
-            radius: [m].
-            rgba: colour, each from 0 to 1.
-        """
+        """Add a shape, by name of MuJoCo's geom type like CAPSULE, from a to b (3,) with a
+        radius [m] and a colour, each from 0 to 1, to this frame; none where they coincide."""
         if np.linalg.norm(b - a) > 1e-9:
             form = getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")
             geom = self._show(form, np.zeros(3), np.zeros(3), np.eye(3), rgba)
@@ -381,17 +355,8 @@ class Drawing:
     def camera(
         self, points: Array, margin: float, azimuth: float, elevation: float, aspect: float
     ) -> Any:
-        """Return a camera that frames all the points, seen in a given direction.
-
-        Args:
-            points: (N, 3) [m].
-            margin: around them [m].
-            azimuth, elevation: of the direction [deg].
-            aspect: width over height of the picture.
-
-        Returns:
-            MuJoCo's camera.
-        """
+        """Return MuJoCo's camera that frames all the points (N, 3), with a margin [m] around
+        them, seen in a direction [deg]; `aspect` is width over height."""
         az, el = math.radians(azimuth), math.radians(elevation)
         ahead = np.array(
             [math.cos(az) * math.cos(el), math.sin(az) * math.cos(el), math.sin(el)]
@@ -411,14 +376,8 @@ class Drawing:
         return camera
 
     def framing(self, arm: Array) -> tuple[Array, float]:
-        """Points of arm and vehicle at rest, and the room they need around them.
-
-        Args:
-            arm: (N, 3) points of the arm [m].
-
-        Returns:
-            (m, 3) points [m], and the margin [m].
-        """
+        """Points (m, 3) of arm (N, 3) and vehicle at rest, and the room that they need around
+        them [m]."""
         base, margin, home = self.system.base, 0.6, np.zeros(6)
         legs, centreline = self.legs(home), self.beam(home)
         support = centreline if legs is None else legs.reshape(-1, 3)

@@ -90,15 +90,10 @@ def candidates() -> tuple[str, ...]:
 
 
 def attempt(code: str, timeout: float, backend: str | None = None) -> tuple[bool, str]:
-    """Run Python code in a child process that may hang or crash.
+    """Run Python code in a child process that may hang or crash, hung after so many seconds,
+    with MUJOCO_GL as it is or another.
 
-    Args:
-        code: of a program.
-        timeout: after which it counts as hung [s].
-        backend: value of MUJOCO_GL; None: as it is.
-
-    Returns:
-        Whether it ended well, and the last line that it wrote, or why it ended.
+    Return whether it ended well, and the last line that it wrote, or why it ended.
     """
     try:
         done = subprocess.run(
@@ -171,12 +166,10 @@ def environment(backend: str | None) -> dict[str, str]:
 
 
 class DrawingProcess:
-    """`python -m MODULE WORDS` with what it writes in a queue.
+    """`python -m MODULE WORDS` with what it writes in a queue, piece by piece as `read` takes
+    it.
 
     It ends with its standard input: no process outlives the one that wants its pictures.
-
-    Args:
-        read: takes the next piece from its standard output, None at the end.
     """
 
     def __init__(
@@ -211,11 +204,8 @@ class DrawingProcess:
         return not self.pieces.empty()
 
     def get(self, patience: float | None) -> Any:
-        """The next piece, None when it has ended well; a RenderError where there is none.
-
-        Args:
-            patience: s to wait, None: for ever.
-        """
+        """The next piece, for which it waits so many seconds (None: for ever), None when it has
+        ended well; a RenderError where there is none."""
         try:
             piece = self.pieces.get(timeout=patience)
         except queue.Empty:

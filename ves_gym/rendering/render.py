@@ -52,20 +52,11 @@ def render(
     view: View | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
-    """Draw a run log into a .gif or .mp4 file, written completely or not at all.
+    """Draw a run log into a .gif or .mp4 file, written completely or not at all; `progress` is
+    called with the fraction done.
 
-    Args:
-        log: with a system in its metadata.
-        path: its suffix chooses the format.
-        view: size [px], frame rate [1/s] and magnification.
-        progress: called with the fraction done.
-
-    Returns:
-        `frames` (how many) and `backend` (the OpenGL that drew them).
-
-    Raises:
-        RenderError: no OpenGL, or a package is missing.
-        ParameterError: another suffix, or a frame rate the format cannot hold.
+    Returns `frames` (how many) and `backend` (the OpenGL that drew them). A RenderError says
+    what is missing: no OpenGL, or a package.
     """
     path, view = Path(path), view or View()
     _require_format(path, view)
@@ -90,15 +81,7 @@ def render(
 
 
 def show(log: RunLog, view: View | None = None) -> None:
-    """Replay a run log in a window, over and over, until it is closed (Escape does, too).
-
-    Args:
-        log: with a system in its metadata.
-        view: size [px], frame rate [1/s] and magnification.
-
-    Raises:
-        RenderError: no display, or its OpenGL does not work.
-    """
+    """Replay a run log in a window, over and over, until it is closed (Escape does, too)."""
     view = view or View()
     system, samples = log_samples(log, view)
     live = Live(_settings(system, samples, view, window=True, title="ves-gym view"))
@@ -129,11 +112,7 @@ def _settings(
 
 
 def described(log: RunLog) -> System:
-    """Return the system of a log that can be drawn.
-
-    Raises:
-        ParameterError: the log names none, or one of another number of joints.
-    """
+    """Return the system of a log that can be drawn."""
     if "system" not in log.meta:
         raise ParameterError("the log does not say what to draw: its metadata has no 'system'")
     system = System.from_dict(log.meta["system"], "log metadata: system")

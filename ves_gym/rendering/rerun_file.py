@@ -44,20 +44,11 @@ _THICKNESS = 0.045  # of an arm's length, where its links have no shape
 def write_rerun(
     path: str | os.PathLike[str], runs: Mapping[str, RunLog], magnify: float = 1.0
 ) -> None:
-    """Write runs side by side into one recording, completely or not at all.
+    """Write runs side by side into one .rrd recording, completely or not at all.
 
     Entities of a run lie under its name: `base` (pose), `base/link_1` ... (poses in the base's
     axes), `beam` or `legs`, `tool` (its way), `energy` [J], and a group of series per quantity
-    of the log.
-
-    Args:
-        path: ends in .rrd.
-        runs: by name; each names its system in the metadata.
-        magnify: factor on the base's motion as it is seen; series are as they are.
-
-    Raises:
-        MissingPackageError: rerun-sdk is not installed.
-        ParameterError: another suffix, or a log that does not say what to draw.
+    of the log. The base's motion is seen magnified; series are as they are.
     """
     path, magnify = Path(path), View(magnify=magnify).magnify
     if path.suffix != ".rrd":
@@ -79,12 +70,8 @@ def write_rerun(
 
 
 class RecordingScene:
-    """What of a run is seen: arrays (N, ...) on the log's clock.
-
-    Args:
-        log: names its system in the metadata.
-        magnify: factor on the base's motion, its bending included.
-    """
+    """What of a run is seen: arrays (N, ...) on the log's clock, the base's motion
+    magnified."""
 
     def __init__(self, log: RunLog, magnify: float = 1.0) -> None:
         self.log, self.system = log, described(log)

@@ -90,11 +90,7 @@ class Stage:
     # ----------------------------------------------------------------- picture
 
     def paint(self, width: int, height: int) -> None:
-        """Draw the latest sample into the bound framebuffer.
-
-        Args:
-            width, height: of the framebuffer [px].
-        """
+        """Draw the latest sample into the bound framebuffer [px]."""
         strip, main = round(_STRIP * height), round(MAIN * width)
         band = self.settings.lines * self._text_height
         floor = strip + band

@@ -22,12 +22,8 @@ _KINDS = {
 def solids(
     shape: ContactShape, place: Array, turn: Array
 ) -> Iterator[tuple[Any, Array, Array, Array]]:
-    """Yield type, size (3,), place (3,) and axes (3, 3) of what a surface is drawn as.
-
-    Args:
-        shape: in axes of its own body.
-        place, turn: (3,) and (3, 3) of these axes.
-    """
+    """Yield type, size (3,), place (3,) and axes (3, 3) of what a surface is drawn as, its body
+    at a place (3,) and turn (3, 3)."""
     at, axes = place + turn @ np.array(shape.place.position), turn @ shape.place.rotation
     size = np.array(shape.size)
     if shape.form != "cone":
@@ -49,13 +45,7 @@ def solids(
 
 
 def add_surface(body: Any, shape: ContactShape, place: Array, turn: Array, rgba: Any) -> None:
-    """Add a surface to a body of a model that is only drawn.
-
-    Args:
-        body: of the model, written.
-        shape, place, turn: see `solids`.
-        rgba: its colour.
-    """
+    """Add a surface, placed as in `solids`, to a body of a model that is only drawn."""
     quat = np.zeros(4)
     for kind, size, at, axes in solids(shape, place, turn):
         mujoco.mju_mat2Quat(quat, axes.flatten())

@@ -17,11 +17,7 @@ _SCRIPTS = "dom drawing page tables charts scene platform player scenes"  # in t
 
 
 def write_page(result: dict[str, Any], path: str | os.PathLike[str]) -> None:
-    """Write the HTML report of a benchmark result, completely or not at all.
-
-    Raises:
-        ParameterError: the result has another schema, or holds a number JSON has not.
-    """
+    """Write the HTML report of a benchmark result, completely or not at all."""
     require_schema(result, SCHEMA)
     text = page(
         "report/page.html",

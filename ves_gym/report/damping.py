@@ -42,14 +42,11 @@ def damping_figures(comparison: GainComparison) -> dict[str, Figure]:
 
 
 def pole_figure(sets: Sequence[tuple[str, Complexes]], locked: Complexes) -> Figure:
-    """Draw poles of arm and base, a panel per set of gains; rings: the base, joints locked.
+    """Draw poles [1/s] of arm and base, a panel per named set of gains; rings: the base, joints
+    locked.
 
-    The upper half of the s-plane (the lower one mirrors it). The real axis is linear up to
-    1/s and logarithmic beyond: joints may have poles far from those of the base.
-
-    Args:
-        sets: name and poles [1/s] of each set.
-        locked: poles with the joints locked [1/s].
+    The upper half of the s-plane (the lower one mirrors it). The real axis is linear up to 1/s
+    and logarithmic beyond: joints may have poles far from those of the base.
     """
     figure, panels = panels_of(len(sets), 4.2, 3.8)
     every = np.concatenate([locked, *(poles for _, poles in sets)])
@@ -76,16 +73,9 @@ def pole_figure(sets: Sequence[tuple[str, Complexes]], locked: Complexes) -> Fig
 def response_figure(
     names: Sequence[str], linear: FreeVibration, simulated: FreeVibration | None = None
 ) -> Figure:
-    """Draw translation, strain energy and its integral after the release, by both models.
-
-    Args:
-        names: of the m sets of gains.
-        linear: responses of the linear model.
-        simulated: responses of the simulator, if there are any.
-
-    Returns:
-        The figure: [mm], [J] and [J s] over [s].
-    """
+    """Draw translation [mm], strain energy [J] and its integral [J s] after the release under
+    named sets of gains, by the linear model and, if there are any, the simulator's
+    responses."""
     from matplotlib.lines import Line2D
 
     figure, panels = panels_of(3, 8.4, 2.9, columns=1)

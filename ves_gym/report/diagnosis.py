@@ -33,15 +33,9 @@ _LIKELY = 0.001  # probability from which the page lists a hypothesis; the text:
 
 
 def write_page(result: Result, path: str | os.PathLike[str]) -> None:
-    """Write the report of a diagnosis, completely or not at all.
-
-    Args:
-        result: what `ves-gym diagnose` writes as JSON, with `overlays`
-            (`diagnosis_figures.overlays`) and `diff` (text) where there are any.
-
-    Raises:
-        ParameterError: another schema, or matplotlib is not installed.
-    """
+    """Write the report of a diagnosis, completely or not at all: what `ves-gym diagnose` writes
+    as JSON, with `overlays` (`diagnosis_figures.overlays`) and `diff` (text) where there are
+    any."""
     write_text(path, render_page(result))
 
 
@@ -376,12 +370,7 @@ def _unit(unit: str) -> str:
 
 
 def diagnosis_text(diagnosis: Diagnosis, result: Mapping[str, Any]) -> str:
-    """Return what `ves-gym diagnose` prints.
-
-    Args:
-        diagnosis: the verdict.
-        result: what the command writes as JSON.
-    """
+    """Return what `ves-gym diagnose` prints of a verdict and of what it writes as JSON."""
     beliefs = [f"{k} {p:.2f}" for k, p in result["hypotheses"].items() if p >= 5 * _LIKELY]
     lines = [
         diagnosis.sentence,

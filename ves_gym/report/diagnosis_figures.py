@@ -31,15 +31,8 @@ _FILTER = 4  # order of the low-pass that overlays go through
 
 
 def where_figure(where: Sequence[Result], better: bool = True) -> Figure:
-    """Draw the mean square of the residual, channels by ranges of frequency.
-
-    Args:
-        where: port, channel, range [Hz] and mean square over noise [1] of each cell.
-        better: there is an after.
-
-    Returns:
-        The figure.
-    """
+    """Draw the mean square of the residual over noise [1], channels of ports by ranges of
+    frequency [Hz]; `better`: there is an after."""
     channels = list(dict.fromkeys((g["port"], g["channel"]) for g in where))
     ranges = list(dict.fromkeys((g["low"], g["high"]) for g in where))
     width, height = max(11.0, 2.5 + 0.36 * len(channels)), 2.1 if better else 2.6
@@ -78,15 +71,8 @@ def where_figure(where: Sequence[Result], better: bool = True) -> Figure:
 
 
 def when_figure(when: Sequence[Result], better: bool) -> Figure:
-    """Draw the mean square of the residual over the time elapsed, the channels that show most.
-
-    Args:
-        when: port, channel, run, step [s] and mean squares over noise [1] of each course.
-        better: there is an after.
-
-    Returns:
-        The figure.
-    """
+    """Draw the mean square of the residual over noise [1] over the time elapsed, the channels
+    that show most; `better`: there is an after."""
     loudest: dict[tuple[str, str], float] = {}
     for course in when:
         key = course["port"], course["channel"]
@@ -150,15 +136,8 @@ def likeness_figure(likeness: Result) -> Figure:
 
 
 def overlay_figure(overlays: Sequence[Result], better: bool) -> Figure:
-    """Draw residuals over time and their spectra in units of noise.
-
-    Args:
-        overlays: channel, t [s], residuals before and after, f [Hz] and spectra of each.
-        better: there is an after.
-
-    Returns:
-        The figure, two panels per overlay.
-    """
+    """Draw `overlays`, two panels each: residuals over time and their spectra in units of
+    noise."""
     figure, panels = panels_of(2 * len(overlays), 6.0, 2.9, columns=2)
     for k, overlay in enumerate(overlays):
         time, spectrum = panels[2 * k : 2 * k + 2]
@@ -192,15 +171,9 @@ def overlays(selection: Selection, residuals: WhitenedResiduals) -> list[dict[st
     """Return residuals of the channel whose gap falls most and, of the others, of that with the
     largest gap, each over the run that shows it most.
 
-    Args:
-        selection: the answer.
-        residuals: that it was fitted to.
-
-    Returns:
-        Per channel: port, channel, unit, run; t [s], before, after: the residual under the
-        description and the better one, up to `top` [Hz], where the gap is; f [Hz],
-        noise_before, noise_after: its spectrum in standard deviations of noise, tolerances
-        taken off.
+    Per channel: port, channel, unit, run; t [s], before, after: the residual under the
+    description and the better one, up to `top` [Hz], where the gap is; f [Hz], noise_before,
+    noise_after: its spectrum in standard deviations of noise, tolerances taken off.
     """
     null, fit = selection.null, selection.fit
     adjusted = [f.residual + residuals.slopes @ f.nuisances for f in (null, fit)]

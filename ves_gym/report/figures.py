@@ -34,15 +34,8 @@ Result = dict[str, Any]
 
 
 def write_figures(figures: Mapping[Path, Figure], form: str = "png") -> list[Path]:
-    """Write figures, each completely or not at all; same figure, same bytes.
-
-    Args:
-        figures: by the name of the file without its suffix.
-        form: one of `FORMATS`.
-
-    Returns:
-        The files.
-    """
+    """Write figures by the name of the file without its suffix, each completely or not at all,
+    and return the files; same figure, same bytes."""
     import matplotlib
 
     files = []
@@ -108,14 +101,9 @@ def darker(colour: str) -> str:
 
 
 def benchmark_figures(result: Result) -> dict[str, Figure]:
-    """Return the figures that a result has data for, by name.
-
-    Of ratio, energy, coupling, prediction and pareto; in mode emulated also
-    base_motion_emulated and strain_energy_emulated.
-
-    Raises:
-        ParameterError: matplotlib is not installed.
-    """
+    """Return the figures that a result has data for, by name: ratio, energy, coupling,
+    prediction and pareto; in mode emulated also base_motion_emulated and
+    strain_energy_emulated."""
     rows, traces = result.get("rows"), result.get("traces")
     emulated = traces and result.get("mode") == "emulated"
     summary = result.get("summary", ())
@@ -168,16 +156,10 @@ CURVES = {  # key of a series -> axis label, factor from SI
 
 
 def time_figure(result: Result, key: str) -> Figure:
-    """Draw a quantity against time, a panel per query; shaded while the arm moves.
+    """Draw a quantity of `CURVES` against time, a panel per query of a benchmark with traces;
+    shaded while the arm moves.
 
     Mode emulated: dashed and darker the same motion in space, a cross where a run stopped.
-
-    Args:
-        result: of a benchmark, with traces.
-        key: of `CURVES`.
-
-    Returns:
-        The figure.
     """
     names, (label, factor) = _planners(result), CURVES[key]
     emulated = result.get("mode") == "emulated"
@@ -346,14 +328,8 @@ def _strip(
 def draw_map(
     figure: Figure | SubFigure, axes: Axes, section: Result, names: Sequence[str]
 ) -> None:
-    """Draw one coupling map into axes, with the paths that its data hold.
-
-    Args:
-        figure: of the axes; it gets a colour bar.
-        axes: where to.
-        section: as `planners.scenes.map_data` gives it.
-        names: planners that are drawn together.
-    """
+    """Draw one coupling map (`planners.scenes.map_data`) into axes of a figure, which gets a
+    colour bar, with the paths of the planners that its data hold."""
     from matplotlib.collections import LineCollection
     from scipy.interpolate import RegularGridInterpolator
 

@@ -46,17 +46,8 @@ Matrices = tuple[Array, Array, Array]  # M, D, K of the structure in space
 def run_figure(
     log: RunLog, system: System, duration: float, space: RunLog | None = None
 ) -> Figure:
-    """Draw a run log: what was commanded dashed, or the same run in space.
-
-    Args:
-        log: with rates of the base.
-        system: that it is a run of.
-        duration: of the motion [s], a dotted line.
-        space: the same motion played in space, dashed, or None.
-
-    Returns:
-        The figure: five panels over the time [s].
-    """
+    """Draw a run log with rates of the base, five panels over the time [s], a dotted line where
+    the motion ends [s]: dashed what was commanded, or the same run in space."""
     E = log_base_energy(log, system)
     figure, panels = panels_of(5, 8.0, 1.7, columns=1)
     place, turn, joint, error, energy = panels
@@ -92,11 +83,8 @@ def run_figure(
 
 
 def mode_figure(base: FlexibleBase) -> Figure:
-    """Draw the slowest modes of a base with a centreline, nothing on its flange.
-
-    Returns:
-        The figure: at most six modes from the front and from the side, at rest in grey.
-    """
+    """Draw the slowest modes of a base with a centreline, nothing on its flange: at most six,
+    from the front and from the side, at rest in grey."""
     centreline, reduced = base.centreline(), base.reduction()
     assert centreline is not None
     mass, stiffness = reduced.matrices()
@@ -174,11 +162,8 @@ def loop_pole_figure(system: System, loop: Linearised, space: Matrices) -> Figur
 
 
 def loop_bode_figure(loop: Linearised, space: Matrices) -> Figure:
-    """Draw pose per wrench along each axis: in space and in the laboratory, gain and phase.
-
-    Returns:
-        The figure: [m/N, rad/(N m)] and [deg] over [Hz].
-    """
+    """Draw pose per wrench along each axis in space and in the laboratory: gain [m/N, rad/(N
+    m)] and phase [deg] over [Hz]."""
     M, D, K = space
     f = np.geomspace(0.03, min(20.0, 0.45 / loop.dt), 500)
     w = 2j * np.pi * f[:, None, None]
@@ -200,11 +185,8 @@ def loop_bode_figure(loop: Linearised, space: Matrices) -> Figure:
 
 
 def loop_step_figure(loop: Linearised, space: Matrices) -> Figure:
-    """Draw the pose after a wrench of 1 N or 1 N m sets in along each axis.
-
-    Returns:
-        The figure: [mm, mrad] over [s].
-    """
+    """Draw the pose [mm, mrad] over [s] after a wrench of 1 N or 1 N m sets in along each
+    axis."""
     from scipy.linalg import expm
 
     M, D, K = space
@@ -246,11 +228,8 @@ def leg_figures(servos: Mapping[str, LegServo]) -> dict[str, Figure]:
 
 
 def leg_bode_figure(servos: Mapping[str, LegServo], *, closed: bool) -> Figure:
-    """Draw loop gain or closed loop of one leg, the band of its transverse mode shaded.
-
-    Returns:
-        The figure: [dB] and [deg] over [Hz].
-    """
+    """Draw loop gain or closed loop of one leg [dB], [deg] over [Hz], the band of its
+    transverse mode shaded."""
     figure, (magnitude, phase) = panels_of(2, 7.0, 3.0, columns=1)
     for k, (name, servo) in enumerate(servos.items()):
         f = np.geomspace(0.1, 0.49 * servo.rate, 4000)

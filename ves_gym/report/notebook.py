@@ -27,11 +27,11 @@ _DURATIONS = 0.5, 8.0  # s, ends of the page's slider
 
 
 def progress_bar() -> Callable[..., None]:
-    """Show a bar in the notebook's output; without IPython nothing is shown.
+    """Show a bar in the notebook's output, and return its callback; without IPython nothing is
+    shown.
 
-    Returns:
-        A callback for `progress` of `evaluate`, `train`, `diagnose` and `render`: of what it is
-        called with, the last number is the fraction done, and text is written beside the bar.
+    The callback goes as `progress` of `evaluate`, `train`, `diagnose` and `render`: of what it
+    is called with, the last number is the fraction done, and text is written beside the bar.
     """
     try:
         from IPython.display import HTML, display

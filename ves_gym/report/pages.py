@@ -35,9 +35,6 @@ def page(
         scripts: files that become one module, in this order; none: the page runs nothing.
         data: what they find in the element `data`.
         parts: markup for the places of the template.
-
-    Raises:
-        ParameterError: the data hold a number that JSON has not.
     """
     end = ""
     if scripts:
@@ -71,11 +68,7 @@ def _assembled(template: str, parts: Mapping[str, str]) -> str:
 
 
 def embedded(data: Any) -> str:
-    """JSON that cannot end or disturb the script element it stands in.
-
-    Raises:
-        ParameterError: the data hold a number that JSON has not.
-    """
+    """JSON that cannot end or disturb the script element it stands in."""
     try:
         text = json.dumps(to_plain(data), separators=(",", ":"), allow_nan=False)
     except ValueError as error:
@@ -128,17 +121,8 @@ def html_table(
     caption: str = "",
     kind: str = "",
 ) -> str:
-    """Make a table that scrolls where it is wider than the page.
-
-    Args:
-        head: of the columns.
-        rows: text of the cells.
-        numbers: columns of numbers.
-        wrap: columns whose text may go on below.
-        bold: which rows are.
-        caption: above it.
-        kind: class of the element.
-    """
+    """Make a table of a class `kind` that scrolls where it is wider than the page, with columns
+    of `numbers` and columns whose text may `wrap`, and rows that are `bold`."""
 
     def cells(tag: str, texts: Sequence[str]) -> str:
         classes = [

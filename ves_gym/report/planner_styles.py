@@ -46,16 +46,8 @@ OTHERS = [Style(k, dash) for dash in (DASHES[3], DASHES[2]) for k in (6, 3, 4, 1
 
 
 def style_of(planner: str, names: Sequence[str] = ()) -> Style:
-    """Return how a planner is drawn.
-
-    Args:
-        planner: its name.
-        names: all that are drawn together: a planner that the table does not have takes a
-            style that none of it has, by its place among those.
-
-    Returns:
-        Its style.
-    """
+    """Return how a planner is drawn; one that the table does not have takes a style that none
+    of it has, by its place among all that are drawn together."""
     if planner in STYLES:
         return STYLES[planner]
     unlisted = [name for name in names if name not in STYLES]

@@ -26,12 +26,11 @@ _HALF = 0.5  # rate of success below which a task counts as not solved
 
 
 def policy_card(name: str, figures: Mapping[str, Any] | None = None) -> str:
-    """Return the card of a policy as Markdown.
+    """Return the card of a released policy, such as PumaDamp/ppo, or of a .json file, as
+    Markdown.
 
-    Args:
-        name: of a released policy, such as PumaDamp/ppo, or a .json file.
-        figures: an evaluation of schema ves-evaluate/1 in which the policy stands under its
-            algorithm's name, with an entry `laboratory` where it was evaluated there too.
+    `figures`: an evaluation of schema ves-evaluate/1 in which the policy stands under its
+    algorithm's name, with an entry `laboratory` where it was evaluated there too.
     """
     policy = load_policy(name)
     about = policy.about
@@ -46,12 +45,7 @@ def policy_card(name: str, figures: Mapping[str, Any] | None = None) -> str:
 
 
 def evaluation_for_card(name: str, episodes: int, seed: int = 0) -> dict[str, Any]:
-    """Evaluate a policy for its card, beside no action and noise.
-
-    Args:
-        name: as of `policy_card`.
-        episodes, seed: of the evaluation.
-    """
+    """Evaluate a policy for its card, beside no action and noise."""
     policy = load_policy(name)
     env, settings = policy.about.get("env"), policy.about.get("settings", {})
     if not isinstance(env, str):

@@ -65,9 +65,8 @@ def low_energy_waypoint(query: Query) -> list[Array]:
 def playable(system: System) -> System:
     """Return a system as the page simulates it: in space, nominal, without effects.
 
-    Raises:
-        ParameterError: links or gears that give way, joints that slide, wheels or appendages
-            on the base, or a base with quadratic drag.
+    Refused: links or gears that give way, joints that slide, wheels or appendages on the base,
+    or a base with quadratic drag.
     """
     arm, base = system.arm, system.base
     arm.require_rigid("the studio")
@@ -87,17 +86,9 @@ def playable(system: System) -> System:
 
 
 def machine_data(system: System) -> dict[str, Any]:
-    """Describe arm, base, servo, beam and platform as plain numbers.
-
-    Args:
-        system: arm and vehicle; in mode emulated the platform stands in the beam's place.
-
-    Returns:
-        SI units; the base's matrices over (Y, internal modes).
-
-    Raises:
-        ParameterError: as `playable`.
-    """
+    """Describe arm, base, servo, beam and platform as plain numbers in SI units; in mode
+    emulated the platform stands in the beam's place. The base's matrices are over (Y, internal
+    modes)."""
     platform, system = platform_data(system), playable(system)
     arm, base = system.arm, system.base
     M, D, K = base.full()
@@ -164,13 +155,8 @@ def _beam(vehicle: Any, base: BaseModel) -> dict[str, Any] | None:
 def reference_motions(
     system: System, start: Array, goal: Array, duration: float
 ) -> list[tuple[str, Motion]]:
-    """Return motions to compare the page's energies with: straight ones and through points.
-
-    Args:
-        system: arm and vehicle.
-        start, goal: (n,) joint angles that the page begins with [rad].
-        duration: of the motion that it begins with [s].
-    """
+    """Return motions to compare the page's energies with, between joint angles (n,) [rad] in a
+    duration [s]: straight ones and through points."""
     arm = system.arm
     low, high = arm.column("q_min"), arm.column("q_max")
     middle = (start + goal) / 2
@@ -244,14 +230,8 @@ def studio_data(
     opened: Sequence[dict[str, Any]] = (),
     plans: Sequence[Plan] = (),
 ) -> dict[str, Any]:
-    """Return all that the page holds.
-
-    Args:
-        query: system, ends and duration of the motion that it begins with.
-        via: (n,) way-points between the ends [rad].
-        opened: files, as `ves_gym.report.studio_files` reads them.
-        plans: answers to the query, to compare with.
-    """
+    """Return all that the page holds: a query, way-points (n,) between its ends [rad], files
+    opened as `studio_files` reads them, and plans to compare with."""
     system = query.system
     planned = [
         {"kind": "motion", "name": plan.planner, "motion": to_plain(plan.motion)}

@@ -38,18 +38,11 @@ _DIGITS = 5
 def open_item(
     item: str | os.PathLike[str] | RunLog | Case | Plan | Motion, system: System
 ) -> Any:
-    """Turn a file, or what one would be read into, into what the page shows of it.
+    """Turn a file, or what one would be read into, into what the page shows of it: its `kind`
+    is log, motion or diagnosis.
 
-    Args:
-        item: a run log or episode (.csv, .parquet), a case (.toml, .json), the diagnosis.json
-            of `ves-gym diagnose`; or a log, a case, a plan or a motion itself.
-        system: of the page, for what names none.
-
-    Returns:
-        An item: its `kind` is log, motion or diagnosis.
-
-    Raises:
-        ParameterError: it is none of these, or its arm has another number of joints.
+    A run log or episode (.csv, .parquet), a case (.toml, .json), the diagnosis.json of `ves-gym
+    diagnose`; or a log, a case, a plan or a motion itself. What names no system has the page's.
     """
     if isinstance(item, RunLog):
         return _log(str(item.meta.get("note") or "log"), item, system)
