@@ -255,7 +255,8 @@ def _aligned(
 def _of_node(labels: tuple[Label, ...] | None, node: int) -> tuple[int, ...]:
     if labels is None:
         raise ParameterError(
-            f"these files do not number nodes: give six freedoms, got node {node}"
+            "these files do not number nodes: give the places of six freedoms, of x, y, z and"
+            f" the turns about them (6,7,8,9,10,11: the second node's six), got node {node}"
         )
     index = {label: i for i, label in enumerate(labels)}
     missing = [k for k in range(1, 7) if (node, k) not in index]
@@ -332,8 +333,9 @@ def _without_rigid_stiffness(reduction: Reduction, expected: int) -> Reduction:
     except np.linalg.LinAlgError:
         lowest = float(np.linalg.eigvalsh(reduction.matrices()[0])[0])
         raise ParameterError(
-            "the mass at the interface must be positive definite (a massless rotation there?),"
-            f" got an eigenvalue {lowest:.6g}"
+            "the mass at the interface must be positive definite, got an eigenvalue"
+            f" {lowest:.6g}: where rotations have no mass, give the node the inertia of its"
+            " flange, or the beams coupled masses (NASTRAN: PARAM,COUPMASS,1)"
         ) from None
     ratio = squares / reduction.omega[0] ** 2
     text = ", ".join(_hertz(k) for k in squares)
