@@ -2,7 +2,13 @@
 
 import hashlib
 import os
+import platform
 import time
+
+# Before NumPy is loaded: OpenBLAS then sums in the same order with AVX-512 and with AVX2 alone,
+# so that a search ends at the same bits on either, as the stored answers need.
+if platform.machine() == "x86_64":
+    os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
 
 import pytest
 

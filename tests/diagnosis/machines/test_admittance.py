@@ -13,7 +13,7 @@ from ves_gym.hardware.force_sensor import ForceSensor
 from ves_gym.hardware.leg_servo import FILTERED, leg_clock
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.motion import Motion
-from ves_gym.mechanics.servo import HIGH_GAINS
+from ves_gym.mechanics.servo import HIGH_GAINS, JointServo
 from ves_gym.mechanics.vehicle import (
     BENT_THESIS,
     DECOUPLED,
@@ -140,7 +140,7 @@ def test_a_log_of_every_second_period_is_filled_in(compensated):
 
 
 def test_a_loop_rings_at_its_own_modes_alone():
-    gains, home = {"kp": HIGH_GAINS.kp, "kd": HIGH_GAINS.kd}, [np.zeros(3)]
+    gains, home = JointServo(kp=HIGH_GAINS.kp, kd=HIGH_GAINS.kd), [np.zeros(3)]
     straight = lab(vehicle=STRAIGHT_VERTICAL_THESIS)
     assert loop_rings(straight, gains, home, 25.8)  # `transition` says 25.84 Hz
     assert not loop_rings(straight, gains, home, 20.0)
