@@ -11,7 +11,7 @@ from ves_gym.planners.paths import septic
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.shaping import (
-    BaseMode,
+    ExcitedMode,
     Shaper,
     SmoothJerk,
     excited_modes,
@@ -24,7 +24,7 @@ from ves_gym.system.system import System
 
 BENT = System(vehicle=BENT_THESIS)
 
-MODE = BaseMode(2 * np.pi * 0.8, 0.05, 1.0)
+MODE = ExcitedMode(2 * np.pi * 0.8, 0.05, 1.0)
 
 
 def residual(shape: Shaper, frequency: float, damping: float) -> float:

@@ -59,7 +59,7 @@ class Shaped:
         For those only that there is time for, inside the query's limits, and that leave less
         energy in all: a shorter law excites the others more.
         """
-        chosen: list[BaseMode] = []
+        chosen: list[ExcitedMode] = []
         motion, times, sizes = query.straight, np.zeros(1), np.ones(1)
         least = spectral_energy(query.system, motion)
         for mode in excited_modes(query.system, query.straight):
@@ -79,7 +79,7 @@ class Shaped:
         }
 
 
-class BaseMode(NamedTuple):
+class ExcitedMode(NamedTuple):
     """A damped mode of the base with the joints locked."""
 
     frequency: float  # undamped, rad/s
@@ -94,7 +94,7 @@ class Shaper(NamedTuple):
     sizes: Array  # (k,) of sum one
 
 
-def shaper(kind: str, mode: BaseMode) -> Shaper:
+def shaper(kind: str, mode: ExcitedMode) -> Shaper:
     """Singer and Seering's impulses for one mode, `kind` zv or zvd."""
     damping = min(mode.damping, 0.9)
     root = np.sqrt(1 - damping**2)
@@ -112,14 +112,14 @@ def shaped_motion(query: Query, shape: Shaper) -> Motion:
     return _along(query, parts @ shape.sizes)
 
 
-def excited_modes(system: System, motion: Motion) -> list[BaseMode]:
+def excited_modes(system: System, motion: Motion) -> list[ExcitedMode]:
     """Modes of the base at the middle of a motion, those that it excites most first."""
     linear = LinearBase(system, start=motion.start)
     frozen, energy = modal_energies(system, motion, _SAMPLES)
     M = linear.mass(linear.inertia(motion.at(motion.duration / 2).q))
     damping = _damping(M, linear.D, linear.K, frozen.omega)
     numbers = zip(frozen.omega.tolist(), damping.tolist(), energy.tolist(), strict=True)
-    return sorted((BaseMode(*k) for k in numbers if k[0] > 0), key=lambda mode: -mode.energy)
+    return sorted((ExcitedMode(*k) for k in numbers if k[0] > 0), key=lambda mode: -mode.energy)
 
 
 def _damping(M: Array, D: Array, K: Array, omega: Array) -> Array:
