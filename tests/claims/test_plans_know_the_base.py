@@ -2,6 +2,9 @@
 
 Solar arrays and sloshing propellant on a satellite, with and without its pointing law; a boom
 that bends under the arm; gears of 2e3 N m/rad with 40 kg in the hand.
+
+Missed: mean strain energy of the arrays of `servicer-flexible` after `refined` over that after
+the straight line, 2 s, twenty queries: promised 0.05, measured 0.060.
 """
 
 from dataclasses import replace
