@@ -134,7 +134,8 @@ def answer(wanted: Wanted, salt: str | None) -> Entry:
         if wanted.method in LEARNED:
             file = Path(folder) / f"{wanted.method}.json"
             trainer = import_own(str(PEER_FILES / "sb3.py"))
-            trainer.train(wanted.method, wanted.problem, str(file))
+            environment = get_problem(wanted.track, wanted.problem).environment
+            trainer.train(wanted.method, environment, str(file))
             asked = (wanted.track, wanted.problem, [file])
             return make_entry(place, *asked, name=wanted.method, author=PEER, salt=salt)
         author = PEER if wanted.method in peers() else AUTHOR

@@ -21,6 +21,7 @@ from ves_gym.planners.coupling import band_limited, coupling_matrix
 from ves_gym.planners.motion_problem import MotionProblem
 from ves_gym.planners.query import Query, solve
 from ves_gym.planners.registry import get_planner
+from ves_gym.planners.suites import reach100
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.energy import TAIL
 from ves_gym.system.system import System
@@ -70,6 +71,24 @@ def test_predicted_is_simulated_and_refined_pays(name, seconds):
         assert 0.95 <= ratio <= 1.05
     print(name, f"{refined.E_mean / straight.E_mean:.4f}")
     assert refined.E_mean <= (0.7 if name == "pointing" else 0.3) * straight.E_mean
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [2.0, 4.0])
+def test_with_its_pointing_law_on_no_plan_is_worse(seconds):
+    """Ten queries of reach100; prints what docs/planners.md says."""
+    suite = reach100(System(), "servicer-flexible", 10, durations=(seconds,))
+    predicted, left = [], []
+    for _, asked in suite.queries:
+        plans = [solve(get_planner(planner), asked) for planner in ("straight", "refined")]
+        assert all(plan.feasible for plan in plans)
+        straight, refined = found = played(asked, [plan.motion for plan in plans])
+        predicted += [p.predicted.E_mean / e.E_mean for p, e in zip(plans, found, strict=True)]
+        left.append(refined.E_mean / straight.E_mean)
+    print(f"{seconds:g} s: {min(predicted):.3f} to {max(predicted):.3f};", end=" ")
+    print(f"median {np.median(left):.2f}, worst {max(left):.2f}")
+    assert min(predicted) >= 0.95 and max(predicted) <= 1.05
+    assert max(left) <= 1.0
 
 
 @pytest.mark.parametrize("name", ["boom", "gears"])

@@ -12,6 +12,9 @@ from ves_gym.system.disturbance import MEASURES
 USUAL = dict.fromkeys(
     ("acceleration_peak", "angular_peak", "acceleration", "angular", "tip_end"), 1.0
 )
+# Of the straight line's peaks: a motion up to here is judged to shake no more. Bounds are kept
+# by a prediction, and 1 % is left for its error.
+NO_MORE = 1.01
 
 
 def checked_bounds(bounds: Mapping[str, float] | None) -> dict[str, float]:

@@ -10,6 +10,7 @@ from typing import Any
 
 from ves_gym._util.params import write_text
 from ves_gym._util.tables import table
+from ves_gym.planners.bounds import NO_MORE
 from ves_gym.report.pages import page, part, require_schema
 
 SCHEMA = "ves-benchmark/1"
@@ -99,12 +100,11 @@ def _answer(result: Result) -> list[str]:
 
 
 _PEAKS = "acceleration_peak", "angular_peak"
-_NO_MORE = 1.01  # times the straight line's peaks, which bounds leave a little beside
 
 
 def _is_calm(row: Result) -> bool:
     peaks = [row[f"{k}_ratio_median"] for k in _PEAKS]
-    return all(peak is not None and peak <= _NO_MORE for peak in peaks)
+    return all(peak is not None and peak <= NO_MORE for peak in peaks)
 
 
 def _price(row: Result) -> str:

@@ -26,6 +26,7 @@ from ves_gym.leaderboard.tracks.base import Answers, BoardTrack, Progress, no_pr
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.motion import DEGREE, Motion
 from ves_gym.mechanics.servo import JointServo
+from ves_gym.planners.bounds import NO_MORE
 from ves_gym.planners.execution_check import executed_violation, solve_with_reserve
 from ves_gym.planners.query import Plan, Planner, Query, first_violation, solve
 from ves_gym.planners.registry import PLANNERS
@@ -38,7 +39,6 @@ from ves_gym.system.system import System
 _RECORD = 12.5e-3  # s between records of a motion and its tail
 _AT_ONCE = 25  # motions played together: their records fit the processor's cache
 _MOST = 512  # control points of a motion
-_SHAKEN = 1.01  # of the straight line's peaks, in problems of calm motions
 _ENERGIES = ("E_mean", "E_peak", "E_res")
 _MEASURES = (*_ENERGIES, "acceleration")
 
@@ -127,7 +127,7 @@ def _row(answer: Played | None, line: Played, calm: bool) -> dict[str, float]:
     if answer is None:
         return {**dict.fromkeys(("score", *_MEASURES), np.inf), "success": 0.0}
     shaken = [a / b for a, b in zip(answer.peaks, line.peaks, strict=True)]
-    well = not calm or max(shaken) <= _SHAKEN
+    well = not calm or max(shaken) <= NO_MORE
     energies = {name: getattr(answer.energies, name) for name in _ENERGIES}
     score = answer.energies.E_mean / line.energies.E_mean if well else np.inf
     return {"score": score, "success": float(well), **energies, "acceleration": shaken[0]}
