@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import ves_gym
 from tests.arms import six_joint_arm
 from ves_gym._util import params
 from ves_gym._util.params import (
@@ -26,9 +27,12 @@ from ves_gym._util.params import (
     units,
     write_text,
 )
+from ves_gym.envs.task import TASKS
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.link import Inertial, Link, diagonal, matrix
 from ves_gym.mechanics.vehicle import BENT_THESIS, VEHICLES, Beam, MatrixVehicle
+from ves_gym.system import emulator_settings
+from ves_gym.system.effect import EFFECTS
 from ves_gym.system.system import System
 
 ROOT = Path(__file__).parents[2]
@@ -357,3 +361,24 @@ def test_lists_and_arrays_become_tuples_that_can_be_hashed():
     arm = dataclasses.replace(PUMA_560, links=list(PUMA_560.links))
     assert arm == PUMA_560
     assert hash(arm) == hash(PUMA_560)
+
+
+def parameter_sets():
+    """Every public parameter set that has a default for each of its fields."""
+    rooms = (ves_gym, ves_gym.envs, ves_gym.planners, ves_gym.experiments)
+    rooms += (ves_gym.mechanics, ves_gym.hardware, ves_gym.baselines, emulator_settings)
+    found = [getattr(room, name) for room in rooms for name in dir(room)]
+    found = {k for k in found if isinstance(k, type) and dataclasses.is_dataclass(k)}
+    found |= {*EFFECTS.values(), *TASKS.values()}
+    for cls in sorted(found, key=lambda k: k.__name__):
+        fields = [f for f in dataclasses.fields(cls) if f.init]
+        defaults = [(f.default, f.default_factory) for f in fields]
+        if fields and (dataclasses.MISSING, dataclasses.MISSING) not in defaults:
+            yield cls
+
+
+@pytest.mark.parametrize("cls", list(parameter_sets()))
+def test_an_object_of_another_kind_is_refused_in_any_field(cls):
+    for field in (f for f in dataclasses.fields(cls) if f.init):
+        with pytest.raises(ParameterError):
+            cls(**{field.name: object()})

@@ -121,7 +121,7 @@ def test_unknown_effects_are_refused_by_name():
     with pytest.raises(ParameterError, match="unknown key 'forces'; known: force, moment"):
         System.from_dict(plain)
     with pytest.raises(
-        ParameterError, match=r"System.effects must hold effects, got 'sensor/b"
+        ParameterError, match=r"System.effects must be a tuple of Effect, got ..sensor/b"
     ):
         NOMINAL.replace(effects=("sensor/bias",))
 

@@ -8,6 +8,7 @@ JSON without loss. Reading rejects unknown and missing keys by name.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import json
 import math
@@ -113,6 +114,29 @@ def require_positive(params: object, *names: str, zero: bool = False) -> None:
                 f"{type(params).__name__}.{name} must be {'>=' if zero else '>'} 0"
                 f"{symbol and ' '}{symbol}, got {value!r}"
             )
+
+
+def require_types(params: object, *names: str) -> None:
+    """Check that each named field is an instance, or a tuple of some, of its annotation."""
+    kind: Any = type(params)
+    hints = _hints(kind)
+    for name in names:
+        value, hint = getattr(params, name), hints[name]
+        several = typing.get_origin(hint) is tuple  # tuple[Kind, ...]
+        kinds = typing.get_args(hint) or (hint,)
+        kinds = tuple(k for k in kinds if k is not Ellipsis)
+        items = value if several and isinstance(value, tuple) else (value,)
+        if several > isinstance(value, tuple) or not all(isinstance(v, kinds) for v in items):
+            known = " or ".join("None" if k is type(None) else k.__name__ for k in kinds)
+            raise ParameterError(
+                f"{type(params).__name__}.{name} must be {'a tuple of ' * several}{known},"
+                f" got {value!r}"
+            )
+
+
+@functools.cache
+def _hints(cls: Any) -> dict[str, Any]:
+    return typing.get_type_hints(cls)
 
 
 def require_least(params: object, least: float, *names: str) -> None:
@@ -276,7 +300,8 @@ def _from_mapping(cls: type[T], plain: Any, where: str) -> T:
             f"{where}: unknown key {unknown[0]!r}; known: {', '.join(fields)}"
             f"{did_you_mean(unknown[0], fields)}"
         )
-    hints = typing.get_type_hints(cls)
+    taken: Any = cls
+    hints = _hints(taken)
     values = {key: from_plain(hints[key], v, f"{where}.{key}") for key, v in entries.items()}
     missing = [
         name

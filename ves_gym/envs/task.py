@@ -22,6 +22,7 @@ from ves_gym._util.params import (
     ParameterError,
     finite,
     require_positive,
+    require_types,
     to_plain,
     unit,
 )
@@ -179,6 +180,7 @@ class Task(ABC):
     base_control: BaseControl | None = None
 
     def __post_init__(self) -> None:
+        require_types(self, "system", "control", "base_control", "randomize")
         require_positive(self, "duration")
         require_positive(self, "tail", zero=True)
         self.system.arm.require_rigid(f"task {self.kind}")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ves_gym._util.params import ParameterError, from_plain, read_table, to_plain
+from ves_gym._util.params import ParameterError, from_plain, read_table, require_types, to_plain
 from ves_gym.baselines.comparison import policy_files
 from ves_gym.baselines.config import TrainConfig, choose_config
 from ves_gym.baselines.evaluate import MOST_EPISODES
@@ -63,6 +63,7 @@ class Spec:
     seconds: float | None = None  # that a unit may take
 
     def __post_init__(self) -> None:
+        require_types(self, "evaluate", "train", "plan")
         if not (self.evaluate or self.train or self.plan):
             raise ParameterError("a sweep needs [[evaluate]], [[train]] or [[plan]], got none")
         if self.seconds is not None and not self.seconds > 0:

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ves_gym._util.params import Array, require_positive, unit
+from ves_gym._util.params import Array, require_positive, require_types, unit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +32,7 @@ class PoseServo:
 
     def __post_init__(self) -> None:
         require_positive(self, "bandwidth", "damping_ratio")
+        require_types(self, "rate_feedforward")
 
     @property
     def lag(self) -> float:

@@ -20,7 +20,14 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError, Vector, freeze_arrays, unit
+from ves_gym._util.params import (
+    Array,
+    ParameterError,
+    Vector,
+    freeze_arrays,
+    require_positive,
+    unit,
+)
 from ves_gym.mechanics.arm import Mechanism
 from ves_gym.mechanics.carried import placed
 from ves_gym.mechanics.dynamics import composites, moments, packed_matvec
@@ -47,10 +54,11 @@ class Orbit:
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
-        stated = [k for k in (self.altitude, self.mean_motion) if k is not None]
-        if len(stated) != 1 or not (math.isfinite(stated[0]) and stated[0] > 0):
+        stated = [k for k in ("altitude", "mean_motion") if getattr(self, k) is not None]
+        require_positive(self, *stated)
+        if len(stated) != 1:
             raise ParameterError(
-                "Orbit takes altitude [m] or mean_motion [rad/s], > 0, got"
+                "Orbit takes altitude [m] or mean_motion [rad/s], got"
                 f" altitude={self.altitude}, mean_motion={self.mean_motion}"
             )
         for name in ("radial", "along"):

@@ -208,6 +208,7 @@ class AttitudeControl:
         require_positive(
             self, "bandwidth", "damping_ratio", "spin_max", "moment_max", "dump_time"
         )
+        require_positive(self, "dump_below", "dump_above", zero=True)
         if not 0 <= self.dump_below <= self.dump_above <= 1:
             raise ParameterError(
                 "AttitudeControl must have 0 <= dump_below <= dump_above <= 1, got"

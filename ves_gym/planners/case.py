@@ -23,6 +23,7 @@ from ves_gym._util.params import (
     from_plain,
     read_table,
     require_positive,
+    require_types,
     to_plain,
     unit,
     write_table,
@@ -71,6 +72,7 @@ class Query:
 
     def __post_init__(self) -> None:
         require_positive(self, "duration")
+        require_types(self, "system", "servo", "surroundings", "base")
         arm = self.system.arm
         arm.require_turning("a planner's query")
         for end in ("start", "goal"):
@@ -79,10 +81,6 @@ class Query:
             limit = getattr(self, name)
             if limit is not None and not (finite(limit, (arm.n,), name) > 0).all():
                 raise ParameterError(f"{name} must be > 0 {symbol}, got {limit}")
-        if not isinstance(self.surroundings, Surroundings | None):
-            raise ParameterError(
-                f"surroundings must be Surroundings, got {self.surroundings!r}"
-            )
         joints = self.free_joints or ()
         if len(set(joints)) < len(joints) or not set(joints) <= set(range(arm.n)):
             raise ParameterError(
@@ -91,8 +89,6 @@ class Query:
         for name in ("start_rate", "start_acceleration"):
             if getattr(self, name) is not None:
                 finite(getattr(self, name), (arm.n,), name)
-        if not isinstance(self.base, BaseState | None):
-            raise ParameterError(f"base must be a BaseState, got {self.base!r}")
         if self.base is not None:
             self.base.stacked(self.system)
         if self.system.drive == "motor":
@@ -170,6 +166,7 @@ class Case:
     log: str | None = None
 
     def __post_init__(self) -> None:
+        require_types(self, "system", "query", "motion", "servo", "log")
         arm = self.system.arm
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
             raise ParameterError(f"Case.seed must be a whole number >= 0, got {self.seed!r}")

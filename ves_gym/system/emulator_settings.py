@@ -6,7 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ves_gym._util.params import ParameterError, require_choice, require_positive, unit
+from ves_gym._util.params import (
+    ParameterError,
+    require_choice,
+    require_positive,
+    require_types,
+    unit,
+)
 from ves_gym.hardware.admittance import FORMS
 from ves_gym.hardware.force_sensor import ForceSensor
 from ves_gym.hardware.leg_servo import LegServo
@@ -51,6 +57,8 @@ class EmulatorSettings:
         require_choice(self, "operation", OPERATIONS)
         require_choice(self, "admittance_form", FORMS)
         require_positive(self, "force_max", "moment_max")
+        require_types(self, "platform", "stewart", "sensor", "gravity", "zero_at_start")
+        require_types(self, "payload_compensation", "joint_balance")
         integral = isinstance(self.delay, (int, np.integer)) and not isinstance(
             self.delay, bool
         )

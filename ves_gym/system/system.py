@@ -16,10 +16,12 @@ from typing import Any
 from ves_gym._util.params import (
     ParameterError,
     content_hash,
+    freeze_arrays,
     from_plain,
     read_table,
     require_choice,
     require_positive,
+    require_types,
     to_plain,
     unit,
     write_table,
@@ -100,6 +102,7 @@ class System:
         require_choice(self, "drive", DRIVES)
         require_choice(self, "integrator", INTEGRATORS)
         require_positive(self, "physics_dt", "control_dt")
+        require_types(self, "payload", "contact", "emulator")
         ratio = self.control_dt / self.physics_dt
         if not 1 <= ratio < 1e9 or abs(ratio - round(ratio)) > 1e-9 * ratio:
             raise ParameterError(
@@ -130,10 +133,9 @@ class System:
                 "System.payload: a free payload feels no gravity gradient, leave out the"
                 " satellite's orbit or the payload"
             )
-        object.__setattr__(self, "effects", tuple(self.effects))  # a list has no hash
+        freeze_arrays(self)  # a list of effects has no hash
+        require_types(self, "effects")
         for effect in self.effects:
-            if not isinstance(effect, Effect):
-                raise ParameterError(f"System.effects must hold effects, got {effect!r}")
             if self.mode not in effect.modes:
                 raise ParameterError(
                     f"effect {effect.kind} acts in mode {', '.join(effect.modes)},"
