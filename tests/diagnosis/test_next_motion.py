@@ -10,8 +10,9 @@ from tests.diagnosis.logs import told, with_noise
 from tests.diagnosis.thesis_laboratory import SYSTEM
 from ves_gym.diagnosis import diagnose as d
 from ves_gym.diagnosis import next_motion as next_motion_module
+from ves_gym.diagnosis.constants import POWER
 from ves_gym.diagnosis.inference.fit import fit
-from ves_gym.diagnosis.next_motion import CLEAR, next_motion
+from ves_gym.diagnosis.next_motion import next_motion
 from ves_gym.effects import JointDriveGain, JointTorqueLimit, SensorNoise
 from ves_gym.mechanics.limits import check_reference, limits_of
 from ves_gym.mechanics.motion import Motion
@@ -67,7 +68,7 @@ def test_rivals_get_a_motion_that_keeps_every_limit(at_hand, designed):
 
 
 def test_it_is_worth_more_than_the_run_at_hand_and_decides(designed, after):
-    assert designed.least > CLEAR and designed.least > 2 * designed.at_hand > 0
+    assert designed.least > POWER and designed.least > 2 * designed.at_hand > 0
     assert designed.tried >= 5
     assert after.verdict == d.NAMED and len(after.explanations) == 1
     assert after.explanations[0].candidate.name == "joint/drive_gain at joint 2"

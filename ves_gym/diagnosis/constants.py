@@ -15,8 +15,13 @@ SPREAD = TEMPERATURE**0.5
 NOISE_POWER = 4.0
 # Evidence for power that no law explains, on the runs fitted and again on those held back.
 EXCESS = 60.0
-# Standard deviations at which an effect of its usual size must show: 5, as in physics.
+# Standard deviations at which an effect of its usual size must show, or two candidates are
+# apart: 5, as in physics.
 POWER = 5.0
+# Standard deviations from which a number is clearly not zero.
+CLEAR = 3.0
+# Part of the noise's mean square that a model may leave: less is no finding.
+QUIETEST = 0.05
 # Errors of a description are as large as stated to a factor of three (standard deviation of
 # the logarithm of their common scale), and at most ten times.
 SCALE_SPREAD = 3.0

@@ -17,7 +17,15 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, to_plain, write_result
 from ves_gym._util.views import Viewable
-from ves_gym.diagnosis.constants import ALIKE, EXCESS, NOISE_POWER, POWER, SPREAD, TEMPERATURE
+from ves_gym.diagnosis.constants import (
+    ALIKE,
+    CLEAR,
+    EXCESS,
+    NOISE_POWER,
+    POWER,
+    SPREAD,
+    TEMPERATURE,
+)
 from ves_gym.diagnosis.data.measured_run import Run, with_shared_colour
 from ves_gym.diagnosis.data.quality import Fault, faults
 from ves_gym.diagnosis.inference.cache import AnswerCache, CachedResiduals
@@ -59,7 +67,6 @@ NAMING_VERDICTS = (NAMED, ONE_OF, MORE)  # verdicts that give names
 _BASIC = ("joint/coulomb", "joint/viscous", "joint/drive_gain", "joint/rotor_inertia")
 _LOGGED = {"weight": "wg"}  # a run's own name of a signal -> that in the log
 WIDE = 1.645  # standard deviations to either side of a 90 % interval
-_CLEAR = 1.5  # stated standard deviations from zero; they are twice those of a perfect fit
 _COMPARED = 10  # candidates whose likeness is told
 
 Progress = Callable[[float, str], None]
@@ -202,7 +209,7 @@ def _named(explanation: Explanation) -> str:
     path = c.effect(explanation.values)
     if isinstance(path, SlowPath):
         return f"{c.name} (root mean square {path.size:.3g} {c.units[0]})"
-    certain = np.abs(explanation.values) > _CLEAR * explanation.std
+    certain = np.abs(explanation.values) > CLEAR / SPREAD * explanation.std
     if not (c.sparse and certain.any()):  # of coordinates those that are not about zero
         certain = np.ones(c.k, bool)
     values = ", ".join(

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, to_plain
-from ves_gym.diagnosis.constants import ALIKE
+from ves_gym.diagnosis.constants import ALIKE, POWER
 from ves_gym.diagnosis.data.measured_run import Run, run_of
 from ves_gym.diagnosis.diagnose import NAMING_VERDICTS, NOTHING, WEAK, Diagnosis
 from ves_gym.diagnosis.excitation import drawn_motion, drawn_series, within_limits
@@ -43,7 +43,6 @@ from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.recording import Recording
 from ves_gym.system.system import System
 
-CLEAR = 5.0  # standard deviations at which an experiment decides
 _SHORTEST, _LONGEST = 4.0, 20.0  # s
 _MARGIN = 0.95  # of every limit, as simulated
 _RIVALS = 4
@@ -75,7 +74,7 @@ class NextMotion:
                 f" {self.least:.1f} standard deviations and more (the best of the motions at"
                 f" hand, once more: {self.at_hand:.1f})."
             )
-        decides = "decides" if self.least >= CLEAR else "helps to decide"
+        decides = "decides" if self.least >= POWER else "helps to decide"
         return (
             f"{m} {decides} between {', '.join(self.between)}: any two answers are expected"
             f" {self.least:.1f} standard deviations apart and more after one run (after the"

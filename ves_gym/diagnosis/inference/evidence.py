@@ -28,10 +28,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.diagnosis.constants import PRESENT, TEMPERATURE
+from ves_gym.diagnosis.constants import CLEAR, PRESENT, TEMPERATURE
 from ves_gym.diagnosis.inference.candidates import Candidate
-
-CLEAR = 3.0  # standard deviations from which a coordinate is not zero
 
 
 def laplace(

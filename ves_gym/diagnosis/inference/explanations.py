@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from ves_gym._util.params import Array, Index
-from ves_gym.diagnosis.constants import TEMPERATURE
+from ves_gym.diagnosis.constants import POWER, TEMPERATURE
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.fit import Fit, evaluate_residuals, fit
 from ves_gym.diagnosis.inference.intervals import stretches
@@ -25,7 +25,6 @@ from ves_gym.diagnosis.inference.variance_groups import products, solve
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 
 ALIKE = 0.95  # likeness above which two candidates are one class on these runs
-CLEAR = 5.0  # standard deviations at which two candidates are apart
 _LEAST = 1.0  # gain in deviance below which a candidate is not worth a line
 
 
@@ -72,11 +71,11 @@ class Experiment:
             f" port {port} (likeness {best.likeness:.3f}: at its usual size the first stands"
             f" {best.sigma:.1f} standard deviations out of the best imitation by the second)"
         )
-        if best.sigma >= CLEAR:
+        if best.sigma >= POWER:
             text += "; record more runs like it."
         elif best.sigma > 0.1:
-            needed = math.ceil((CLEAR / best.sigma) ** 2)
-            text += f"; about {needed} such runs would make it {CLEAR:g}, or a stronger motion."
+            needed = math.ceil((POWER / best.sigma) ** 2)
+            text += f"; about {needed} such runs would make it {POWER:g}, or a stronger motion."
         else:
             text += "; no number of such runs will: another motion is needed."
         if self.untested:

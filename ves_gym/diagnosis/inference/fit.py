@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import Array
+from ves_gym.diagnosis.constants import CLEAR
 from ves_gym.diagnosis.inference.candidates import Candidate
-from ves_gym.diagnosis.inference.evidence import CLEAR, laplace
+from ves_gym.diagnosis.inference.evidence import laplace
 from ves_gym.diagnosis.inference.variance_groups import Solution, products, solve
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.system.effect import Effect

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym.diagnosis.constants import NOISE_POWER
+from ves_gym.diagnosis.constants import NOISE_POWER, QUIETEST
 from ves_gym.diagnosis.inference.fit import Fit, fit_residual
 from ves_gym.diagnosis.inference.intervals import intervals, stretches
 from ves_gym.diagnosis.inference.variance_groups import (
@@ -105,7 +105,7 @@ def group_squares(
             noise[k] += float(remainders[part] @ remainders[part] - usual @ usual) / len(
                 g.copies
             )
-    noise = np.maximum(noise, 0.05 * n)
+    noise = np.maximum(noise, QUIETEST * n)
     return n, squares, noise
 
 

@@ -23,7 +23,7 @@ from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 
 FINALISTS = 6
-_OTHERS, _EXCHANGES = 3, 4  # tried in a place on the way; exchanges at the end
+_OTHERS = 3  # tried in a place on the way
 _HOPELESS = 30.0  # cost by which a screen's runner-up is not worth a full fit
 _VALLEYS = 4  # of the starts of a law that its vehicle answers to, the first left out
 Report = Callable[[str], None]
@@ -193,23 +193,15 @@ def _exchange_members(
     residuals: WhitenedResiduals, signatures: Signatures, best: Fit
 ) -> tuple[Fit, list[list[Fit]]]:
     """Return the cheapest fit that exchanging single members leads to, and all alternatives."""
-    places: list[list[Fit]] = []
-    for _ in range(_EXCHANGES):
-        places = []
+    while True:  # every exchange is cheaper
+        places: list[list[Fit]] = []
         for i in range(len(best.candidates)):
             places.append(_alternatives(residuals, signatures, best, i, FINALISTS))
             if places[-1][0] is not best:
                 best = places[-1][0]
                 break
         else:
-            break
-    else:  # it still changes: weigh what there is
-        places = [
-            [best, *(f for f in fits if f is not best)]
-            for i in range(len(best.candidates))
-            for fits in [_alternatives(residuals, signatures, best, i, FINALISTS)]
-        ]
-    return best, places
+            return best, places
 
 
 def _alternatives(

@@ -20,9 +20,8 @@ from ves_gym._util.params import Array
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.fit import Fit, evaluate_residuals, fit, linearised
 from ves_gym.diagnosis.inference.model_selection import Rival, Selection
+from ves_gym.diagnosis.inference.variance_groups import SAFE
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
-
-_NOISE_TAKEN_OFF = 0.8  # of the noise in columns, as fits do
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +62,7 @@ def hypothesis(residuals: WhitenedResiduals, full: Fit, name: str) -> LinearHypo
     A = np.diag(np.r_[np.ones(p + blurs), np.zeros(numbers)])
     for g, size in zip(residuals.groups, full.size, strict=True):
         x = X[g.part]
-        noisy = _NOISE_TAKEN_OFF * residuals.noise_product(g, X)
+        noisy = SAFE * residuals.noise_product(g, X)
         A += (x.T @ x - noisy) / max(float(size), 1.0)
     names = [k.name for k in residuals.nuisances[:m]]
     return LinearHypothesis(

@@ -14,9 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ves_gym._util.params import Array
+from ves_gym.diagnosis.constants import QUIETEST
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.variance_groups import InnerProducts, limits_of, solve
-from ves_gym.diagnosis.inference.whitened_residuals import QUIETEST, WhitenedResiduals
+from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 
 _CHUNK = 24  # models evaluated at once
 _EXACT = 30  # shapes whose score is worth the exact sizes of the groups

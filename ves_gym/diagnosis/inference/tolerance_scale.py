@@ -15,12 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ves_gym.diagnosis.constants import SCALE_MOST, SCALE_SPREAD
+from ves_gym.diagnosis.constants import CLEAR, SCALE_MOST, SCALE_SPREAD
 from ves_gym.diagnosis.inference.fit import Fit
 from ves_gym.diagnosis.inference.variance_groups import products, solve
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 
-_OFF = 3.0  # stated standard deviations from which an error is told
 _TOLD = 4  # errors in a sentence
 
 
@@ -78,7 +77,9 @@ def errors_told(
         ToleranceExcess(k.name, float(x * k.std), float(x * factor))
         for k, x in zip(shared, f.nuisances, strict=False)
     )
-    return tuple(sorted((e for e in every if abs(e.sigma) > _OFF), key=lambda e: -abs(e.sigma)))
+    return tuple(
+        sorted((e for e in every if abs(e.sigma) > CLEAR), key=lambda e: -abs(e.sigma))
+    )
 
 
 def sentence(factor: float, off: tuple[ToleranceExcess, ...]) -> str:

@@ -22,13 +22,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ves_gym._util.params import Array
+from ves_gym.diagnosis.constants import QUIETEST
 from ves_gym.diagnosis.inference.whitened_residuals import VarianceGroup, WhitenedResiduals
 
 _PASSES = 6  # of reweighting
 _RIDGE = 1e-10
-_SAFE = 0.8  # of the noise in columns that steps take off: all of it may leave no curvature
+SAFE = 0.8  # of the noise in columns that steps take off: all of it may leave no curvature
 _HALF = 0.5  # of a combination's square: with more noise than that it is mostly noise
-_QUIET = 0.05  # of the noise that a combination of columns may leave
 FARTHEST = 5.0  # standard deviations: farther off it is no tolerance any more
 
 
@@ -154,13 +154,13 @@ def solve(
         share = weight * np.minimum(size, 1.0)  # of the noise expected that is there
         A = _weighted(weight, p.xx) + np.diag(prior)
         noisy = _correctable(_weighted(share, noise_xx), A)
-        A = A - _SAFE * noisy
+        A = A - SAFE * noisy
         A = A + _RIDGE * np.diag(np.diag(A) + 1e-30)
-        b = share @ noise_xz - weight @ p.xz + (1 - _SAFE) * noisy @ x
+        b = share @ noise_xz - weight @ p.xz + (1 - SAFE) * noisy @ x
         x = _within(A, b, np.asarray(np.linalg.solve(A, b), float), lows, highs)
         remaining = p.zz + 2 * p.xz @ x + p.xx @ x @ x
         expected = noise + 2 * noise_xz @ x + noise_xx @ x @ x
-        expected = np.maximum(expected, _QUIET * p.n)
+        expected = np.maximum(expected, QUIETEST * p.n)
         size = sizes(p.n, remaining, expected)
     penalty = float(prior @ x**2)
     return Solution(

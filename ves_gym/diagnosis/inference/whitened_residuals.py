@@ -31,7 +31,6 @@ from ves_gym.diagnosis.machines.base import Machine, Nuisance, Port, testable
 _DRAWS = 12  # of the noise, to learn what it becomes at a port
 _SHAPES = 400  # draws of slow noise, to learn how it falls with the frequency
 _COPIES = 4  # of the noise, to learn what a change of the numbers makes of it
-QUIETEST = 0.05  # of the noise's mean square that a model may leave
 _FAINT = 0.3  # of noise: what a run may have had of its own that is not worth a number
 _POOL = 6  # neighbouring frequencies on either side that are taken together
 _EDGES = (0.0, 0.1, 0.3, 1.0)  # of the ranges of frequencies, in parts of the band
