@@ -27,6 +27,7 @@ print(f"stable: {check.stable}; slowest mode {check.modes[0].emulated_frequency:
 # Calibrate: 47 poses, gravity model and sensor matrix.
 q, y = vg.simulation.calibration_poses(machine.arm, 47)
 poses = vg.simulation.weigh_poses(machine, q, y)
+assert poses.w is not None  # the force sensor is part of the laboratory
 found = vg.simulation.fit_gravity(machine.arm, poses.q, poses.y, poses.w)
 lab = machine.emulator_settings
 calibrated = machine.replace(

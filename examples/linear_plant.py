@@ -9,13 +9,14 @@ M, D, K is the same with forces on some coordinates and some of them measured. A
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 import ves_gym as vg
@@ -24,11 +25,13 @@ from ves_gym.diagnosis import (
     Parameter,
     Port,
     ResidualMachine,
+    Run,
     register_machine,
     run_of_signals,
 )
 
-Array, Values = np.ndarray, dict[str, Any]
+Array = npt.NDArray[Any]
+Values = Mapping[str, Any]
 Rows = tuple[tuple[float, ...], ...]
 _DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 _GRID = 16  # frequencies at which another mode is looked for
@@ -75,7 +78,7 @@ class StateSpace:
         """
         poles, _, left = self.modal
         least = _ROUNDING * np.abs(poles).max(initial=0.0)
-        moves = (np.abs(poles) > least) & (poles.imag >= 0) & left.any(axis=0)
+        moves = (np.abs(poles) > least) & (np.imag(poles) >= 0) & left.any(axis=0)
         return [k for k in np.argsort(np.abs(poles)).tolist() if moves[k]]
 
     def swings(self, k: int) -> bool:
@@ -120,7 +123,7 @@ class StateSpace:
                     C += (turned**self.derivative - 1) * np.outer(leaves, l)
                 if self.derivative:  # what a mode gives at once
                     D += (part - 1) * np.outer(leaves / old, enters)
-        return replace(self, A=A.real, B=B.real, C=C.real, D=D.real)
+        return replace(self, A=np.real(A), B=np.real(B), C=np.real(C), D=np.real(D))
 
     def with_mode(self, hertz: float, damping: float, gain: float) -> StateSpace:
         """Return the plant with one more mode, between the first input and the first output."""
@@ -155,7 +158,7 @@ class StateSpace:
             b = dt * np.array([later, sooner])
             begin = [x[k] - b[0] * pushed[0, k]]
             state = scipy.signal.lfilter(b, [1.0, -grows], pushed[:, k], zi=begin)[0]
-            y = y + np.outer(state, self.C @ right[:, k]).real
+            y = y + np.real(np.outer(state, self.C @ right[:, k]))
         return np.asarray(y)
 
 
@@ -239,10 +242,10 @@ def linear_machine(
             y = scipy.interpolate.CubicSpline(t, y)(np.maximum(t - p["delay"], 0.0))
         return np.asarray(p["gain"] * y + p["offset"])
 
-    def residual(p: Values, run: Any) -> dict[str, Array]:
+    def residual(p: Values, run: Run) -> dict[str, Array]:
         return {"output": run["output"] - output(p, run["input"], run.dt)}
 
-    def start(run: Any) -> Array:
+    def start(run: Run) -> Array:
         """States (n,), each of which moves the output by several times its own movement."""
         still, n = np.zeros_like(run["input"]), len(plant.A)
         moved = [output({**nominal, "start": k}, still, run.dt) for k in np.eye(n)]
@@ -382,7 +385,7 @@ def _matrix(rows: Rows) -> Array:
     return np.array(rows, float)
 
 
-def pushed(plant: StateSpace, seed: int) -> Any:
+def pushed(plant: StateSpace, seed: int) -> Run:
     """A run of 20 s at 100 Hz under a random force, with noise of 2e-6 of the output."""
     rng = np.random.default_rng(seed)
     t = 0.01 * np.arange(2000)

@@ -7,13 +7,18 @@ names it after
     ves-gym diagnose poses.csv --import static_tool.py --machine tool.toml
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 import ves_gym as vg
-from ves_gym.diagnosis import Parameter, Port, ResidualMachine, register_machine, samples
+from ves_gym.diagnosis import Parameter, Port, ResidualMachine, Run, register_machine, samples
 
 WRENCH = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
 GRAVITY = 9.80665  # m/s^2
@@ -28,7 +33,7 @@ _PORT = Port(
 )
 
 
-def residual(p, run):
+def residual(p: Mapping[str, Any], run: Run) -> dict[str, npt.NDArray[np.float64]]:
     """Return readings less what the sensor reads with these parameters."""
     turn = run["orientation"]
     if turn.shape[1] == 4:
@@ -49,25 +54,24 @@ class StaticTool:
     mass: float = 0.0  # kg
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m
 
-    def machine(self, folder=None):
+    def machine(self, folder: Path | None = None) -> ResidualMachine:
         """The machine: a tool, zeros and gains, a sensor that sits turned."""
         moment = tuple((self.mass * np.array(self.centre)).tolist())
         xyz, zeros = tuple("xyz"), (0.02,) * 3 + (0.002,) * 3
-        tool = {"cause": "tool", "low": -50.0, "high": 100.0}
-        six = {"entries": WRENCH}
+        tool = partial(Parameter, cause="tool", low=-50.0, high=100.0)
+        six = partial(Parameter, entries=WRENCH)
         parameters = {
-            "mass": Parameter(unit="kg", nominal=self.mass, usual=0.5, tolerance=0.003, **tool),
-            "moment": Parameter(
-                unit="kg m", nominal=moment, usual=0.05, tolerance=0.0005, entries=xyz, **tool
+            "mass": tool(unit="kg", nominal=self.mass, usual=0.5, tolerance=0.003),
+            "moment": tool(
+                unit="kg m", nominal=moment, usual=0.05, tolerance=0.0005, entries=xyz
             ),
-            "bias": Parameter(
+            "bias": six(
                 unit=UNITS,
                 nominal=(0.0,) * 6,
                 usual=(2.0,) * 3 + (0.2,) * 3,
                 tolerance=zeros,
-                **six,
             ),
-            "gain": Parameter(
+            "gain": six(
                 unit="1",
                 nominal=(1.0,) * 6,
                 usual=0.02,
@@ -75,7 +79,6 @@ class StaticTool:
                 low=0.1,
                 high=3.0,
                 each=True,
-                **six,
             ),
             "turned": Parameter(
                 unit="rad", nominal=(0.0,) * 3, usual=0.01, low=-0.5, high=0.5, entries=xyz
@@ -84,10 +87,10 @@ class StaticTool:
         return ResidualMachine("static tool", residual, (_PORT,), parameters)
 
 
-def read_at_rest(seed, **hidden):
+def read_at_rest(seed: int, **hidden: Any) -> Run:
     """Readings in 40 random poses with noise of 0.1 N and 0.01 N m, and what is hidden."""
     rng = np.random.default_rng(seed)
-    turn = Rotation.random(40, random_state=seed).as_quat()[:, [3, 0, 1, 2]]
+    turn = Rotation.random(40, rng).as_quat()[:, [3, 0, 1, 2]]
     noise = [0.1] * 3 + [0.01] * 3
     signals = {"orientation": turn, "wrench": np.zeros((40, 6))}
     still = samples("still", signals, {"orientation": 0.0, "wrench": noise})

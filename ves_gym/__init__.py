@@ -48,8 +48,10 @@ if TYPE_CHECKING:  # for editors and type checkers: the same names as in the tab
     from ves_gym.diagnosis.machines.mjcf import MjcfMachine as MjcfMachine
     from ves_gym.engine.kernel.sensitivity import rollout_gradients as rollout_gradients
     from ves_gym.envs.task import Task as Task, register_task as register_task
-    from ves_gym.leaderboard.verify import make_entry as make_entry
-    from ves_gym.leaderboard.verify import verify as verify_entry
+    from ves_gym.leaderboard.verify import (
+        make_entry as make_entry,
+        verify_entry as verify_entry,
+    )
     from ves_gym.mechanics.arm import Arm as Arm
     from ves_gym.mechanics.link import Inertial as Inertial, Link as Link
     from ves_gym.mechanics.arm_library import PUMA_560 as PUMA_560
@@ -75,7 +77,7 @@ if TYPE_CHECKING:  # for editors and type checkers: the same names as in the tab
     from ves_gym.system.effect import (
         Effect as Effect,
         parameter as parameter,
-        register as register_effect,
+        register_effect as register_effect,
     )
     from ves_gym.system.emulator_settings import EmulatorSettings as EmulatorSettings
     from ves_gym.system.energy import Energies as Energies
@@ -83,7 +85,7 @@ if TYPE_CHECKING:  # for editors and type checkers: the same names as in the tab
     from ves_gym.system.runlog import RunLog as RunLog
     from ves_gym.system.system import System as System
 
-_TABLE = {  # module -> names; one that is called otherwise there is name=there
+_TABLE = {  # module -> names
     "_util.params": "ParameterError",
     "api": "calibrate check_emulation compare coupling_map diagnose energy evaluate excitation"
     " export plan render simulate train",
@@ -94,7 +96,7 @@ _TABLE = {  # module -> names; one that is called otherwise there is name=there
     "diagnosis.machines.mjcf": "MjcfMachine",
     "engine.kernel.sensitivity": "rollout_gradients",
     "envs.task": "Task register_task",
-    "leaderboard.verify": "make_entry verify_entry=verify",
+    "leaderboard.verify": "make_entry verify_entry",
     "mechanics.arm": "Arm",
     "mechanics.link": "Inertial Link",
     "mechanics.arm_library": "PUMA_560",
@@ -107,18 +109,14 @@ _TABLE = {  # module -> names; one that is called otherwise there is name=there
     "simulation.machines": "Divergence",
     "simulation.simulator": "Simulator",
     "simulation.state": "State",
-    "system.effect": "Effect parameter register_effect=register",
+    "system.effect": "Effect parameter register_effect",
     "system.emulator_settings": "EmulatorSettings",
     "system.energy": "Energies",
     "system.energy_balance": "EnergyBalance",
     "system.runlog": "RunLog",
     "system.system": "System",
 }
-_HOMES = {
-    name.partition("=")[0]: f"{module}:{name.partition('=')[2]}"
-    for module, names in _TABLE.items()
-    for name in names.split()
-}
+_HOMES = {name: module for module, names in _TABLE.items() for name in names.split()}
 # for what is rarer: the names in their `__all__` are public, too
 _ROOMS = ("baselines", "diagnosis", "effects", "experiments", "hardware", "leaderboard",
           "mechanics", "planners", "simulation")  # fmt: skip

@@ -1,5 +1,7 @@
 """A planner of one's own, and where it stands: the lazy one, which only moves more gently."""
 
+from typing import Any
+
 import numpy as np
 
 import ves_gym as vg
@@ -12,7 +14,7 @@ class Gentle:
     name = "gentle"  # on the leaderboard: a-z, 0-9 and hyphens
     summary = "straight joint line, degree-nine time law"
 
-    def find(self, query, seed):
+    def find(self, query: vg.Query, seed: int) -> tuple[vg.Motion, dict[str, Any]]:
         u = np.linspace(0, 1, 400)[:, None]
         law = u**5 * (126 - 420 * u + 540 * u**2 - 315 * u**3 + 70 * u**4)
         start, goal = query.ends

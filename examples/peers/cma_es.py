@@ -6,12 +6,16 @@ A black box of 600 predictions of E_mean, twice: what somebody tries who has a s
 derivatives. Speeds beyond the limits cost as much as the straight line's energy.
 """
 
+from typing import Any
+
 import cma
 import numpy as np
+import numpy.typing as npt
 
 import ves_gym as vg
 from ves_gym.planners import predict
 
+Array = npt.NDArray[np.float64]
 VIAS = 4  # control points of each joint beside the ends
 BUDGET = 600  # predictions of a start
 SPREAD = 0.3  # rad, of the first generation
@@ -24,7 +28,7 @@ class CmaEs:
     name = "cma-es"
     summary = "CMA-ES on four via points a joint, 600 predictions"
 
-    def find(self, query, seed):
+    def find(self, query: vg.Query, seed: int) -> tuple[vg.Motion, dict[str, Any]]:
         start, goal = query.ends
         law = np.linspace(0, 1, VIAS + 2)[1:-1, None]
         line = start + law * (goal - start)
@@ -32,11 +36,11 @@ class CmaEs:
         times = np.linspace(0, query.duration, 101)
         limit = np.full(len(start), np.inf) if query.v_max is None else np.array(query.v_max)
 
-        def motion(offsets):
+        def motion(offsets: Array) -> vg.Motion:
             points = [start] * 3 + list(line + offsets.reshape(line.shape)) + [goal] * 3
             return vg.Motion(duration=query.duration, control=tuple(map(tuple, points)))
 
-        def cost(offsets):
+        def cost(offsets: Array) -> Any:
             path = motion(offsets)
             excess = np.maximum(np.abs(path.at(times).v) / limit - 1, 0).max()
             return predict(query.system, path).E_mean / straight + 10 * excess

@@ -11,8 +11,10 @@ that stands still. The arm is the URDF that `Arm.to_urdf` writes.
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.math import BsplineBasis
 from pydrake.multibody.parsing import Parser
@@ -24,6 +26,7 @@ from pydrake.trajectories import BsplineTrajectory
 
 import ves_gym as vg
 
+Array = npt.NDArray[Any]  # of floats, or of Drake's AutoDiffXd
 POINTS, ORDER = 14, 6  # of the spline: quintic, as `Motion` is
 SAMPLES = 33
 
@@ -31,12 +34,12 @@ SAMPLES = 33
 class Drake:
     """Least integral of the square of something, from rest to rest in a given time."""
 
-    def __init__(self, what):
+    def __init__(self, what: str) -> None:
         self.name = f"drake-{what}"
         self.summary = f"Drake's KinematicTrajectoryOptimization, least {what}"
         self.what = what
 
-    def find(self, query, seed):
+    def find(self, query: vg.Query, seed: int) -> tuple[vg.Motion, dict[str, Any]]:
         start, goal = query.ends
         problem = KinematicTrajectoryOptimization(len(start), POINTS, ORDER, query.duration)
         problem.AddDurationConstraint(query.duration, query.duration)
@@ -54,7 +57,7 @@ class Drake:
         points = problem.control_points()  # (joints, POINTS) variables
         machine = plant(arm)
 
-        def cost(x):
+        def cost(x: Array) -> Any:
             control = x.reshape(points.shape)
             instants = np.einsum("jp,osp->soj", control, maps)
             return sum(effort(machine, *instant) for instant in instants)
@@ -78,7 +81,7 @@ for proxy in ("acceleration", "torque", "wrench"):
     vg.register_planner(Drake(proxy))
 
 
-def sampled(basis: BsplineBasis, duration: float) -> np.ndarray:
+def sampled(basis: BsplineBasis, duration: float) -> Array:
     """Maps (3, SAMPLES, POINTS) of control points to positions, rates and accelerations."""
     s = np.linspace(0, 1, SAMPLES)
     out = np.zeros((3, SAMPLES, POINTS))
@@ -92,7 +95,7 @@ def sampled(basis: BsplineBasis, duration: float) -> np.ndarray:
 
 
 @lru_cache(maxsize=4)
-def plant(arm):
+def plant(arm: vg.Arm) -> list[tuple[Any, Any]]:
     """The arm in Drake, with derivatives: its base held, and free."""
     out = []
     for held in (True, False):
@@ -110,12 +113,12 @@ def plant(arm):
     return out
 
 
-def acceleration(machine, q, v, a):
+def acceleration(machine: list[tuple[Any, Any]], q: Array, v: Array, a: Array) -> Any:
     """Square of the joints' acceleration."""
     return a @ a
 
 
-def torque(machine, q, v, a):
+def torque(machine: list[tuple[Any, Any]], q: Array, v: Array, a: Array) -> Any:
     """Square of the joints' torque."""
     held, context = machine[0]
     held.SetPositions(context, q)
@@ -124,7 +127,7 @@ def torque(machine, q, v, a):
     return tau @ tau
 
 
-def wrench(machine, q, v, a):
+def wrench(machine: list[tuple[Any, Any]], q: Array, v: Array, a: Array) -> Any:
     """Square of the wrench that holds the base [N, N m]."""
     free, context = machine[1]
     none = np.zeros(6)
@@ -136,6 +139,6 @@ def wrench(machine, q, v, a):
     return held @ held
 
 
-def external_forces(machine):
+def external_forces(machine: Any) -> Any:
     """No forces from outside."""
     return MultibodyForces_[AutoDiffXd](machine)

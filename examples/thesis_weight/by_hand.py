@@ -7,13 +7,14 @@ the part of the difference that it leaves, whatever its size, over 47 poses.
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 import ves_gym as vg
 
-Array = npt.NDArray[np.float64]
+Array = npt.NDArray[Any]
 
 # Thesis C.3: kg, kg m. Sign of the measured P5 restored (docs/errata.md).
 IDENTIFIED = np.array(

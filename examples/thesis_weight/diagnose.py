@@ -45,7 +45,7 @@ STEP, BAND = 0.4, 0.25  # s, Hz
 NOISE = next(e for e in LABORATORY_ERRORS if isinstance(e, SensorNoise))
 
 
-def reweighed(arm: vg.Arm, mass: float, P: npt.ArrayLike) -> vg.Arm:
+def reweighed(arm: vg.Arm, mass: float, P: Sequence[float] | Array) -> vg.Arm:
     """The arm with this much more mass [kg] and minimal parameters P (9,) [kg m] larger.
 
     The foot takes the mass; centres of mass move as little as will do.
@@ -55,7 +55,7 @@ def reweighed(arm: vg.Arm, mass: float, P: npt.ArrayLike) -> vg.Arm:
     heavier = dataclasses.replace(arm, base=bodies[0])
     minimal = minimal_model(heavier)
     lever = minimal.combination[:, : 3 * len(bodies)]  # of the bodies' first moments
-    wanted = minimal_model(arm).parameters() + P - minimal.parameters()
+    wanted = minimal_model(arm).parameters() + np.asarray(P) - minimal.parameters()
     change = np.linalg.lstsq(lever, wanted)[0].reshape(-1, 3)
     foot, *rest = (
         dataclasses.replace(body, com=tuple((np.array(body.com) + k / body.mass).tolist()))
@@ -165,7 +165,7 @@ def show(found: vg.Diagnosis) -> None:
 
 def main() -> None:
     """Write the logs, diagnose, print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("folder", nargs="?", help="where logs and description stay")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:

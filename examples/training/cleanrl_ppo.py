@@ -36,7 +36,9 @@ class Agent(nn.Module):
         self.actor, self.critic = network(width, 0.01), network(1, 1.0)
         self.log_std = nn.Parameter(torch.full((width,), -1.0))
 
-    def forward(self, x, action=None):
+    def forward(
+        self, x: torch.Tensor, action: torch.Tensor | None = None
+    ) -> tuple[torch.Tensor, ...]:
         """Return action, its log probability and the value of observations x."""
         normal = Normal(self.actor(x), self.log_std.exp())
         action = normal.sample() if action is None else action
@@ -48,14 +50,15 @@ def main(decisions: int = DECISIONS) -> float:
     torch.manual_seed(0)
     torch.set_num_threads(1)  # layers this small are slower on more
     envs = vector()
-    size, width = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
+    first = envs.reset(seed=1)[0]
+    size, width = first.shape[1], envs.single_action_space.shape[0]
     agent = Agent(size, width)
     optimiser = torch.optim.Adam(agent.parameters(), lr=RATE, eps=1e-5)
     obs = torch.zeros(ROLLOUT + 1, ENVS, size)
     actions = torch.zeros(ROLLOUT, ENVS, width)
     logprobs, rewards, dones = torch.zeros(3, ROLLOUT, ENVS)
     values = torch.zeros(ROLLOUT + 1, ENVS)
-    obs[-1] = torch.as_tensor(envs.reset(seed=1)[0])
+    obs[-1] = torch.as_tensor(first)
     updates = max(1, decisions // (ROLLOUT * ENVS))
     for update in range(updates):
         optimiser.param_groups[0]["lr"] = RATE * (1 - update / updates)

@@ -3,6 +3,8 @@
 # ///
 """PumaDamp by rsl_rl's PPO: `python rsl_rl_ppo.py [DECISIONS]`."""
 
+from typing import Any
+
 import torch
 from puma_damp import BATCH, DECISIONS, ENVS, EPOCHS, HOLD, RATE, ROLLOUT, run, solved, vector
 from rsl_rl.env import VecEnv
@@ -17,9 +19,9 @@ class Vector(VecEnv):
 
     def __init__(self) -> None:
         self.env = vector()
-        self.num_envs, self.device, self.cfg = ENVS, "cpu", {}
+        self.num_envs, self.device, self.cfg = ENVS, "cpu", dict[str, Any]()
         self.num_actions = self.env.single_action_space.shape[0]
-        self.max_episode_length = self.env.spec.max_episode_steps // HOLD
+        self.max_episode_length = self.env.env.task.steps // HOLD
         self.episode_length_buf = torch.zeros(ENVS, dtype=torch.long)
         self.env.reset(seed=1)
 
@@ -27,7 +29,7 @@ class Vector(VecEnv):
         """Return the present observations."""
         return TensorDict({"policy": torch.as_tensor(self.env.observe())}, [ENVS])
 
-    def step(self, actions):
+    def step(self, actions: torch.Tensor) -> tuple[Any, ...]:
         """Hold actions; nothing is truncated."""
         _, reward, done, _, _ = self.env.step(actions.clamp(-1, 1).numpy())
         over = torch.as_tensor(done)

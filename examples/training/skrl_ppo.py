@@ -3,6 +3,8 @@
 # ///
 """PumaDamp by skrl's PPO: `python skrl_ppo.py [DECISIONS]`."""
 
+from typing import Any
+
 import torch
 from puma_damp import BATCH, DECISIONS, ENVS, EPOCHS, RATE, ROLLOUT, run, solved, vector
 from skrl.agents.torch.ppo import PPO
@@ -31,7 +33,7 @@ class Policy(GaussianMixin, Model):
         self.net = network(self.num_observations, self.num_actions)
         self.log_std = nn.Parameter(torch.full((self.num_actions,), -1.0))
 
-    def compute(self, inputs, role):
+    def compute(self, inputs: dict[str, Any], role: str) -> tuple[torch.Tensor, dict[str, Any]]:
         """Return the mean of the actions."""
         return self.net(inputs["observations"]), {"log_std": self.log_std}
 
@@ -44,7 +46,7 @@ class Value(DeterministicMixin, Model):
         DeterministicMixin.__init__(self)
         self.net = network(self.num_observations, 1)
 
-    def compute(self, inputs, role):
+    def compute(self, inputs: dict[str, Any], role: str) -> tuple[torch.Tensor, dict[str, Any]]:
         """Return the value."""
         return self.net(inputs["observations"]), {}
 

@@ -15,7 +15,7 @@ import pytest
 
 from scripts.leaderboard import README, readme
 from ves_gym.leaderboard.board import make_board, read_board
-from ves_gym.leaderboard.verify import verify
+from ves_gym.leaderboard.verify import verify_entry
 
 PLACE = Path(__file__).parents[2] / "docs" / "leaderboard"
 
@@ -35,7 +35,7 @@ def test_an_entry_drawn_by_the_day_is_repeated():
     files = sorted((PLACE / "entries").glob("*.json"))
     # peers need libraries that are not installed here
     file = drawn.choice([file for file in files if "_peer_" not in file.name])
-    assert verify(file).level == "reproduced", file.name
+    assert verify_entry(file).level == "reproduced", file.name
 
 
 def test_the_board_is_small():

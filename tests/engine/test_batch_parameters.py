@@ -43,7 +43,7 @@ from ves_gym.system.effect import (
     Effect,
     TorqueEffect,
     parameter,
-    register,
+    register_effect,
 )
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
@@ -504,7 +504,7 @@ def test_a_law_that_takes_single_coefficients():
     kind = "joint/test_only"
     try:
 
-        @register(kind)
+        @register_effect(kind)
         @dataclasses.dataclass(frozen=True, kw_only=True)
         class Fourier(TorqueEffect):
             modes = ("ideal", "emulated")

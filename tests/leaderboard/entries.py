@@ -9,7 +9,7 @@ from ves_gym.baselines.policy import Network, Policy, save_policy
 from ves_gym.leaderboard.entry import Entry, Method, Refused
 from ves_gym.leaderboard.files import ENTRY, RECORDING, pack, read_files
 from ves_gym.leaderboard.tracks.base import task_of
-from ves_gym.leaderboard.verify import verify
+from ves_gym.leaderboard.verify import verify_entry
 
 DAMP = ("damping", "ves/PumaDamp-v0-quick")
 
@@ -78,7 +78,7 @@ class Spoiled:
 def code_of(place, **options):
     """The code that an entry is refused with, None if it is not."""
     try:
-        verify(place, **options)
+        verify_entry(place, **options)
     except Refused as error:
         assert str(error).startswith(error.code.slug + ": ") and "\n" not in str(error)
         return error.code

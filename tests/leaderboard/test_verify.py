@@ -16,7 +16,7 @@ from ves_gym.leaderboard.entry import Code
 from ves_gym.leaderboard.files import ENTRY, RECORDING, unpack
 from ves_gym.leaderboard.tracks import damping as gain_track
 from ves_gym.leaderboard.tracks.base import require_settings
-from ves_gym.leaderboard.verify import add, make_entry, verify
+from ves_gym.leaderboard.verify import add, make_entry, verify_entry
 from ves_gym.planners.query import NoPlan
 from ves_gym.planners.registry import get_planner
 
@@ -28,7 +28,7 @@ GAINS = ("damping", "gains-bent-quick")
 
 
 def test_the_straight_line_scores_one_and_is_answered_again(straight):
-    entry = verify(straight)
+    entry = verify_entry(straight)
     assert entry.level == "reproduced" and entry.method.name == "straight"
     np.testing.assert_allclose(entry.results["score"], 1.0, rtol=1e-12)
     assert (entry.results["seconds"] > 0).all()
@@ -36,7 +36,7 @@ def test_the_straight_line_scores_one_and_is_answered_again(straight):
 
 
 def test_a_policy_acts_again_from_its_files_alone(policy):
-    entry = verify(policy)
+    entry = verify_entry(policy)
     assert entry.level == "reproduced" and entry.author == "someone"
     assert not (policy / RECORDING).exists()
     direct = evaluate(
@@ -46,7 +46,7 @@ def test_a_policy_acts_again_from_its_files_alone(policy):
 
 
 def test_a_controller_of_ones_own_is_replayed(own):
-    entry = verify(own)
+    entry = verify_entry(own)
     assert entry.level == "replayed" and entry.method.name == "" and entry.name == "gentle"
     claimed = json.loads((own / ENTRY).read_text())["results"]["score"]
     np.testing.assert_allclose(entry.results["score"], claimed, rtol=1e-4)
@@ -73,7 +73,7 @@ def mute(folder):
 
 
 def test_a_planner_of_ones_own_is_replayed_and_its_failures_count(mute):
-    entry = verify(mute)
+    entry = verify_entry(mute)
     assert entry.level == "replayed"
     assert np.isfinite(entry.results["score"][0]).tolist() == [False, True] * 5
     assert entry.results["success"].tolist() == [[0.0, 1.0] * 5]
@@ -98,7 +98,7 @@ def test_a_planner_of_ones_own_is_replayed_and_its_failures_count(mute):
 )
 def test_what_solves_a_problem_is_answered_again(track, problem, method, tmp_path):
     make_entry(tmp_path / "e", track, problem, method, workers=2)
-    results = verify(tmp_path / "e", workers=2).results
+    results = verify_entry(tmp_path / "e", workers=2).results
     score, solved = results["score"], results["success"] > 0
     if track == "damping":
         assert (score < 1).all()
@@ -129,9 +129,9 @@ def test_claims_change_nothing_of_what_comes_out(own, tmp_path):
     for name in ("score", "E_decay"):
         spoiled.plain["results"][name] = [[2 * k for k in spoiled.plain["results"][name][0]]]
     spoiled.plain["level"] = "reproduced"
-    entry = verify(spoiled.write(tmp_path / "e"))
+    entry = verify_entry(spoiled.write(tmp_path / "e"))
     assert entry.level == "replayed"
-    assert (entry.results["score"] == verify(own).results["score"]).all()
+    assert (entry.results["score"] == verify_entry(own).results["score"]).all()
 
 
 @pytest.mark.parametrize(
@@ -255,7 +255,7 @@ def test_gains_of_ones_own(folder, refused, monkeypatch):
     ):
         spoiled.record([[change(g) for g in group]])
         assert refused(spoiled) is code
-    entry = verify(place)
+    entry = verify_entry(place)
     assert entry.method.kind == "gains" and entry.level == "replayed"
     np.testing.assert_allclose(entry.results["score"], np.ones((1, 5)), rtol=1e-9)
 
@@ -330,11 +330,11 @@ def test_no_seed_can_be_picked(straight, tmp_path, refused):
 def test_official_seeds(folder, refused):
     place = folder / "official"
     make_entry(place, *DAMP, "zero", salt=SALT)
-    entry = verify(place, salt=SALT)
+    entry = verify_entry(place, salt=SALT)
     assert entry.seeds.startswith("official-") and SALT not in (place / ENTRY).read_text()
     assert code_of(place, salt=SALT + "!") is Code.WRONG_SEEDS
     with pytest.raises(ParameterError, match="salt"):
-        verify(place)
+        verify_entry(place)
     spoiled = Spoiled(place)  # results on secret seeds, told as of public ones
     spoiled.plain["seeds"] = "public"
     assert refused(spoiled) is Code.SCORE_DIFFERS
@@ -374,7 +374,7 @@ def whole(entry, **changes):
 
 
 def test_an_entry_goes_to_the_board_and_is_verified_there(straight, own, tmp_path):
-    entry = verify(straight)
+    entry = verify_entry(straight)
     with pytest.raises(ParameterError, match="first try"):
         add(tmp_path / "entries", entry)
     place = add(tmp_path / "entries", whole(entry))
@@ -383,7 +383,7 @@ def test_an_entry_goes_to_the_board_and_is_verified_there(straight, own, tmp_pat
         add(tmp_path / "entries", whole(entry, level="replayed"))
     alone = tmp_path / "alone.json"  # a file of the board, without its folder
     shutil.copy(straight / ENTRY, alone)
-    assert verify(alone).level == "reproduced"
+    assert verify_entry(alone).level == "reproduced"
     shutil.copy(own / ENTRY, alone)
     assert code_of(alone) is Code.NOT_REPRODUCIBLE
 

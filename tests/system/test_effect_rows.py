@@ -14,7 +14,7 @@ from ves_gym.mechanics.link import diagonal
 from ves_gym.mechanics.vehicle import BENT_THESIS, DECOUPLED
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import LaboratoryEffect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register_effect
 from ves_gym.system.effect_rows import ONE_BY_ONE, EffectRows
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
@@ -112,7 +112,7 @@ class ByLeadingAxis(LaboratoryEffect):
 def test_an_effect_that_does_not_broadcast_is_run_one_by_one(monkeypatch):
     monkeypatch.setitem(EFFECTS.data, "test/by_leading_axis", None)
     del EFFECTS.data["test/by_leading_axis"]
-    register("test/by_leading_axis")(ByLeadingAxis)
+    register_effect("test/by_leading_axis")(ByLeadingAxis)
     ranges = {"test/by_leading_axis": {"force": (1.0, 2.0)}}
     batch = Batch(build_task("rest_to_rest", mode="emulated", randomize=ranges), 6)
     batch.seed(np.arange(6), 3, np.arange(6))

@@ -20,7 +20,7 @@ from ves_gym.hardware.leg_servo import FILTERED
 from ves_gym.mechanics.vehicle import DECOUPLED
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import EFFECTS, LaboratoryEffect, parameter, register
+from ves_gym.system.effect import EFFECTS, LaboratoryEffect, parameter, register_effect
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
 
@@ -131,7 +131,7 @@ def test_an_effect_of_ones_own_acts_and_its_name_is_taken():
     kind = "sensor/test_only"
     try:
 
-        @register(kind)
+        @register_effect(kind)
         class Lifted(LaboratoryEffect):
             port = "wrench"
             force: float = parameter("N", bounds=(0.0, 10.0))
@@ -145,7 +145,7 @@ def test_an_effect_of_ones_own_acts_and_its_name_is_taken():
         assert (a - b)[2] == pytest.approx(-5.0)  # the sensor's z points down
         again = type("Again", (Lifted,), {})
         with pytest.raises(ParameterError, match="test_only' is already registered by Lifted"):
-            register(kind)(again)
+            register_effect(kind)(again)
         assert EFFECTS[kind] is Lifted
     finally:
         EFFECTS.pop(kind, None)

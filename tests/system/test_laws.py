@@ -21,7 +21,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.simulation.playback import play_motions
 from ves_gym.simulation.simulator import Simulator
-from ves_gym.system.effect import Effect, LaboratoryEffect, joint_torque, register
+from ves_gym.system.effect import Effect, LaboratoryEffect, joint_torque, register_effect
 from ves_gym.system.energy_balance import EnergyBalance
 from ves_gym.system.system import System
 
@@ -94,7 +94,7 @@ def test_a_changed_constant_of_a_users_law_is_another_kernel(monkeypatch):
 def test_an_effect_must_do_something():
     with pytest.raises(ParameterError, match="must be a subclass of one of LaboratoryEffect, "):
 
-        @register("test/nothing")
+        @register_effect("test/nothing")
         class Nothing(Effect):
             pass
 
@@ -104,7 +104,7 @@ def test_an_effect_must_say_where_it_enters():
         ParameterError, match=r"port must be one of joint, wrench, .*, got None"
     ):
 
-        @register("test/nowhere")
+        @register_effect("test/nowhere")
         class Nowhere(LaboratoryEffect):
             def edit(self, p):
                 pass

@@ -45,7 +45,13 @@ class ActionRepeat(gym.vector.VectorEnv[Any, Any, Any]):
         reward_scale: constant factor of the rewards.
     """
 
-    def __init__(self, env: VesVectorEnv, *, hold: int = 1, reward_scale: float = 1.0) -> None:
+    def __init__(
+        self,
+        env: gym.vector.VectorEnv[Any, Any, Any],
+        *,
+        hold: int = 1,
+        reward_scale: float = 1.0,
+    ) -> None:
         if not isinstance(env, VesVectorEnv):
             raise ParameterError(f"needs a VesVectorEnv, got {type(env).__name__}")
         if hold < 1 or not reward_scale > 0:
@@ -57,7 +63,7 @@ class ActionRepeat(gym.vector.VectorEnv[Any, Any, Any]):
         self.num_envs, self.spec = env.num_envs, env.spec
         self.metadata = {**env.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}
         self.single_observation_space = env.single_observation_space
-        self.single_action_space = env.single_action_space
+        self.single_action_space: gym.spaces.Box = self.env.single_action_space
         self.observation_space, self.action_space = env.observation_space, env.action_space
 
     def reset(

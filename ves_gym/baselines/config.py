@@ -48,15 +48,15 @@ class TrainConfig:
     total_timesteps: int
     n_envs: int
     imitate: str = ""  # a controller, by its name
-    imitation: dict = field(default_factory=dict)
+    imitation: dict[str, Any] = field(default_factory=dict)
     frames: int = 1  # observations that the policy sees, those of its last decisions
     features: str = ""  # arm: further inputs, see `arm_features.ArmFeatures`
     critic: str = ""  # privileged: PPO's critic sees `Batch.privileged` too
     hold: int = 1
-    settings: dict = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
     curriculum: dict[str, tuple[float, float]] = field(default_factory=dict)
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
-    hyperparameters: dict = field(default_factory=dict)
+    hyperparameters: dict[str, Any] = field(default_factory=dict)
     layers: tuple[int, ...] = (64, 64)
     activation: str = "tanh"
     log_std: float = -1.0  # of PPO's noise at first

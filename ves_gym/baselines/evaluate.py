@@ -226,7 +226,7 @@ def make_vector(
         threads=threads,
         **settings,
     )
-    return env  # type: ignore[no-any-return]
+    return env
 
 
 def with_deviations(

@@ -288,7 +288,7 @@ def load_arrays(data: bytes, complaint: str) -> dict[str, Array]:
     from safetensors import SafetensorError
 
     try:
-        return _safetensors().load(data)  # type: ignore[no-any-return]
+        return _safetensors().load(data)
     except (SafetensorError, ValueError, KeyError) as error:
         raise ParameterError(f"{complaint}: {str(error)[:200]}") from None
 

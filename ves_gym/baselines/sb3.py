@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
@@ -13,7 +14,6 @@ from stable_baselines3.common.vec_env import VecEnv
 from ves_gym._util.params import Array, Mask, ParameterError
 from ves_gym.baselines.action_repeat import ActionRepeat, Endings
 from ves_gym.baselines.policy import ACTIVATIONS, Network, Policy
-from ves_gym.envs.vector import VesVectorEnv
 
 
 class Sb3VecEnv(VecEnv):
@@ -33,13 +33,13 @@ class Sb3VecEnv(VecEnv):
 
     def __init__(
         self,
-        env: VesVectorEnv,
+        env: gym.vector.VectorEnv[Any, Any, Any],
         *,
         on_endings: Callable[[Endings], None] = lambda endings: None,
         **choices: Any,
     ) -> None:
         self.decisions, self.on_endings = ActionRepeat(env, **choices), on_endings
-        self.env = env
+        self.env = self.decisions.env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._begin = time.perf_counter()
         self._actions: Any = None

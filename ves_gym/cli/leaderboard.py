@@ -54,10 +54,10 @@ def check(at: Context, entry: str, *, board: Path | None = None, **how: Any) -> 
     of another is simulated again.
     """
     from ves_gym.leaderboard.entry import Refused
-    from ves_gym.leaderboard.verify import add, verify
+    from ves_gym.leaderboard.verify import add, verify_entry
 
     try:
-        checked = verify(entry, progress=at.progress, **how)
+        checked = verify_entry(entry, progress=at.progress, **how)
     except Refused as refused:
         say(on_one_line(str(refused)), "rejected")
         return Answer(negative=True)

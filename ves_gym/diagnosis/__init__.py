@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from ves_gym._util.lazy import lazily as _lazily
 
 if TYPE_CHECKING:
+    from ves_gym.diagnosis.data.measured_run import Run as Run
     from ves_gym.diagnosis.data.measured_run import run_of as run_of
     from ves_gym.diagnosis.data.measured_run import run_of_signals as run_of_signals
     from ves_gym.diagnosis.machines.base import Port as Port
@@ -23,6 +24,7 @@ _HOMES = {
     "Parameter": "machines.residual",
     "Port": "machines.base",
     "ResidualMachine": "machines.residual",
+    "Run": "data.measured_run",
     "SystemMachine": "machines.system",
     "read_machine": "machines.mapping",
     "register_machine": "machines.residual",

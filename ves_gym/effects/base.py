@@ -14,7 +14,7 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.spatial import AXES
 from ves_gym.mechanics.vehicle import BaseModel, InternalModes, Oscillator, Satellite, has
 from ves_gym.system.candidate import Candidate, Scope, number_of, placed
-from ves_gym.system.effect import BaseEffect, parameter, register
+from ves_gym.system.effect import BaseEffect, parameter, register_effect
 from ves_gym.system.system import System
 
 _HELD = 1e-9  # of the largest stiffness per mass: less is none
@@ -25,7 +25,7 @@ def _require_held(effect: BaseEffect, system: System) -> None:
     effect.require(fits, "a vehicle of M, D, K, got a satellite")
 
 
-@register("base/amplitude_damping")
+@register_effect("base/amplitude_damping")
 class BaseAmplitudeDamping(BaseEffect):
     """A force `coefficient` |Y'| Y' along each axis against the vehicle's motion.
 
@@ -50,7 +50,7 @@ class BaseAmplitudeDamping(BaseEffect):
         return replace(base, drag=drag if base.drag is None else base.drag + drag)
 
 
-@register("base/damping")
+@register_effect("base/damping")
 class BaseDamping(BaseEffect):
     """The vehicle's damping is D (1 + `error`).
 
@@ -68,7 +68,7 @@ class BaseDamping(BaseEffect):
         return base if self.is_null else base.scaled(damping=1 + self.error)
 
 
-@register("base/stiffness")
+@register_effect("base/stiffness")
 class BaseStiffness(BaseEffect):
     """The vehicle's stiffness is K (1 + `error`), its damping as described.
 
@@ -87,7 +87,7 @@ class BaseStiffness(BaseEffect):
         return base if self.is_null else base.scaled(stiffness=1 + self.error)
 
 
-@register("base/virtual_mass")
+@register_effect("base/virtual_mass")
 class BaseVirtualMass(BaseEffect):
     """The vehicle's mass matrix is M (1 + `error`), or its body that much heavier.
 
@@ -102,7 +102,7 @@ class BaseVirtualMass(BaseEffect):
         return base if self.is_null else base.scaled(mass=1 + self.error)
 
 
-@register("base/extra_mode")
+@register_effect("base/extra_mode")
 class BaseExtraMode(BaseEffect):
     """The vehicle carries a `mass` on a spring along `direction`, of which nobody knows.
 
@@ -169,7 +169,7 @@ class BaseExtraMode(BaseEffect):
         return replace(base, internal=internal)
 
 
-@register("base/mode")
+@register_effect("base/mode")
 class BaseMode(BaseEffect):
     """One mode of the vehicle under its arm is stiffer; the others are as described.
 
@@ -228,7 +228,7 @@ def modes_of(M: Array, K: Array) -> list[tuple[float, Array]]:
 _FAR = (0.0, 1e9)
 
 
-@register("base/unknown")
+@register_effect("base/unknown")
 class BaseUnknown(BaseEffect):
     """A force -(stiffness Y + damping Y') along each coordinate of the vehicle.
 

@@ -10,7 +10,7 @@ from ves_gym._util.params import ParameterError, Vector
 from ves_gym.mechanics.gravity import minimal_model
 from ves_gym.system.candidate import Candidate, Scope, number_of, placed
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import LaboratoryEffect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register_effect
 from ves_gym.system.system import System
 
 
@@ -25,7 +25,7 @@ class _GravityEffect(LaboratoryEffect):
         self.require(operation == "microgravity", f"operation microgravity, got {operation}")
 
 
-@register("gravity/delay")
+@register_effect("gravity/delay")
 class GravityDelay(_GravityEffect):
     """The gravity estimate is of joints and pose `delay` ago."""
 
@@ -35,7 +35,7 @@ class GravityDelay(_GravityEffect):
         p.gravity_delay = p.gravity_delay + self.delay
 
 
-@register("gravity/mass")
+@register_effect("gravity/mass")
 class GravityMass(_GravityEffect):
     """The gravity estimate takes the arm for heavier by `error`; its moments are right."""
 
@@ -45,7 +45,7 @@ class GravityMass(_GravityEffect):
         p.gravity_mass = p.gravity_mass + self.error
 
 
-@register("gravity/moment")
+@register_effect("gravity/moment")
 class GravityMoment(_GravityEffect):
     """Errors of the minimal moment parameters, in their order (`minimal_model(arm).names`)."""
 
@@ -75,7 +75,7 @@ class GravityMoment(_GravityEffect):
         p.gravity_P = p.gravity_P + np.array(self.error)
 
 
-@register("gravity/scale")
+@register_effect("gravity/scale")
 class GravityScale(_GravityEffect):
     """The gravity estimate is too large by the fraction `error`, force and moment alike."""
 
@@ -86,7 +86,7 @@ class GravityScale(_GravityEffect):
         p.gravity_P = p.gravity_P * (1 + self.error)
 
 
-@register("gravity/tilt")
+@register_effect("gravity/tilt")
 class GravityTilt(_GravityEffect):
     """The pose given to the gravity estimate is turned by `angles` about x, y and z."""
 
@@ -96,7 +96,7 @@ class GravityTilt(_GravityEffect):
         p.gravity_tilt = p.gravity_tilt + np.array(self.angles)
 
 
-@register("gravity/tool")
+@register_effect("gravity/tool")
 class GravityTool(_GravityEffect):
     """The gravity estimate lacks a body on the last link; negative: it has one too many.
 

@@ -15,11 +15,17 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.link import Gear
 from ves_gym.system.candidate import Candidate, Number, Scope, at_joint, number_of, placed
 from ves_gym.system.deviations import Delays
-from ves_gym.system.effect import ArmEffect, DelayEffect, TorqueEffect, parameter, register
+from ves_gym.system.effect import (
+    ArmEffect,
+    DelayEffect,
+    TorqueEffect,
+    parameter,
+    register_effect,
+)
 from ves_gym.system.system import System
 
 
-@register("joint/drive_gain")
+@register_effect("joint/drive_gain")
 class JointDriveGain(TorqueEffect):
     """Motors give (1 + `error`) times the torque they are told to.
 
@@ -35,7 +41,7 @@ class JointDriveGain(TorqueEffect):
         return self.error * tau
 
 
-@register("joint/torque_limit")
+@register_effect("joint/torque_limit")
 class JointTorqueLimit(TorqueEffect):
     """Motors give at most (1 - `fraction`) of their stated limit (a current limit).
 
@@ -57,7 +63,7 @@ class JointTorqueLimit(TorqueEffect):
         return np.clip(tau, -most, most) - tau
 
 
-@register("joint/torque_offset")
+@register_effect("joint/torque_offset")
 class JointTorqueOffset(TorqueEffect):
     """A constant torque at the joint: an amplifier's offset, a cable's pull.
 
@@ -82,7 +88,7 @@ def _overtone(turned: float, ripple: JointRipple) -> JointRipple:
     return dataclasses.replace(ripple, cycles=cycles, phase=tuple(phase.tolist()))
 
 
-@register("joint/ripple")
+@register_effect("joint/ripple")
 class JointRipple(TorqueEffect):
     """Torque that repeats `cycles` times per turn of the joint (cogging, gear teeth).
 
@@ -129,7 +135,7 @@ class JointRipple(TorqueEffect):
         return self.amplitude * np.sin(self.cycles * q + self.phase)
 
 
-@register("joint/rotor_inertia")
+@register_effect("joint/rotor_inertia")
 class JointRotorInertia(ArmEffect):
     """The rotors, seen through their gears, have `added` more inertia than described.
 
@@ -194,7 +200,7 @@ def _hardened(effect: JointElasticity) -> Hardened:
     return Hardened(compliance=effect.compliance, damping=effect.damping)
 
 
-@register("joint/elasticity")
+@register_effect("joint/elasticity")
 class JointElasticity(ArmEffect):
     """A spring of `compliance`, with a damper beside it, between rotor and link.
 
@@ -250,7 +256,7 @@ def _thinner(effect: JointBacklash) -> JointBacklash:
     return replace(effect, damping=0.0)
 
 
-@register("joint/backlash")
+@register_effect("joint/backlash")
 class JointBacklash(ArmEffect):
     """Rotor and link may turn by `gap` against each other before the teeth touch.
 
@@ -293,7 +299,7 @@ class JointBacklash(ArmEffect):
         return _with_gears(arm, [Gear(**teeth, gap=gap) if gap else None for gap in self.gap])
 
 
-@register("joint/measurement_delay")
+@register_effect("joint/measurement_delay")
 class JointMeasurementDelay(DelayEffect):
     """Servo, gravity estimate and log see joint angles and rates of `delay` ago.
 
@@ -308,7 +314,7 @@ class JointMeasurementDelay(DelayEffect):
         delays.measurement = delays.measurement + self.delay
 
 
-@register("joint/velocity_lag")
+@register_effect("joint/velocity_lag")
 class JointVelocityLag(DelayEffect):
     """Servo and log see joint rates through a first-order low-pass; angles are as they are.
 
@@ -326,7 +332,7 @@ class JointVelocityLag(DelayEffect):
         delays.lag = delays.lag + np.array(self.time_constant)
 
 
-@register("command/delay")
+@register_effect("command/delay")
 class CommandDelay(DelayEffect):
     """The drives get the joint commands `delay` later than they are sent.
 

@@ -10,12 +10,12 @@ import numpy as np
 
 from ves_gym._util.params import Array, Vector
 from ves_gym.system.candidate import Candidate, Number, Scope, at_joint, number_of, placed
-from ves_gym.system.effect import TorqueEffect, parameter, register
+from ves_gym.system.effect import TorqueEffect, parameter, register_effect
 
 CREEP = 1e-2  # rad/s over which friction builds up from rest
 
 
-@register("joint/coulomb")
+@register_effect("joint/coulomb")
 class JointCoulomb(TorqueEffect):
     """Friction of constant size against the motion; smooth at rest, so a joint creeps."""
 
@@ -28,7 +28,7 @@ class JointCoulomb(TorqueEffect):
         return -self.torque * np.tanh(v / CREEP)
 
 
-@register("joint/asymmetry")
+@register_effect("joint/asymmetry")
 class JointAsymmetry(TorqueEffect):
     """Friction larger for v > 0 and smaller for v < 0: its even part.
 
@@ -55,7 +55,7 @@ def _pressed(friction: JointLoadFriction) -> Pressed:
     return Pressed(coefficient=friction.coefficient)
 
 
-@register("joint/load_friction")
+@register_effect("joint/load_friction")
 class JointLoadFriction(TorqueEffect):
     """Friction of the fraction `coefficient` of the motor's torque, against the motion.
 
@@ -89,7 +89,7 @@ class Pressed(JointLoadFriction):
 _OF_FADE = 1e-2  # of fade_speed over which friction builds up from rest
 
 
-@register("joint/stribeck")
+@register_effect("joint/stribeck")
 class JointStribeck(TorqueEffect):
     """Friction that drops from stiction to Coulomb level with speed.
 
@@ -136,7 +136,7 @@ def _cubed(friction: JointViscous) -> Cubed:
     return Cubed(damping=friction.damping)
 
 
-@register("joint/viscous")
+@register_effect("joint/viscous")
 class JointViscous(TorqueEffect):
     """Friction in proportion to the joint's rate.
 

@@ -11,7 +11,7 @@ import numpy as np
 from ves_gym._util.params import Array, ParameterError, Vector
 from ves_gym.effects.joint_friction import CREEP
 from ves_gym.system.deviations import Delays
-from ves_gym.system.effect import DelayEffect, TorqueEffect, parameter, register
+from ves_gym.system.effect import DelayEffect, TorqueEffect, parameter, register_effect
 from ves_gym.system.system import System
 
 SLOW = 0.1  # rad/s over which friction at rest fades
@@ -29,7 +29,7 @@ def monomials(n: int) -> tuple[tuple[int, ...], ...]:
     return tuple(c for d in degrees for c in combinations_with_replacement(range(n), d))
 
 
-@register("joint/unknown")
+@register_effect("joint/unknown")
 class JointUnknown(TorqueEffect):
     """Torque regressed on the angles of all joints, and on the rate of its own.
 
@@ -104,7 +104,7 @@ WEIGHTS = (
 KNOTS = {"over_angle": 30, "over_angle_turning": 24, "over_rate": 16}  # that a diagnosis takes
 
 
-@register("joint/curves")
+@register_effect("joint/curves")
 class JointCurves(TorqueEffect):
     """Torque over a joint's angle, over its angle against the way it turns, and over its rate.
 
@@ -164,7 +164,7 @@ _FARTHER = (-500.0, 500.0)
 LEVELS = ("lasting", "rested_fast", "rested", "rested_slow")  # in the order of `RESTING`
 
 
-@register("joint/memory")
+@register_effect("joint/memory")
 class JointMemory(DelayEffect):
     """Friction that builds up over a distance after a reversal and grows while a joint rests.
 

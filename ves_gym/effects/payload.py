@@ -22,7 +22,7 @@ from ves_gym.mechanics.link import Inertial, matrix
 from ves_gym.mechanics.payload import carrying
 from ves_gym.system.candidate import Candidate, Number, Scope, placed
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import ArmEffect, LaboratoryEffect, parameter, register
+from ves_gym.system.effect import ArmEffect, LaboratoryEffect, parameter, register_effect
 from ves_gym.system.system import System
 
 REACH = 0.03  # m, about which a payload sits otherwise than thought, and extends
@@ -46,7 +46,7 @@ _DIRECTIONS = (
 )
 
 
-@register("payload/mass")
+@register_effect("payload/mass")
 class PayloadMass(ArmEffect):
     """A point mass rides on the tool, `position` away from it in the last link's axes.
 
@@ -96,7 +96,7 @@ _RANGES = {  # of a payload: usual size, least, most
 }
 
 
-@register("payload/body")
+@register_effect("payload/body")
 class PayloadBody(ArmEffect):
     """A rigid body is fixed to the last link, its numbers in that link's frame.
 
@@ -188,7 +188,7 @@ def _made(x: Array) -> PayloadBody:
     return cls(mass=m, moment=tuple(numbers[:3]), inertia=tuple(numbers[3:]))
 
 
-@register("payload/com")
+@register_effect("payload/com")
 class PayloadCom(ArmEffect):
     """The last link's centre of mass lies `offset` away from where it is described.
 
@@ -209,7 +209,7 @@ class PayloadCom(ArmEffect):
         return replace(arm, links=(*arm.links[:-1], moved))
 
 
-@register("payload/inertia")
+@register_effect("payload/inertia")
 class PayloadInertia(LaboratoryEffect):
     """The compensation takes the arm's inertia for larger by the fraction `error`."""
 

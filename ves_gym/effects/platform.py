@@ -10,11 +10,11 @@ import numpy as np
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.system.candidate import Candidate, Scope, number_of, placed
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import LaboratoryEffect, parameter, register
+from ves_gym.system.effect import LaboratoryEffect, parameter, register_effect
 from ves_gym.system.system import System
 
 
-@register("platform/bandwidth")
+@register_effect("platform/bandwidth")
 class PlatformBandwidth(LaboratoryEffect):
     """The platform's bandwidth differs from the stated one by the fraction `error`.
 
@@ -30,7 +30,7 @@ class PlatformBandwidth(LaboratoryEffect):
         p.bandwidth = p.bandwidth + self.error
 
 
-@register("platform/damping")
+@register_effect("platform/damping")
 class PlatformDamping(LaboratoryEffect):
     """The platform's damping ratio differs from the stated one by the fraction `error`.
 
@@ -51,7 +51,7 @@ class PlatformDamping(LaboratoryEffect):
         p.damping = p.damping + self.error
 
 
-@register("platform/delay")
+@register_effect("platform/delay")
 class PlatformDelay(LaboratoryEffect):
     """The platform gets the computer's command `delay` later than the loop assumes.
 
@@ -70,7 +70,7 @@ class PlatformDelay(LaboratoryEffect):
 SHORT = np.geomspace(0.005, 0.6, 16)
 
 
-@register("platform/stroke")
+@register_effect("platform/stroke")
 class PlatformStroke(LaboratoryEffect):
     """The legs' stroke lacks the fraction `travel`, their speed the fraction `speed`.
 

@@ -10,11 +10,11 @@ from ves_gym._util.params import Array, Matrix, ParameterError, Vector
 from ves_gym.mechanics.spatial import WRENCH
 from ves_gym.system.candidate import Candidate, Scope, number_of, placed
 from ves_gym.system.deviations import LoopParameters
-from ves_gym.system.effect import Effect, LaboratoryEffect, parameter, register
+from ves_gym.system.effect import Effect, LaboratoryEffect, parameter, register_effect
 from ves_gym.system.system import System
 
 
-@register("sensor/bias")
+@register_effect("sensor/bias")
 class SensorBias(LaboratoryEffect):
     """Offset of the signals in the sensor frame. Zeroing the sensor takes it out."""
 
@@ -41,7 +41,7 @@ class SensorBias(LaboratoryEffect):
         p.sensor.bias = p.sensor.bias + np.array([*self.force, *self.moment])
 
 
-@register("sensor/calibration")
+@register_effect("sensor/calibration")
 class SensorCalibration(LaboratoryEffect):
     """Signals are (1 + `error`) times the wrench in the sensor frame: gains on the diagonal,
     cross-talk beside it. Between forces and moments the unit is 1/m or m.
@@ -54,7 +54,7 @@ class SensorCalibration(LaboratoryEffect):
         p.sensor.matrix = p.sensor.matrix + np.array(self.error)
 
 
-@register("sensor/drift")
+@register_effect("sensor/drift")
 class SensorDrift(LaboratoryEffect):
     """A first-order Gauss-Markov process on the signals, zero when the sensor is reset.
 
@@ -83,7 +83,7 @@ class SensorDrift(LaboratoryEffect):
         p.sensor.drift_time = np.full_like(p.sensor.drift_time, self.time)
 
 
-@register("sensor/lag")
+@register_effect("sensor/lag")
 class SensorLag(LaboratoryEffect):
     """The sensor filter's cut-off differs from the stated one by the fraction `error`."""
 
@@ -94,7 +94,7 @@ class SensorLag(LaboratoryEffect):
         p.sensor.cutoff = p.sensor.cutoff * (1 + self.error)
 
 
-@register("sensor/noise")
+@register_effect("sensor/noise")
 class SensorNoise(LaboratoryEffect):
     """Standard deviation of the signals' noise, as it is left after the sensor's filter."""
 
@@ -109,7 +109,7 @@ class SensorNoise(LaboratoryEffect):
         p.sensor.noise = np.sqrt(p.sensor.noise**2 + added**2)
 
 
-@register("sensor/rotation")
+@register_effect("sensor/rotation")
 class SensorRotation(LaboratoryEffect):
     """The sensor is turned by the small `angles` about its x, y, z against its stated frame."""
 

@@ -81,6 +81,7 @@ class VesVectorEnv(  # type: ignore[misc]
             )
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.num_envs = num_envs
+        self.single_action_space: gym.spaces.Box
         form = render_mode, goal, reward, cost, privileged
         self.single_action_space, self.single_observation_space = self._set_up(
             task, settings, *form, backend=backend, threads=threads, dump=dump

@@ -30,7 +30,7 @@ class MatrixMachine:
 
     name: str
     emulated: bool = False
-    settings: dict = field(default_factory=dict)  # of the environment
+    settings: dict[str, Any] = field(default_factory=dict)  # of the environment
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,9 @@ class MatrixMethod:
 
     name: str
     policy: str  # a folder has a policy per seed
-    settings: dict = field(default_factory=dict)  # of the environments that it acts in
+    settings: dict[str, Any] = field(
+        default_factory=dict
+    )  # of the environments that it acts in
     episodes: int | None = None  # of each seed in every cell; None: the matrix's
 
 

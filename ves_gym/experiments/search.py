@@ -76,7 +76,7 @@ class Search:
 
     trials: int
     objective: str  # an entry of the units' summaries, such as return or E_mean
-    space: dict  # `Axis` by the path of an entry: train.0.changes.layers
+    space: dict[str, Any]  # `Axis` by the path of an entry: train.0.changes.layers
     direction: str = "minimize"
     sampler: str = "tpe"
     seed: int = 0
@@ -140,7 +140,7 @@ def read_search(path: str | os.PathLike[str]) -> tuple[Search, dict[str, Any]]:
     changed = table
     for name, axis in search.space.items():  # every path leads somewhere
         sample = axis.choices[0] if axis.choices else axis.low
-        changed = _put(changed, name, int(sample) if axis.integer else sample)  # type: ignore[arg-type]
+        changed = _put(changed, name, int(sample) if axis.integer else sample)
     from_plain(Spec, changed, str(path))
     return search, table
 

@@ -27,7 +27,7 @@ class Evaluations:
     policies: tuple[str, ...]  # controllers, `released`, files, folders of `ves-gym train`
     seeds: tuple[int, ...] = (0,)  # of a unit's first episode
     episodes: int = 100
-    settings: dict = field(default_factory=dict)  # of the environments
+    settings: dict[str, Any] = field(default_factory=dict)  # of the environments
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,9 @@ class Trainings:
 
     configs: tuple[str, ...]  # names of those of the package, or files
     seeds: tuple[int, ...] | None = None  # None: the configuration's
-    changes: dict = field(default_factory=dict)  # entries of the configuration that differ
+    changes: dict[str, Any] = field(
+        default_factory=dict
+    )  # entries of the configuration that differ
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +52,7 @@ class Plannings:
     obstacles: str = "off"
     durations: tuple[float, ...] | None = None  # s; None: all of them
     queries: int | None = None  # per duration; None: all of them
-    system: dict = field(default_factory=dict)  # what differs from `System()`
+    system: dict[str, Any] = field(default_factory=dict)  # what differs from `System()`
 
 
 @dataclass(frozen=True, kw_only=True)

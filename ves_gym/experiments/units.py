@@ -32,10 +32,11 @@ from ves_gym._util.params import (
     from_plain,
     read_table,
 )
+from ves_gym._util.statistics import STATISTICS
 from ves_gym._util.threads import on_one_thread
 from ves_gym._util.version import __version__
 from ves_gym.baselines.config import TrainConfig
-from ves_gym.baselines.evaluate import ENERGIES, STATISTICS, evaluate, spec_of
+from ves_gym.baselines.evaluate import ENERGIES, evaluate, spec_of
 from ves_gym.baselines.policy import load_policy, versions
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
 from ves_gym.envs.build import build_task

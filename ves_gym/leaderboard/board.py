@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.params import ParameterError, write_text
+from ves_gym._util.statistics import iqm
 from ves_gym.leaderboard import statistics
 from ves_gym.leaderboard.entry import MEASURES, Entry, Refused, from_bytes
 from ves_gym.leaderboard.files import ENTRY, read_files
@@ -111,7 +112,7 @@ def _of(entry: Entry) -> Plain:
     """What the page tells of one entry."""
     results = entry.results
     groups, episodes = results["score"].shape
-    by_group = [float(k) for k in statistics.iqm(results["score"])]
+    by_group = [float(k) for k in iqm(results["score"])]
     measures = {name: statistics.middle(results, name) for name in MEASURES}
     return {
         "file": entry.file,

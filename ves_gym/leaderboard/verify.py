@@ -104,7 +104,7 @@ def make_entry(
     question = get_problem(track, problem)
     drawn, entered = seeds_of(question, salt), enter(question, method, seeds)
     rules = track_of(question, drawn, entered.method, workers)
-    with on_one_thread():  # as `verify` does
+    with on_one_thread():  # as `verify_entry` does
         answers = rules.answer(entered.agents, progress)
         results = rules.results(answers)
     if (twice := repeated(results, entered.method.kind)) is not None:
@@ -143,7 +143,7 @@ def track_of(problem: Problem, seeds: Seeds, method: Method, workers: int) -> Bo
 
 
 @on_one_thread()
-def verify(
+def verify_entry(
     path: str | os.PathLike[str],
     *,
     salt: str | None = None,

@@ -49,7 +49,7 @@ PORTS = ("joint", "wrench", "gravity", "admittance", "platform")
 
 
 class Effect:
-    """Base of all effects; see `register` and `parameter`.
+    """Base of all effects; see `register_effect` and `parameter`.
 
     An effect acts in one of five ways (docs/decisions/0012), each a subclass:
     `LaboratoryEffect` changes parameters of the emulation loop, `TorqueEffect` adds a torque
@@ -65,7 +65,7 @@ class Effect:
 
     REGISTRY: ClassVar[Registry] = EFFECTS
     acts: ClassVar[str] = ""  # the method by which it does; each way of acting has its own
-    kind: ClassVar[str]  # "place/name"; set by `register`
+    kind: ClassVar[str]  # "place/name"; set by `register_effect`
     modes: ClassVar[tuple[str, ...]] = ("emulated",)
     port: ClassVar[str]  # one of PORTS
 
@@ -291,7 +291,7 @@ E = TypeVar("E", bound=type[Effect])
 @dataclass_transform(
     kw_only_default=True, frozen_default=True, field_specifiers=(parameter, unit)
 )
-def register(kind: str) -> Callable[[E], E]:
+def register_effect(kind: str) -> Callable[[E], E]:
     """Class decorator: file an effect under "place/name"; a name already taken is an error.
 
     A class that is no dataclass yet becomes one, frozen and with keywords alone.

@@ -28,7 +28,7 @@ from ves_gym.system.effect import (
     TorqueEffect,
     joint_torque,
     parameter,
-    register,
+    register_effect,
 )
 from ves_gym.system.emulator_settings import EmulatorSettings
 from ves_gym.system.system import System
@@ -58,7 +58,7 @@ def registered():
 
     def add(kind, cls):
         mine.append(kind)
-        return register(kind)(dataclass(frozen=True, kw_only=True)(cls))
+        return register_effect(kind)(dataclass(frozen=True, kw_only=True)(cls))
 
     yield add
     for kind in mine:

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 from ves_gym._util.params import Array, ParameterError
@@ -71,7 +72,7 @@ class Kinematics(NamedTuple):
 class Derived(NamedTuple):
     """Key of what is derived from some signals of a run and from no others."""
 
-    name: str
+    name: Hashable
     signals: frozenset[str]
 
 
@@ -165,7 +166,7 @@ class Run:
         return Kinematics(*differentiated(self["y"], self.dt, self.band))
 
     def derived(
-        self, name: str, signals: Iterable[str], make: Callable[[], T], near: bool = False
+        self, name: Hashable, signals: Iterable[str], make: Callable[[], T], near: bool = False
     ) -> T:
         """Return what follows from some signals alone, computed once.
 
@@ -260,7 +261,7 @@ def _crossover(run: Run) -> Array | None:
 
 
 def run_of_signals(
-    t: Array,
+    t: npt.ArrayLike,
     signals: Mapping[str, Array],
     name: str,
     band: float = BAND,
@@ -278,7 +279,7 @@ def run_of_signals(
     Raises:
         ParameterError: too short, or sampled too slowly for the band.
     """
-    meta = {} if meta is None else meta
+    meta, t = {} if meta is None else meta, np.asarray(t, float)
     stacked = np.concatenate(list(signals.values()), axis=1)
     dt, even = on_uniform_clock(t, stacked)
     if 1 / dt < _PER_BAND * band:

@@ -14,7 +14,7 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from ves_gym.system.candidate import Candidate
 
 Values = Mapping[str, Any]  # float, or (k,) where a parameter has several numbers
 Residual = Callable[[Values, Run], Mapping[str, Array]]
+T = TypeVar("T", bound=type)
 _FEWEST = 8  # samples without a clock
 _STEP = 0.1  # s: stands for the clock that there is not
 _SHARE = 0.1  # of the usual error: step of differences of a tolerance
@@ -365,7 +366,7 @@ def samples(
 MACHINES: dict[str, Any] = {}  # name -> dataclass with `machine(folder)`
 
 
-def register_machine(name: str) -> Callable[[type], type]:
+def register_machine(name: str) -> Callable[[T], T]:
     """File a description, so that mapping files can name its machine.
 
     Args:
@@ -379,7 +380,7 @@ def register_machine(name: str) -> Callable[[type], type]:
         ParameterError: the name is taken.
     """
 
-    def register(cls: type) -> type:
+    def register(cls: T) -> T:
         if not (dataclasses.is_dataclass(cls) and hasattr(cls, "machine")):
             raise ParameterError(f"{cls.__name__} must be a dataclass with machine(folder)")
         require_free(name, "machine", cls, MACHINES.get(name))
