@@ -1,6 +1,7 @@
 """Write docs/environments from the code: `python scripts/generate.py`.
 
-Of README.md only the tables of ids and of `info`. tests/envs/test_pages.py compares.
+Of README.md only the lists of ids, controls, the laboratory and `info`.
+tests/envs/test_pages.py compares.
 """
 
 from __future__ import annotations
@@ -61,12 +62,7 @@ OWN_INFO = {
     " about the inertial origin [kg m/s, kg m^2/s]",
     "capture/energy": "at the end: their kinetic energy, that of the wheels included [J]",
 }
-COMMON = {
-    "base_control": "`{}`, or a table of its settings: actions command wheels and jets too",
-    "context": "appends to the observation what was drawn for the episode",
-    "duration": "of an episode",
-    "tail": "after it, the joints held: counts into E_mean and E_int",
-}
+COMMON = ("base_control", "context", "tail")  # settings of every task, in README.md
 
 
 def pages() -> dict[str, str]:
@@ -84,10 +80,9 @@ def _env(name: str, emulated: bool = False, **settings: Any) -> VesEnv:
     return env
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
-    lines += ["| " + " | ".join(str(k).replace("|", "\\|") for k in row) + " |" for row in rows]
-    return "\n".join(lines)
+def _list(rows: Iterable[Sequence[object]]) -> str:
+    """Return a list, name and what it says; a phone's width breaks its lines."""
+    return "\n".join(f"- {name}: {what}" if what else f"- {name}" for name, what in rows)
 
 
 def _number(value: Any) -> str:
@@ -135,31 +130,25 @@ def _observation(task: Task) -> str:
     for field in task.fields():
         last = at + field.size - 1
         entries = str(at) if field.size == 1 else f"{at}-{last}"
-        rows.append((entries, f"`{field.name}`", field.unit, _number(field.scale), field.what))
+        unit = "" if field.unit == "1" else f" [{field.unit}]"
+        rows.append((f"{entries} `{field.name}`{unit} / {_number(field.scale)}", field.what))
         at += field.size
-    return _table(("entries", "name", "unit", "scale", "what"), rows)
+    return _list(rows)
 
 
 def _controls(task: Task) -> str:
     rows = []
-    for kind, cls in CONTROLS.items():
+    for kind in CONTROLS:
         try:
             control = build_task(task, control=kind).control
         except ParameterError:
             continue
         if kind == task.control.kind:
             control = task.control
-        settings = [_setting(control, f) for f in dataclasses.fields(control)]
+        settings = ", ".join(_setting(control, f) for f in dataclasses.fields(control))
         name = f"`{kind}`" + (" (default)" if kind == task.control.kind else "")
-        rows.append(
-            (
-                name,
-                control.width(task.system.arm),
-                _first_line(cls.__doc__),
-                ", ".join(settings),
-            )
-        )
-    return _table(("control", "entries", "an action is", "settings"), rows) + _beside(task)
+        rows.append((f"{name}, {control.width(task.system.arm)} numbers", settings))
+    return _list(rows) + _beside(task)
 
 
 def _beside(task: Task) -> str:
@@ -170,28 +159,32 @@ def _beside(task: Task) -> str:
     scale, jets = base.scale(task.system), _JETS * base.jets
     wheels = len(scale) - jets
     rows = [
-        ("wheels", wheels, "torque of each wheel's motor", f"{_number(scale[:wheels])} N m")
+        ("wheels", wheels, f"torque of each wheel's motor, 1 is {_number(scale[:wheels])} N m")
     ]
     most = f"{_number(scale[wheels:][:3])} N, {_number(scale[wheels:][3:])} N m"
     what = "force and moment about the centre of mass of the satellite's body, made by pulses"
-    rows.append(("jets", jets, what, most))
+    rows.append(("jets", jets, f"{what}, 1 is {most}"))
     return (
         "\n\nBehind them, with `base_control` ([wheels and jets"
         "](../spacecraft.md#wheels-and-jets-as-actions)):\n\n"
-        + _table(("of", "entries", "what", "1 is"), [row for row in rows if row[1]])
+        + _list((f"{name}, {size} numbers", what) for name, size, what in rows if size)
     )
 
 
 def _settings(task: Task) -> str:
     rows = []
     for field in dataclasses.fields(task):
+        value = getattr(task, field.name)
         if field.name in ("system", "control", "randomize"):
             continue
+        if field.name in COMMON and value == field.default:  # README.md has it
+            continue
         unit = field.metadata.get("unit", "1")
-        value = _default(getattr(task, field.name))
-        note = COMMON.get(field.name) or _comment(type(task), field.name)
-        rows.append((f"`{field.name}`", value, "" if unit == "1" else unit, note))
-    return _table(("setting", "default", "unit", "what"), rows)
+        note = "" if field.name in COMMON else _comment(type(task), field.name)
+        rows.append(
+            (f"`{field.name}` = {_default(value)}{'' if unit == '1' else ' ' + unit}", note)
+        )
+    return _list(rows)
 
 
 def _info(env: VesEnv) -> str:
@@ -207,7 +200,7 @@ def _info(env: VesEnv) -> str:
     own = [(f"`{k}`", v) for k, v in OWN_INFO.items() if k in keys]
     names = [k.removeprefix("reward/") for k in end if k.startswith("reward/")]
     terms = ", ".join(f"`reward/{k}`" for k in names)
-    table = "\n\n" + _table(("info", "what"), own) if own else ""
+    table = "\n\n" + _list(own) if own else ""
     return (
         f"Terms of [the reward](README.md#what-an-episode-returns): {terms}."
         f"{_objectives(env, tuple(names))} `info` has [what it has for every task]"
@@ -233,32 +226,26 @@ def _system(task: Task) -> str:
     )
 
 
-def _laboratory(task: Task) -> str:
-    ranges = [
-        f"`{label}` {law}" for label, _, law in (str(r).partition(" ") for r in task.randomize)
+def _ranges(task: Task) -> list[tuple[str, str]]:
+    return [
+        (f"`{label}`", law) for label, _, law in (str(r).partition(" ") for r in task.randomize)
     ]
+
+
+def _calibrated(ranges: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Return those that depend on the arm: errors of one calibration."""
+    mark = ", together with others of calibration"
+    return [(name, law.removesuffix(mark)) for name, law in ranges if law.endswith(mark)]
+
+
+def _laboratory(task: Task) -> str:
+    """Return what every laboratory id has: effects, and ranges that no arm changes."""
+    ranges = _ranges(task)
+    of_arm = {name for name, _ in _calibrated(ranges)}
     effects = [f"`{e.kind}`" for e in task.system.effects]
-    return (
-        f"Mode emulated, effects {', '.join(effects)}, and drawn for every episode"
-        f" {'; '.join(ranges)}. The base is seen by what the laboratory measures of it;"
-        " energies and success are of the true pose."
+    return _list(
+        [("effects", ", ".join(effects)), *(row for row in ranges if row[0] not in of_arm)]
     )
-
-
-_SNIPPET = """
-```python
-import gymnasium as gym
-
-env = gym.make("ves_gym:ves/{name}-v0")
-observation, info = env.reset(seed=0)
-over = False
-while not over:
-    action = env.action_space.sample()
-    observation, reward, terminated, truncated, info = env.step(action)
-    over = terminated or truncated
-print(info["success"], info["energy/E_mean"])
-```
-"""
 
 
 def _page(name: str) -> str:
@@ -278,14 +265,14 @@ def _page(name: str) -> str:
     )
     size = sum(f.size for f in task.fields())
     options = ", ".join(f"`{k}`" for k in ("index", *task.options))
-    end = f"The deadline of {task.duration:g} s ({task.steps} steps) is `terminated`"
+    end = f"Deadline {task.duration:g} s ({task.steps} steps)"
     failed = type(task).failed
     fail = "a joint is beyond its limits." if failed is Task.failed else failed.__doc__
     goals = ""
     if task.goal_fields is not None:
         achieved, desired = task.goal_fields
         goals = (
-            "\nWith `goal=True` (this id) the observation is a dictionary: `achieved_goal` is"
+            "\nThe observation is a dictionary: `achieved_goal` is"
             f" `{achieved}`, `desired_goal` is `{desired}`, `observation` the rest."
             " `compute_reward(achieved, desired, info)` takes any leading axes, and so do"
             " `compute_terminated` and `compute_truncated`: with goals and info of a step they"
@@ -299,19 +286,17 @@ def _page(name: str) -> str:
 {title}
 {picture}
 {rest}
-{_SNIPPET.format(name=name)}
+
 {_system(task)[0].upper() + _system(task)[1:]}.
 
 ## Observation
 
-{size} numbers, float32: value over scale, clipped to +-{task.CLIP:g}.
+{size} numbers ([value over scale](README.md#observations-and-actions), clipped to
++-{task.CLIP:g}).
 {goals}
 {_observation(task)}
 
 ## Action
-
-Numbers in [-1, 1]; what is beyond is clipped and counted. What is not finite, or of another
-shape, is an `ActionError` and changes nothing.
 
 {_controls(task)}
 
@@ -321,15 +306,12 @@ shape, is an `ActionError` and changes nothing.
 
 ## End
 
-{end}. Solved: {_sentence(type(task).success.__doc__)} Failed: {_sentence(fail)} An episode
-whose numbers run away, or whose platform a safety stop freezes, has failed too. Failed episodes
-are `terminated` at once.
+{end}. Solved: {_sentence(type(task).success.__doc__)} Failed: {_sentence(fail)}
+[Every task's ends](README.md#ends).
 
 ## Settings
 
-Any of `gym.make`'s and `gym.make_vec`'s keyword arguments: those below, and `system`, `mode`,
-`vehicle`, `effects`, `control`, `randomize`, `laboratory`, `backend`
-([all of them](README.md#settings)). Options of `reset`: {options}.
+Beside [those of every task](README.md#settings); options of `reset`: {options}.
 
 {_settings(task)}
 
@@ -341,12 +323,13 @@ Any of `gym.make`'s and `gym.make_vec`'s keyword arguments: those below, and `sy
 def _emulated(name: str) -> str:
     """Section of the id in the laboratory."""
     text = ", ".join(f"`{k}` = {v:.4g}" for k, v in (IDS[name].emulated or {}).items())
+    ranges = _calibrated(_ranges(_env(name, emulated=True).task))
     return f"""## ves/{name}Emulated-v0
 
-{_laboratory(_env(name, emulated=True).task)} `laboratory="nominal"`, `"hard"` and
-`"held-out"` are [the others](../laboratory.md#7-named-laboratories).{" It sets " * bool(text)}{
-        text
-    }{"." * bool(text)}
+[The laboratory](README.md#the-laboratory){f", with {text}" if text else ""}. Errors of its
+calibration:
+
+{_list(ranges)}
 """
 
 
@@ -381,17 +364,27 @@ def _index() -> str:
         rows.append(
             (
                 f"[ves/{name}-v0]({name}.md)",
-                _first_line(type(task).__doc__),
-                sum(f.size for f in task.fields()),
-                f"{env.action_space.shape[0]}, {task.control.kind}",
-                f"{task.duration:g}",
+                f"{_first_line(type(task).__doc__)} Observation"
+                f" {sum(f.size for f in task.fields())}, action {env.action_space.shape[0]}"
+                f" ({task.control.kind}), {task.duration:g} s.",
             )
         )
-    table = _table(("id", "task", "observation", "action", "s"), rows)
     text = (PLACE / "README.md").read_text("utf-8")
-    info = _table(("info", "what"), [(f"`{k}`", v) for k, v in SHARED_INFO.items()])
-    for mark, block in (("ids", table), ("info", info)):
-        head, _, old = text.partition(f"<!-- {mark} -->\n")
+    laboratories = {
+        _laboratory(_env(name, emulated=True).task)
+        for name in IDS
+        if IDS[name].emulated is not None
+    }
+    assert len(laboratories) == 1, "ranges differ from id to id: say so on their pages"
+    blocks = {
+        "ids": _list(rows),
+        "controls": _list((f"`{k}`", _first_line(c.__doc__)) for k, c in CONTROLS.items()),
+        "laboratory": laboratories.pop(),
+        "info": _list((f"`{k}`", v) for k, v in SHARED_INFO.items()),
+    }
+    for mark, block in blocks.items():
+        head, found, old = text.partition(f"<!-- {mark} -->\n")
+        assert found, f"README.md has no place for {mark}"
         after = old.partition("<!-- end -->")[2]
         text = f"{head}<!-- {mark} -->\n{block}\n<!-- end -->{after}"
     return text
