@@ -16,14 +16,11 @@ PAGE = ROOT / "docs" / "claims.md"
 HEAD = """\
 # Claims
 
-Every row is a file of `tests/claims/`: its tests fail if the claim is false. Run one with
-`make test-all ARGS="tests/claims/FILE -rP"`, which prints what it measures. Tests that take
-long, and most of those that others are like, are *slow*: `make test-all` runs them all, every
-CI run three minutes of them. This page is written by `python scripts/claims.py` from those
-files.
+Each is a file of `tests/claims/`: its tests fail if the claim is false. Run one with
+`make test-all ARGS="tests/claims/FILE -rP"`, which prints what it measures. `make test-all` also
+runs the *slow* tests; every CI run has three minutes of them. `python scripts/claims.py` writes
+this page from those files: claim, what judges it, file, tests.
 
-| claim | judged by | tests |
-|---|---|---|
 """
 MISSED = """
 ## Missed
@@ -59,8 +56,9 @@ def page() -> str:
         judged = next((k for k in rest if not k.startswith("Missed:")), "")
         count, slow = tests(path)
         claim = re.sub(r"^Claims?( of|:| on)? ?", "", claim)
-        cells = [claim[:1].upper() + claim[1:], judged, f"`{path.name}` {count}, {slow} slow"]
-        rows.append("| " + " | ".join(k.replace("|", "\\|") for k in cells) + " |")
+        claim = claim[:1].upper() + claim[1:].rstrip(".")
+        of = f"{count}, {slow} slow" if slow else f"{count}"
+        rows.append(f"- **{claim}.** {judged} `{path.name}` {of}")
         missed += [f"- {text} (`{path.name}`)" for text in found]
     return HEAD + "\n".join(rows) + "\n" + MISSED + "\n".join(missed) + "\n"
 
