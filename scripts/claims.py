@@ -18,8 +18,8 @@ HEAD = """\
 
 Each is a file of `tests/claims/`: its tests fail if the claim is false. Run one with
 `make test-all ARGS="tests/claims/FILE -rP"`, which prints what it measures. `make test-all`
-also runs the *slow* tests; every CI run has three minutes of them. `python scripts/claims.py` writes
-this page from those files: claim, what judges it, file, tests.
+also runs the *slow* tests; every CI run has three minutes of them. `python scripts/claims.py`
+writes this page from those files: claim, what judges it, file, tests.
 
 """
 MISSED = """
