@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import inspect
 import json
 import re
 import sys
@@ -221,10 +222,10 @@ def test_results_are_saved_and_a_case_read(tmp_path, plan, comparison):
         (lambda: vg.plan([0, 0, 0], [9, 0, 0]), "goal"),
         (lambda: vg.plan([0, 0, 0], GOAL, planner="dircet"), 'did you mean "direct"'),
         (lambda: vg.plan([0, 0, 0], GOAL, duration=-1.0), "duration must be > 0"),
-        (lambda: vg.plan([0, 0, 0], GOAL, system="bent"), "must be a System, got 'bent'"),
+        (lambda: vg.plan([0, 0, 0], GOAL, system="bent"), "must be System or None, got 'bent'"),
         (lambda: vg.plan([0, 0, 0]), "plan needs a goal"),
-        (lambda: vg.simulate([1, 2]), "needs a Motion, a Plan or a Case"),
-        (lambda: vg.compare("direct"), "needs a Query or a Plan, got 'direct'"),
+        (lambda: vg.simulate([1, 2]), "motion must be Motion or Plan or Case"),
+        (lambda: vg.compare("direct"), "query must be Query or Plan, got 'direct'"),
         (lambda: vg.coupling_map(q4=0.0), "q1, q2, q3, got 'q4'"),
         (lambda: vg.coupling_map(q1=0.0, q2=0.0), "sweeps two joints"),
         (lambda: vg.coupling_map(joints=(1, 1)), "two different numbers from 1 to 3"),
@@ -234,7 +235,7 @@ def test_results_are_saved_and_a_case_read(tmp_path, plan, comparison):
         (lambda: vg.excitation(1, duration=1.0), "duration must be from 2 to 600 s"),
         (lambda: vg.evaluate("ves/BeamLQR-v0", ["lqrr"]), 'did you mean "lqr"'),
         (lambda: vg.evaluate("ves/No-v0", ["zero"]), "known: ves/BeamLQR-v0"),
-        (lambda: vg.energy("run.csv"), "needs a RunLog"),
+        (lambda: vg.energy("run.csv"), "log must be RunLog"),
         (lambda: vg.train("ves/No-v0"), "known: ves/BeamLQR-v0"),
         (lambda: vg.register_planner(object()), "a planner needs name"),
         (lambda: vg.load_policy("policy.zip"), "a policy is a .json file"),
@@ -243,6 +244,40 @@ def test_results_are_saved_and_a_case_read(tmp_path, plan, comparison):
 def test_bad_input_says_what_was_expected(call, message):
     with pytest.raises(vg.ParameterError, match=message):
         call()
+
+
+VERBS = {  # with the arguments that they need
+    "simulate": ("plan",),
+    "plan": (),
+    "compare": ("plan",),
+    "coupling_map": (),
+    "diagnose": ("log",),
+    "excitation": (),
+    "energy": ("log",),
+    "calibrate": ("log",),
+    "check_emulation": (),
+    "render": ("log",),
+}
+
+
+@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize(
+    "wrong", [object(), float("nan"), {"a": 1}], ids=["object", "nan", "dict"]
+)
+def test_no_argument_of_a_foreign_kind_passes(verb, wrong, plan, log):
+    """Nor does it end in an error that does not name what was expected."""
+    function = getattr(vg, verb)
+    taken = inspect.signature(function).parameters
+    needed = dict(
+        zip(taken, [{"plan": plan, "log": log}[k] for k in VERBS[verb]], strict=False)
+    )
+    if verb == "plan":
+        needed |= {"start": [0, 0, 0], "goal": GOAL, "duration": 1.0}
+    for name, parameter in taken.items():
+        a_table = "Mapping" in parameter.annotation and isinstance(wrong, dict)
+        if parameter.kind is not parameter.VAR_KEYWORD and not a_table:
+            with pytest.raises(vg.ParameterError):
+                function(**{**needed, name: wrong})
 
 
 def test_a_plan_without_a_motion_is_not_simulated(plan):

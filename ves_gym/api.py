@@ -11,8 +11,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import numpy.typing as npt
 
+from ves_gym._util.checked import checked
 from ves_gym._util.params import Array, ParameterError, Vector, finite
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import PUMA_560
@@ -44,7 +46,10 @@ if TYPE_CHECKING:
 
     Follow = Callable[[Array], tuple[Array, Array]]  # instants (m,) -> pose and rate (m, 6)
 
+_checked = checked("Planner", "Controller")
 
+
+@_checked
 def simulate(
     motion: Motion | Plan | Case,
     system: System | None = None,
@@ -54,7 +59,7 @@ def simulate(
     record_dt: float | None = None,
     y: npt.ArrayLike = 0.0,
     yd: npt.ArrayLike = 0.0,
-    platform: Motion | Follow | None = None,
+    platform: Motion | Callable[[Array], tuple[Array, Array]] | None = None,
     latch: Sequence[tuple[float, str]] = (),
     seed: int | None = None,
     backend: str = "auto",
@@ -119,6 +124,7 @@ def simulate(
     return recording.log(0, note)
 
 
+@_checked
 def plan(
     start: npt.ArrayLike | None = None,
     goal: npt.ArrayLike | ToolPose | None = None,
@@ -219,6 +225,7 @@ def plan(
     return solve(method, query, seed)
 
 
+@_checked
 def compare(
     query: Query | Plan, planners: Sequence[str | Planner] | None = None, *, seed: int = 0
 ) -> Comparison:
@@ -236,18 +243,17 @@ def compare(
         ParameterError: an unknown planner, or none.
     """
     from ves_gym.planners.comparison import compare_planners
-    from ves_gym.planners.query import Plan, Query
+    from ves_gym.planners.query import Plan
 
     if isinstance(query, Plan):
         query = query.query
-    if not isinstance(query, Query):
-        raise ParameterError(f"compare needs a Query or a Plan, got {query!r}")
     if isinstance(planners, str):
         planners = [planners]
     names = ("straight", "hotspot-qt", "refined", "calm") if planners is None else planners
     return compare_planners(query, [_planner(name) for name in names], seed=seed)
 
 
+@_checked
 def coupling_map(
     system: System | None = None,
     *,
@@ -300,6 +306,7 @@ def coupling_map(
     return swept(system, _pair(joints, n), fixed, progress=progress, **how)
 
 
+@_checked
 def diagnose(
     logs: RunLog | str | os.PathLike[str] | Sequence[Any],
     system: System | MjcfMachine | ResidualMachine | None = None,
@@ -375,6 +382,7 @@ def diagnose(
     )
 
 
+@_checked
 def excitation(
     n: int = 4, system: System | None = None, *, duration: float = 10.0, seed: int = 0
 ) -> list[Motion]:
@@ -400,6 +408,7 @@ def excitation(
     return excitation_motions(n, arm, duration=duration, seed=seed)
 
 
+@_checked
 def evaluate(
     id: str,
     controllers: str | Path | Controller | Sequence[str | Path | Controller] = (),
@@ -434,13 +443,14 @@ def evaluate(
     from ves_gym.baselines.evaluate import spec_of
 
     id = spec_of(id if "/" in id else f"ves/{id}").id
-    single = isinstance(controllers, (str, os.PathLike)) or hasattr(controllers, "act")
+    single = isinstance(controllers, (str, os.PathLike)) or not np.iterable(controllers)
     chosen: Any = [controllers] if single else controllers
     settings |= {"n_envs": n_envs, "threads": threads, "progress": progress}
     rivals = line_up(id, chosen, seed)
     return compare_controllers(id, rivals, episodes=episodes, seed=seed, **settings)
 
 
+@_checked
 def train(
     config: str | os.PathLike[str] | TrainConfig,
     *,
@@ -497,6 +507,7 @@ def train(
     return TrainingResult(chosen, where, curves)
 
 
+@_checked
 def energy(log: RunLog, *, duration: float | None = None, tail: float = TAIL) -> Energies:
     """Measure the energy that a run transferred to its base.
 
@@ -511,11 +522,10 @@ def energy(log: RunLog, *, duration: float | None = None, tail: float = TAIL) ->
     Raises:
         ParameterError: the log is shorter than duration and tail, or names no system.
     """
-    if not isinstance(log, RunLog):
-        raise ParameterError(f"energy needs a RunLog, got {log!r}")
     return log_energies(log, duration=duration, tail=tail)
 
 
+@_checked
 def calibrate(
     log: RunLog,
     arm: Arm | None = None,
@@ -549,6 +559,7 @@ def calibrate(
     )
 
 
+@_checked
 def check_emulation(
     system: System | None = None,
     q: npt.ArrayLike = 0.0,
@@ -573,9 +584,10 @@ def check_emulation(
     from ves_gym.simulation.stability import check_emulation as judged
 
     system = System(mode="emulated") if system is None else _system(system)
-    return judged(system, q, servo=servo, search=search)
+    return judged(system, finite(q, np.shape(q), "q"), servo=servo, search=search)
 
 
+@_checked
 def render(
     log: RunLog,
     path: str | os.PathLike[str] | None = None,
@@ -616,6 +628,7 @@ def render(
     return Path(path)
 
 
+@_checked
 def export(
     what: RunLog | Mapping[str, RunLog] | System,
     path: str | os.PathLike[str],
@@ -666,11 +679,7 @@ def export(
 
 
 def _system(system: System | None) -> System:
-    if system is None:
-        return System()
-    if not isinstance(system, System):
-        raise ParameterError(f"system must be a System, got {system!r}")
-    return system
+    return System() if system is None else system
 
 
 def _case(
@@ -684,8 +693,6 @@ def _case(
         motion = dataclasses.replace(motion.case, motion=motion.motion)
     if isinstance(motion, Motion):
         return Case(system=_system(system), motion=motion, servo=servo or OWN_SERVO)
-    if not isinstance(motion, Case):
-        raise ParameterError(f"simulate needs a Motion, a Plan or a Case, got {motion!r}")
     played = motion.motion
     if played is None:
         if motion.query is None:
@@ -711,7 +718,13 @@ def _followed(platform: Motion) -> Follow:
 def _planner(planner: str | Planner) -> Planner:
     from ves_gym.planners.registry import get_planner
 
-    return get_planner(planner) if isinstance(planner, str) else planner
+    if isinstance(planner, str):
+        return get_planner(planner)
+    if isinstance(planner, type) or not callable(getattr(planner, "find", None)):
+        raise ParameterError(
+            f"planner must be a name or an object with find(query, seed), got {planner!r}"
+        )
+    return planner
 
 
 def _vector(value: npt.ArrayLike | None, n: int, name: str) -> Vector | None:

@@ -79,7 +79,10 @@ def test_an_unknown_planner_is_an_error_that_lists_the_known(name):
         ({"v_max": 1.0}, "v_max must have shape"),
         ({"a_max": (1.0, 1.0)}, r"a_max must have shape \(3,\)"),
         ({"a_max": (1.0, 0.0, 1.0)}, r"a_max must be > 0 rad/s\^2"),
-        ({"surroundings": "room.toml"}, "surroundings must be Surroundings or None, got 'room.toml'"),
+        (
+            {"surroundings": "room.toml"},
+            "surroundings must be Surroundings or None, got 'room.toml'",
+        ),
         ({"start_rate": (1.0, 1.0)}, r"start_rate must have shape \(3,\)"),
         ({"start_acceleration": (1.0, 1.0, np.inf)}, "start_acceleration must be finite"),
         ({"base": (0.1,) * 6}, "base must be BaseState or None"),

@@ -186,6 +186,11 @@ def line_up(id: str, chosen: Sequence[str | Path | Controller], seed: int = 0) -
     out: Lineup = []
     for entry in entries:
         if not isinstance(entry, (str, os.PathLike)):
+            if not hasattr(entry, "act"):
+                raise ParameterError(
+                    "controllers must be names, files or objects with act(observation), got"
+                    f" {entry!r}"
+                )
             out.append((entry.name, [entry]))
         elif str(entry) in CONTROLLERS:
             out.append((str(entry), [get_controller(str(entry), seed)]))

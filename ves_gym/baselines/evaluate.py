@@ -103,11 +103,13 @@ def evaluate(
         progress: called with the fraction done.
         settings: other settings of the environment (see `envs.build_task`).
     """
-    for name, value in (("episodes", episodes), ("n_envs", 1 if n_envs is None else n_envs)):
+    asked = {"episodes": episodes, "n_envs": 1 if n_envs is None else n_envs, "seed": seed}
+    for name, value in asked.items():
         integer = isinstance(value, int) and not isinstance(value, bool)
-        if not integer or not 1 <= value <= MOST_EPISODES:
+        least, most = (0, sys.maxsize) if name == "seed" else (1, MOST_EPISODES)
+        if not integer or not least <= value <= most:
             raise ParameterError(
-                f"{name} must be a whole number from 1 to {MOST_EPISODES}, got {value!r:.80}"
+                f"{name} must be a whole number from {least} to {most}, got {value!r:.80}"
             )
     settings = {**settings_of(controller, id), **settings}
     begin = time.perf_counter()

@@ -269,6 +269,8 @@ def energies(
         internal: u and u' (n, N, m) of a base with internal modes; estimated from y and yd
             where they are not given.
     """
+    if not (duration >= 0 and tail >= 0):
+        raise ParameterError(f"duration and tail must be >= 0 s, got {duration}, {tail}")
     if t[-1] - t[0] < duration + tail - 1e-6:
         raise ParameterError(
             f"E_mean covers the motion and {tail:g} s after it ({duration + tail:g} s), got a"
