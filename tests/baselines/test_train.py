@@ -292,6 +292,12 @@ def test_every_id_can_be_trained(id):
     Learner(config, 0, env)
 
 
+def test_hyperparameters_of_another_task_come_without_what_is_of_that_task(monkeypatch):
+    monkeypatch.setattr("ves_gym.baselines.config.GENERAL", "PumaReachGoal-ppo")
+    config = choose_config("BerthingContact-v0", "ppo")
+    assert (config.features, config.settings, config.curriculum) == ("", {}, {})
+
+
 def test_an_environment_without_an_algorithm_says_what_it_has():
     with pytest.raises(ParameterError, match='did you mean "ves/PumaDamp-v0"'):
         choose_config("PumaDmap-v0")

@@ -64,7 +64,6 @@ class TrainConfig:
     reward_scale: float = 1.0  # constant factor of the rewards that the algorithm sees
     eval_every: int = 0  # steps; 0: a twentieth of the run
     eval_episodes: int = 100
-    checkpoint_every: int = 0  # steps; 0: as often as it is evaluated
 
     def __post_init__(self) -> None:
         require_choice(self, "algorithm", ALGORITHMS)
@@ -77,7 +76,7 @@ class TrainConfig:
             )
         counts = "total_timesteps", "n_envs", "hold", "frames", "eval_episodes"
         require_least(self, 1, *counts)
-        require_least(self, 0, "eval_every", "checkpoint_every")
+        require_least(self, 0, "eval_every")
         if not self.seeds or any(s < 0 for s in self.seeds):
             raise ParameterError(f"TrainConfig.seeds must be numbers >= 0, got {self.seeds}")
         if any(not min(ends) > 0 for ends in self.curriculum.values()):
@@ -178,4 +177,6 @@ def choose_config(
         raise ParameterError(
             f"{name} has no {algorithm}: give a .toml file, or one of {labels}"
         )
-    return dataclasses.replace(read_config(CONFIGS / f"{GENERAL}.toml"), env=name, features="")
+    general = read_config(CONFIGS / f"{GENERAL}.toml")
+    of_its_task: dict[str, Any] = {"features": "", "settings": {}, "curriculum": {}}
+    return dataclasses.replace(general, env=name, **of_its_task)

@@ -17,6 +17,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.managers import SyncManager
 from pathlib import Path
 from typing import Any
@@ -137,9 +138,7 @@ class _Run:
         new = (last and steps > done) or steps // every > done // every
         if new:
             self._judge(steps)
-        often = self.config.checkpoint_every or every
-        due = steps // often > self.saved // often
-        if steps > self.saved and (new or last or due):
+        if steps > self.saved and (new or last):
             self._save(steps)
         note = f"{steps:,} steps"
         if self.rows:
@@ -319,9 +318,10 @@ def train_seeds(
     """
     places = {seed: Path(folder) / f"seed-{seed}" for seed in config.seeds}
     _require_ready(list(places.values()), resume, tensorboard)
+    common: dict[str, Any] = {"resume": True, "tensorboard": tensorboard}
     if min(workers, len(places)) == 1:
         return {
-            seed: _train_seed(config, seed, place, tensorboard, lambda words: progress(*words))
+            seed: train(config, seed, place, progress=partial(progress, seed), **common)
             for seed, place in places.items()
         }
     manager = SyncManager(ctx=multiprocessing.get_context("spawn"))
@@ -329,7 +329,9 @@ def train_seeds(
     with manager, Workers(min(workers, len(places))) as pool:
         notes = manager.Queue()
         jobs = {
-            seed: pool.submit(_train_seed, config, seed, place, tensorboard, notes.put)
+            seed: pool.submit(
+                train, config, seed, place, progress=partial(_note, notes, seed), **common
+            )
             for seed, place in places.items()
         }
         while not (notes.empty() and all(job.done() for job in jobs.values())):
@@ -344,18 +346,8 @@ def train_seeds(
             ) from None
 
 
-def _train_seed(
-    config: TrainConfig,
-    seed: int,
-    folder: Path,
-    tensorboard: Folder | None,
-    progress: Callable[[tuple[int, float, str]], None],
-) -> list[Row]:
-    def show(done: float, note: str) -> None:
-        progress((seed, done, note))
-
-    # that the folder may be used was asked before
-    return train(config, seed, folder, resume=True, progress=show, tensorboard=tensorboard)
+def _note(notes: Any, seed: int, done: float, note: str) -> None:
+    notes.put((seed, done, note))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
