@@ -154,17 +154,19 @@ def compare_controllers(
     **options: Any,
 ) -> ControllerComparison:
     """Evaluate each of a line-up on the same episodes; `options` are those of `evaluate`."""
-    out = []
-    for label, group in lineup:
-        parts = []
-        for k, controller in enumerate(group):
 
-            def step(done: float, label: str = label, k: int = k, group: Any = group) -> None:
-                progress(label, (k + done) / len(group))
+    def evaluated(label: str, group: Sequence[Controller], k: int) -> Evaluation:
+        def step(done: float) -> None:
+            progress(label, (k + done) / len(group))
 
-            parts.append(evaluate(controller, id, progress=step, **options))
-        out.append(pool(parts, label))
-    return ControllerComparison(tuple(out))
+        return evaluate(group[k], id, progress=step, **options)
+
+    return ControllerComparison(
+        tuple(
+            pool([evaluated(label, group, k) for k in range(len(group))], label)
+            for label, group in lineup
+        )
+    )
 
 
 def line_up(id: str, chosen: Sequence[str | Path | Controller], seed: int = 0) -> Lineup:

@@ -230,10 +230,3 @@ def _row(observation: Any, i: int) -> dict[str, Array]:
 def _stacked(rows: Sequence[dict[str, Array]]) -> Any:
     out = {k: np.stack([row[k] for row in rows]) for k in rows[0]}
     return out.get("", out)
-
-
-def flat_observations(observations: Any) -> Float32:
-    """Return observations (..., o) as one array; parts of a dictionary by name, in a row."""
-    if isinstance(observations, Mapping):
-        return np.concatenate([observations[k] for k in sorted(observations)], axis=-1)
-    return np.asarray(observations)

@@ -22,8 +22,9 @@ from ves_gym._util.optional import require
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import named, read_apart
 from ves_gym._util.version import __version__
-from ves_gym.baselines.dataset import COLUMNS, Dataset, Episode, Float32, flat_observations
+from ves_gym.baselines.dataset import COLUMNS, Dataset, Episode, Float32
 from ves_gym.baselines.evaluate import spec_of
+from ves_gym.baselines.ppo import flat
 
 PACKAGES = ("minari", "h5py")
 _OURS = ("dump", "render_mode")  # what whoever replays decides
@@ -131,18 +132,11 @@ def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], list[Episode]]:
         about = json.loads(str(arrays["about"]))
         if any(k["seed"] is None for k in about["episodes"]):
             raise ParameterError("expected the seed of every episode, got none")
-    parts: list[dict[str, Any]] = [{} for _ in about["episodes"]]
-    for name, values in arrays.items():
-        number, _, part = name.partition(":")
-        if part:
-            parts[int(number)][part] = values
     episodes = []
-    for k, arrays in zip(about["episodes"], parts, strict=True):
-        fields = {
-            name[13:]: v for name, v in arrays.items() if name.startswith("observations:")
-        }
+    for number, k in enumerate(about["episodes"]):
+        fields = {name: arrays[f"{number}:observations:{name}"] for name in about["fields"]}
+        columns = {name: arrays[f"{number}:{name}"] for name in COLUMNS}
         observations = fields.get("", fields)  # goals have names
-        columns = {name: arrays[name] for name in COLUMNS}
         episodes.append(Episode(observations=observations, **columns, **k))
     return about["env"], episodes
 
@@ -158,6 +152,7 @@ def arrays_of(file: Path) -> dict[str, Any]:
     except (OSError, ValueError, KeyError, TypeError, AssertionError) as error:
         raise ParameterError(f"is no data set of Minari: {error}") from None
     out: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     episodes = [
         {
             "seed": None if about.get("seed") is None else int(about["seed"]),
@@ -171,7 +166,7 @@ def arrays_of(file: Path) -> dict[str, Any]:
         fields = fields if isinstance(fields, dict) else {"": fields}
         out |= {f"{number}:observations:{name}": values for name, values in fields.items()}
         out |= {f"{number}:{name}": getattr(episode, name) for name in COLUMNS}
-    about = json.dumps({"env": spec, "episodes": episodes})
+    about = json.dumps({"env": spec, "episodes": episodes, "fields": list(fields)})
     return {"about": np.array(about), **{k: np.asarray(v) for k, v in out.items()}}
 
 
@@ -187,7 +182,7 @@ def replay(path: str | os.PathLike[str]) -> Replay:
     steps, rewards, observations, ends = 0, 0.0, 0.0, True
     for episode in episodes:
         rows, paid, over = _again(env, episode.seed, episode.actions)
-        before = flat_observations(episode.observations)
+        before = flat(episode.observations)
         ended = episode.terminations | episode.truncations
         if not np.array_equal(over, ended) or len(rows) != len(before):
             ends = False
@@ -211,10 +206,10 @@ def _environment(about: dict[str, Any]) -> Any:
 def _again(env: Any, seed: int, actions: Float32) -> tuple[Float32, Array, Array]:
     """Observations, rewards and ends of an episode with given actions, until it is over."""
     observation, _ = env.reset(seed=seed)
-    rows, rewards, over = [flat_observations(observation)], [], []
+    rows, rewards, over = [flat(observation)], [], []
     for action in actions:
         observation, reward, terminated, truncated, _ = env.step(action)
-        rows.append(flat_observations(observation))
+        rows.append(flat(observation))
         rewards.append(reward)
         over.append(terminated or truncated)
         if over[-1]:

@@ -137,17 +137,13 @@ class Policy:
         """Actions (n, a) of observations (n, o); of the environment only its clock is read."""
         steps = env.batch.episodes.steps
         due = steps % self.network.hold == 0
-        action = self._action
-        if action is not None and len(action) == len(due) and not due.any():
-            return action.copy()
-        if self.network.frames > 1:
-            observation = self._remember(self._side_by_side(observation), due, steps == 0)
-        if action is None or len(action) != len(due) or due.all():
-            action = self(observation)
-        else:
-            action = np.where(due[:, None], self(observation), action)
-        self._action = action
-        return action.copy()
+        if self._action is None or len(self._action) != len(due):
+            self._action, due = np.zeros((len(due), 1)), np.ones_like(due)
+        if due.any():
+            if self.network.frames > 1:
+                observation = self._remember(self._side_by_side(observation), due, steps == 0)
+            self._action = np.where(due[:, None], self(observation), self._action)
+        return self._action.copy()
 
     def _remember(self, observation: Array, due: Mask, begun: Mask) -> Array:
         """(n, frames * o) observations of the last decisions, this one included."""

@@ -12,7 +12,7 @@ One iteration is `collect`, decisions of every environment, then `update`, from 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -151,11 +151,10 @@ class ObservationStack:
 
 
 def flat(observation: Any) -> Floats:
-    """(n, o) an observation, the parts of a dictionary side by side."""
-    if isinstance(observation, dict):
-        return np.concatenate(list(observation.values()), axis=1)
-    rows: Floats = observation
-    return rows
+    """(..., o) an observation; the parts of a dictionary side by side, by name."""
+    if isinstance(observation, Mapping):
+        return np.concatenate([observation[k] for k in sorted(observation)], axis=-1)
+    return np.asarray(observation)
 
 
 class PPO:

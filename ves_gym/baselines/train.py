@@ -46,6 +46,8 @@ SCHEMA, RESULT = "ves-checkpoint/3", "ves-train/1"
 TRAINING = 1_000_000  # seed of the training episodes, plus the run's own
 VALIDATION = 2_000_000  # first seed of the episodes that a run is judged by as it learns
 
+_REMEMBERED = ("rows", "best", "returns", "solved")  # of a run, by a checkpoint
+
 Progress = Callable[[float, str], None]
 Row = dict[str, Any]  # of a learning curve
 Folder = str | os.PathLike[str]
@@ -210,10 +212,7 @@ class _Run:
         state = {
             **self.identity,
             "versions": self.versions,
-            "rows": self.rows,
-            "best": self.best,
-            "returns": self.returns,
-            "solved": self.solved,
+            **{name: getattr(self, name) for name in _REMEMBERED},
             "seconds": seconds,
             "stepping": stepping,
             "learner": self.learner.state(),
@@ -235,8 +234,8 @@ class _Run:
                 " on, but not as it would have",
                 stacklevel=4,
             )
-        self.rows, self.best = state["rows"], state["best"]
-        self.returns, self.solved = state["returns"], state["solved"]
+        for name in _REMEMBERED:
+            setattr(self, name, state[name])
         self.earlier, self.stepping = state["seconds"], state["stepping"]
         self.learner.restore(state["learner"])
         self.saved = self.learner.steps
