@@ -43,6 +43,17 @@ def plain(app, what, name, obj, options, lines):
         lines[:1] = lines[0].replace(": ", ":\n", 1).split("\n")
 
 
+# pages that list their neighbours: GitHub shows the list, the site's sidebar needs the tree
+PARENTS = ("environments/README", "decisions/README")
+TREE = "\n```{toctree}\n:hidden:\n:glob:\n\n*\n```\n"
+
+
+def children(app, docname, source):
+    """Put the other pages of its folder below a page of `PARENTS`."""
+    if docname in PARENTS:
+        source[0] += TREE
+
+
 class Short:
     """Default value that is not written out."""
 
@@ -69,5 +80,6 @@ def shorten(app, what, name, obj, options, signature, annotation):
 
 def setup(app):
     """Connect the events."""
+    app.connect("source-read", children)
     app.connect("autodoc-process-docstring", plain, priority=400)
     app.connect("autodoc-process-signature", shorten)
