@@ -28,6 +28,8 @@ html_theme = "furo"
 html_title = "ves_gym"
 html_copy_source = False
 html_show_sphinx = False
+html_static_path = ["static"]
+html_css_files = ["phone.css"]
 templates_path: list[str] = []
 # a name of the front door is also one of its room
 suppress_warnings = ["ref.python"]
@@ -45,13 +47,17 @@ def plain(app, what, name, obj, options, lines):
 
 # pages that list their neighbours: GitHub shows the list, the site's sidebar needs the tree
 PARENTS = ("environments/README", "decisions/README")
+# what a reader types, and the page that comes first: an index entry outranks every name
+SOUGHT = {"site/first-hour/train": "train"}
 TREE = "\n```{toctree}\n:hidden:\n:glob:\n\n*\n```\n"
 
 
 def children(app, docname, source):
-    """Put the other pages of its folder below a page of `PARENTS`."""
+    """Put the other pages of its folder below a page of `PARENTS`; enter what is sought."""
     if docname in PARENTS:
         source[0] += TREE
+    if docname in SOUGHT:
+        source[0] = f"```{{index}} single: {SOUGHT[docname]}\n```\n\n{source[0]}"
 
 
 class Short:
