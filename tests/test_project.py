@@ -41,6 +41,18 @@ def declared() -> dict:
         return tomllib.load(file)["project"]
 
 
+def test_the_conda_recipe_asks_for_what_the_package_asks_for():
+    recipe = (ROOT / "conda" / "recipe.yaml").read_text()
+    assert f"version: {declared()['version']}\n" in recipe
+    run = re.search(r"  run:\n(.*?)\ntests:", recipe, re.DOTALL)[1]
+    asked = {
+        k.strip(" -").replace(" ", "").replace("mujoco-python", "mujoco")
+        for k in run.splitlines()
+    }
+    needs = {k for k in declared()["dependencies"] if ";" not in k}  # ompl: not everywhere
+    assert asked - {"python" + declared()["requires-python"]} == needs
+
+
 KNOWN_GOOD = ("constraints.txt", "constraints-run.txt", "constraints-site.txt")
 
 

@@ -147,7 +147,9 @@ def _plan_one(job: Work) -> Plan:
     name, query, seed = job
     begin = time.perf_counter()
     try:
-        return solve_with_reserve(get_planner(name), query, seed)
+        plan = solve_with_reserve(get_planner(name), query, seed)
+        _ = plan.reference  # once, here where processors are many
+        return plan
     except ParameterError:
         raise  # a wrong question, not a planner that failed
     except Exception as error:  # reported for this query; the run goes on

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -83,7 +84,7 @@ class Plan(Viewable):
         """True if there is a motion, inside the limits and clear of everything."""
         return self.failure is None
 
-    @property
+    @cached_property
     def reference(self) -> LimitCheck | None:
         """The motion against the limits of arm and query; None without a motion."""
         if self.found is None:

@@ -1,0 +1,12 @@
+# docker build -t ves-gym . && docker run --rm ves-gym plan --goal 60,40,-30
+FROM python:3.13-slim
+WORKDIR /src
+COPY . .
+# the versions, by their hashes, that the tests have passed with
+RUN pip install --no-cache-dir --require-hashes -r constraints-run.txt \
+    && pip install --no-cache-dir --no-deps --no-build-isolation . \
+    && useradd --create-home ves
+USER ves
+WORKDIR /home/ves
+ENTRYPOINT ["ves-gym"]
+CMD ["--help"]
