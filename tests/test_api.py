@@ -231,7 +231,7 @@ def test_results_are_saved_and_a_case_read(tmp_path, plan, comparison):
         (lambda: vg.coupling_map(joints=(1, 1)), "two different numbers from 1 to 3"),
         (lambda: vg.diagnose([]), "at least one run log"),
         (lambda: vg.diagnose([3]), "needs run logs or their files, got 3"),
-        (lambda: vg.excitation(0), "n must be a whole number of motions >= 1, got 0"),
+        (lambda: vg.excitation(0), "n must be a whole number >= 1, got 0"),
         (lambda: vg.excitation(1, duration=1.0), "duration must be from 2 to 600 s"),
         (lambda: vg.evaluate("ves/BeamLQR-v0", ["lqrr"]), 'did you mean "lqr"'),
         (lambda: vg.evaluate("ves/No-v0", ["zero"]), "known: ves/BeamLQR-v0"),

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.checked import checked
-from ves_gym._util.params import Array, ParameterError, Vector, finite
+from ves_gym._util.params import Array, ParameterError, Vector, finite, integer
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.limits import require_positions
@@ -352,10 +352,7 @@ def diagnose(
     sources: list[Any] = [logs] if single else list(logs)  # type: ignore[arg-type]
     if not sources:
         raise ParameterError("diagnose needs at least one run log, got none")
-    if most is not None and (
-        isinstance(most, bool) or not isinstance(most, int) or not most >= 1
-    ):
-        raise ParameterError(f"most must be an integer of 1 and more, got {most!r}")
+    most = None if most is None else integer(most, "most", 1)
     if system is None or isinstance(system, System):
         for source in sources:
             if not isinstance(source, (RunLog, str, os.PathLike)):

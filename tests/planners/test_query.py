@@ -170,7 +170,7 @@ def test_the_same_question_has_the_same_answer(planner):
     assert again.found == first.found
     assert again.info == first.info
     assert json.loads(json.dumps(first.info, allow_nan=False)) == first.info
-    with pytest.raises(ParameterError, match="seed must be >= 0, got -1"):
+    with pytest.raises(ParameterError, match="seed must be a whole number >= 0, got -1"):
         solve(planner, query(), seed=-1)
 
 

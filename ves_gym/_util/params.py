@@ -12,6 +12,7 @@ import functools
 import hashlib
 import json
 import math
+import numbers
 import os
 import re
 import tempfile
@@ -77,6 +78,15 @@ def finite(value: object, shape: tuple[int, ...], name: str) -> Array:
     if not np.isfinite(array).all():
         raise ParameterError(f"{name} must be finite, got {array.tolist()}")
     return array
+
+
+def integer(value: Any, name: str, least: int = 0, most: int = 2**63 - 1) -> int:
+    """Return a number, NumPy's too, as an int; refuse what is not one from least to most."""
+    good = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if not good or not least <= value <= most:
+        known = f">= {least}" if most == 2**63 - 1 else f"from {least} to {most}"
+        raise ParameterError(f"{name} must be a whole number {known}, got {value!r:.80}")
+    return int(value)
 
 
 def freeze_arrays(params: object) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec, load_env_creator
 from gymnasium.vector import AutoresetMode
 
-from ves_gym._util.params import Array, Index, Mask, ParameterError, to_plain
+from ves_gym._util.params import Array, Index, Mask, ParameterError, integer, to_plain
 from ves_gym._util.statistics import STATISTICS, Estimate, bootstrap, iqm, rate
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.controllers import Controller
@@ -103,14 +103,8 @@ def evaluate(
         progress: called with the fraction done.
         settings: other settings of the environment (see `envs.build_task`).
     """
-    asked = {"episodes": episodes, "n_envs": 1 if n_envs is None else n_envs, "seed": seed}
-    for name, value in asked.items():
-        integer = isinstance(value, int) and not isinstance(value, bool)
-        least, most = (0, sys.maxsize) if name == "seed" else (1, MOST_EPISODES)
-        if not integer or not least <= value <= most:
-            raise ParameterError(
-                f"{name} must be a whole number from {least} to {most}, got {value!r:.80}"
-            )
+    episodes, seed = integer(episodes, "episodes", 1, MOST_EPISODES), integer(seed, "seed")
+    n_envs = None if n_envs is None else integer(n_envs, "n_envs", 1, MOST_EPISODES)
     settings = {**settings_of(controller, id), **settings}
     begin = time.perf_counter()
     env = make_vector(

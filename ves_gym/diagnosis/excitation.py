@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import Array, ParameterError, integer
 from ves_gym.engine.kernel.maps import inertia_regressor
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_library import PUMA_560
@@ -51,13 +51,10 @@ def excitation_motions(
     Raises:
         ParameterError: n or the duration is out of range.
     """
-    if not isinstance(n, int) or isinstance(n, bool) or n < 1:
-        raise ParameterError(f"n must be a whole number of motions >= 1, got {n!r}")
+    n = integer(n, "n", 1)
     if not 2.0 <= duration <= 600.0:
         raise ParameterError(f"duration must be from 2 to 600 s, got {duration!r}")
-    if seed < 0:
-        raise ParameterError(f"seed must be >= 0, got {seed}")
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(integer(seed, "seed"))
     drawn = [drawn_motion(arm, duration, rng) for _ in range(_DRAWN * n)]
     rows = [_information_rows(arm, motion) for motion in drawn]
     size = np.sqrt(np.mean([np.mean(y**2, axis=0) for y in rows], axis=0))

@@ -17,7 +17,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from ves_gym._util.optional import require
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import Array, ParameterError, integer
 from ves_gym.engine.backends.gpu_kernel import KINDS
 from ves_gym.engine.backends.kernel import stepper
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
@@ -76,9 +76,7 @@ class DeviceVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             ("num_envs", num_envs),
             ("starts", 1 if starts is None else starts),
         ):
-            complete = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-            if not complete or value < 1:
-                raise ParameterError(f"{name} must be a whole number >= 1, got {value!r}")
+            integer(value, name, 1)
         self.task, self.num_envs = build_task(task, **settings), num_envs
         self._batch = Batch(self.task, num_envs)  # draws beginnings, and names the rows
         self.shape = _shape(self._batch)

@@ -15,7 +15,15 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, Mask, ParameterError, from_plain, require_positive, unit
+from ves_gym._util.params import (
+    Array,
+    Mask,
+    ParameterError,
+    from_plain,
+    integer,
+    require_positive,
+    unit,
+)
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.task import Task
 
@@ -66,10 +74,7 @@ def require_seed(seed: Any) -> None:
 
 def require_index(index: Any) -> int:
     """Which of a seed's simulations: a whole number >= 0."""
-    integral = isinstance(index, (int, np.integer)) and not isinstance(index, bool)
-    if not integral or not 0 <= index < 2**63:
-        raise ParameterError(f"reset: index must be a whole number >= 0, got {index!r}")
-    return int(index)
+    return integer(index, "reset: index")
 
 
 class GoalFunctions:  # Gymnasium-Robotics' `GoalEnv`

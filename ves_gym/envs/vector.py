@@ -13,7 +13,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from ves_gym._util.params import Array, Mask, ParameterError
+from ves_gym._util.params import Array, Mask, ParameterError, integer
 from ves_gym.envs.batch import Batch
 from ves_gym.envs.env import Episodic
 from ves_gym.envs.registration import Deadline
@@ -218,14 +218,9 @@ def _step_limit(limit: Any) -> int | None:
     """Return a limit of the caller's, None where there is none but the task's own."""
     if limit is None or isinstance(limit, Deadline):
         return None
-    integral = isinstance(limit, (int, np.integer)) and not isinstance(limit, bool)
-    if integral and limit == -1:
+    if isinstance(limit, (int, np.integer)) and limit == -1:
         return None
-    if not integral or limit < 1:
-        raise ParameterError(
-            f"max_episode_steps must be a whole number >= 1, or -1 for none, got {limit!r}"
-        )
-    return int(limit)
+    return integer(limit, "max_episode_steps (-1 for none)", 1)
 
 
 def _mask(raw_mask: Any, n: int) -> Mask:

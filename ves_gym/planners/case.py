@@ -21,6 +21,7 @@ from ves_gym._util.params import (
     Vector,
     finite,
     from_plain,
+    integer,
     read_table,
     require_positive,
     require_types,
@@ -168,8 +169,7 @@ class Case:
     def __post_init__(self) -> None:
         require_types(self, "system", "query", "motion", "servo", "log")
         arm = self.system.arm
-        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
-            raise ParameterError(f"Case.seed must be a whole number >= 0, got {self.seed!r}")
+        object.__setattr__(self, "seed", integer(self.seed, "Case.seed"))
         if self.motion is not None and self.motion.n != arm.n:
             raise ParameterError(
                 f"motion: {arm.name} has {arm.n} joints, got {self.motion.n} in the motion"

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.params import Array, ParameterError, integer
 from ves_gym._util.threads import on_one_thread
 from ves_gym._util.views import Viewable
 from ves_gym.mechanics.dynamics import inverse_dynamics
@@ -162,8 +162,7 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
     Raises:
         ParameterError: a negative seed.
     """
-    if seed < 0:
-        raise ParameterError(f"seed must be >= 0, got {seed}")
+    seed = integer(seed, "seed")
     begin = time.perf_counter()
     found = None
     info: dict[str, Any] = {}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, Index, Mask, ParameterError
+from ves_gym._util.params import Array, Index, Mask, ParameterError, integer
 from ves_gym.engine.backends import make_backend
 from ves_gym.engine.backends.base import Backend
 from ves_gym.hardware.admittance import Nonlinear
@@ -33,7 +33,6 @@ from ves_gym.simulation.state import (
     numbers,
     set_generators,
     simulation_ids,
-    whole,
 )
 from ves_gym.simulation.tool_contact import ToolContact
 from ves_gym.system.effect_rows import EffectRows
@@ -77,7 +76,7 @@ class Simulator:
         warn_at: npt.ArrayLike | None = 0.0,
         compiled: bool = True,
     ) -> None:
-        self.system, self.n = system, whole(n, "n", 1)
+        self.system, self.n = system, integer(n, "n", 1)
         if on_divergence not in ("raise", "mark"):
             raise ParameterError(f"on_divergence must be raise or mark, got {on_divergence!r}")
         none = (0.0,) * system.arm.n
@@ -88,7 +87,7 @@ class Simulator:
         if system.mode == "ideal" and admittance is not None:
             raise ParameterError("an admittance needs mode emulated, got mode ideal")
         self.joints, self.on_divergence = system.arm.n, on_divergence
-        self.backend = make_backend(backend, system.actual, self.n, whole(threads, "threads"))
+        self.backend = make_backend(backend, system.actual, self.n, integer(threads, "threads"))
         self.machines = machines = Machines(system, self.n, self.backend)
         self.generators: list[np.random.Generator] = []
         self.seed(seed)
@@ -196,7 +195,7 @@ class Simulator:
 
     def seed(self, seed: int) -> None:
         """Restart the random generators."""
-        root = whole(seed, "seed")
+        root = integer(seed, "seed")
         self.generators[:] = [np.random.default_rng((root, i)) for i in range(self.n)]
 
     def reset(

@@ -145,10 +145,3 @@ def numbers(value: npt.ArrayLike, expected: str) -> Array:
     if array.dtype.kind not in "fiu":
         raise ParameterError(f"{expected} {value!r}")
     return array.astype(np.float64)
-
-
-def whole(value: int, name: str, least: int = 0) -> int:
-    """`value` as a whole number from `least` up; `name` is what an error calls it."""
-    if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
-        raise ParameterError(f"{name} must be a whole number >= {least}, got {value!r}")
-    return int(value)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from ves_gym._util.params import (
     ParameterError,
+    integer,
     require_choice,
     require_positive,
     require_types,
@@ -59,14 +58,8 @@ class EmulatorSettings:
         require_positive(self, "force_max", "moment_max")
         require_types(self, "platform", "stewart", "sensor", "gravity", "zero_at_start")
         require_types(self, "payload_compensation", "joint_balance")
-        integral = isinstance(self.delay, (int, np.integer)) and not isinstance(
-            self.delay, bool
-        )
-        if not integral or self.delay < 0:
-            raise ParameterError(
-                f"EmulatorSettings.delay must be a whole number of control periods >= 0,"
-                f" got {self.delay!r}"
-            )
+        delay = integer(self.delay, "EmulatorSettings.delay")  # control periods
+        object.__setattr__(self, "delay", delay)
 
     def lag(self, control_dt: float) -> float:
         """Delay from wrench to motion for slow motion [s]: sensor, computer, platform."""
