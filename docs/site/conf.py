@@ -57,7 +57,7 @@ def children(app, docname, source):
     if docname in PARENTS:
         source[0] += TREE
     if docname in SOUGHT:
-        source[0] = f"```{{index}} single: ! {SOUGHT[docname]}\n```\n\n{source[0]}"
+        source[0] = f"```{{index}} ! {SOUGHT[docname]}\n```\n\n{source[0]}"
 
 
 class Short:
