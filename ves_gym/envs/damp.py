@@ -156,6 +156,6 @@ class Damp(ArmTask):
         }
 
     def success(self, s: Scene) -> Mask:
-        """The base has kept as little energy over the whole episode as `saving` asks."""
+        """The base has as little energy over the whole episode as `saving` asks."""
         over: Mask = s.time > self.duration - self.system.control_dt / 2
         return over & (s.memory[:, 0] <= self.saving * s.goal[:, self.system.arm.n])

@@ -64,7 +64,7 @@ class Reach(ArmTask):
 
     The arm's own motion sways the base by centimetres, so the joints must take back what the
     base does. Joint angles of start and target are uniform in the box of the planning
-    benchmark reach100; those of the target are kept when a straight quintic gets there in
+    benchmark reach100; those of the target are used when a straight quintic gets there in
     half the time within the speed limits, and when they are `dexterous`, so that the target
     stays within reach while the base sways. Solved: the tool has been within `tolerance` of
     the target for the last `hold` seconds.

@@ -22,7 +22,7 @@ class RestToRest(Task):
     """Bring the arm from one configuration to another, at rest at the deadline.
 
     Queries are drawn as those of the planning benchmark reach100: both ends uniform in a
-    box of joint angles, kept when the straight quintic respects the speed limits. Cost: E_mean
+    box of joint angles, used when the straight quintic respects the speed limits. Cost: E_mean
     in E_straight, or in a quarter of its median where that is more, so that the straight line
     costs about one; and `miss` times the distance left at the end.
 

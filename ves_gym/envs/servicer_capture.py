@@ -85,7 +85,7 @@ class ServicerCapture(ArmTask):
     to rest; `turn` times the mean angle of the base, `energy` times the mean of its energy E,
     and `fuel` times the propellant.
 
-    `info` tells whether the target is carried, the energy that the latch took, the momentum
+    `info` says whether the target is carried, the energy that the latch took, the momentum
     of arm, base and target about the inertial origin, which only jets change, and their
     kinetic energy, that of the wheels included, besides propellant and wheels.
 

@@ -38,7 +38,7 @@ class Track(ArmTask):
     round, on a base at rest: ellipses and Lissajous figures bent by the arm's kinematics. So
     every point of it can be reached, within the joint limits and at rates of at most `pace`
     of the joints' own; the rest is for the base's sway. The phase runs by the quintic law.
-    It starts in the box of the planning benchmark reach100 and is kept when it is `dexterous`
+    It starts in the box of the planning benchmark reach100 and is used when it is `dexterous`
     all along. Solved: at the deadline, when the root mean square of the tool's distance from
     where it was to be is within `tolerance`.
 
