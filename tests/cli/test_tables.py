@@ -4,6 +4,8 @@
 """
 
 import inspect
+import shlex
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -12,7 +14,7 @@ import ves_gym as vg
 from ves_gym import api
 from ves_gym.cli.flags import PICTURES
 from ves_gym.cli.machine import MACHINE
-from ves_gym.cli.main import COMMANDS, main, table_of
+from ves_gym.cli.main import COMMANDS, build_parser, examples, main, table_of
 
 PAGE = Path(__file__).with_name("tables.txt")
 TABLES = {words: row for name in COMMANDS for words, row in table_of(name).items()}
@@ -64,8 +66,38 @@ def test_help_exits_0(words, capsys):
         main([*words, "--help"])
     out = " ".join(capsys.readouterr().out.split())
     assert end.value.code == 0 and "usage: ves-gym" in out
+    assert ("$ ves-gym " in out) == (" ".join(words) in TABLES)
     if words and words[0] in ("simulate", "plan", "evaluate", "diagnose", "train"):
         assert "joint/coulomb:torque=3,0,0" in out
+
+
+def test_every_example_is_a_command_line_and_has_succeeded():
+    found = set()
+    for example in examples():
+        line, _, printed = example.partition("\n")
+        words = shlex.split(line.removeprefix("$ ves-gym "))
+        args = build_parser(words[0]).parse_args(words)
+        found.add(next(k for k, (run, _) in TABLES.items() if run is args.run))
+        assert printed and "error:" not in printed, line
+    assert found == set(TABLES)
+
+
+def test_bash_completes_commands_actions_and_options(tmp_path, capsys):
+    pytest.importorskip("shtab")
+    assert main(["completion", "bash"]) == 0
+    (tmp_path / "lines").write_text(capsys.readouterr().out)
+
+    def completed(*words):
+        script = (
+            'source "$0"; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1));'
+            ' $(complete -p ves-gym | sed "s/.*-F //; s/ .*//"); echo "${COMPREPLY[@]}"'
+        )
+        run = ["bash", "--norc", "-c", script, tmp_path / "lines", "ves-gym", *words]
+        return subprocess.run(run, capture_output=True, text=True, check=True).stdout.split()
+
+    assert completed("ben") == ["benchmark"]
+    assert completed("leaderboard", "") == ["run", "verify", "render"]
+    assert completed("plan", "--go") == ["--goal"]
 
 
 if __name__ == "__main__":

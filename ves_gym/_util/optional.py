@@ -40,6 +40,7 @@ PACKAGES = {  # module -> what installs it
     "robot_descriptions": Source("robot_descriptions", "robots"),
     "rosbags": Source("rosbags", "mcap"),
     "safetensors": Source("safetensors"),
+    "shtab": Source("shtab", "completion"),
     "stable_baselines3": Source("stable-baselines3", "rl"),
     "tensorboard": Source("tensorboard", "tensorboard"),
     "torch": Source("torch", "rl"),

@@ -17,9 +17,9 @@ from typing import NamedTuple
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
-from ves_gym._util.optional import installed
+from ves_gym._util.optional import installed, require
 from ves_gym._util.tables import table
-from ves_gym.cli.flags import Answer, Context
+from ves_gym.cli.flags import Answer, Context, Flag, one_of
 from ves_gym.rendering.opengl import (
     RenderError,
     attempt,
@@ -213,4 +213,21 @@ def check_folder(out: Path) -> Check:
     return Check("out folder", OK, f"{folder} can be written")
 
 
-TABLE = {"doctor": (doctor, ())}
+def completion(at: Context, *, shell: str) -> Answer:
+    """Lines for a shell's start file; shtab writes them."""
+    require("completion", "shtab")
+    import shtab
+
+    from ves_gym.cli.main import COMMANDS, build_parser
+
+    return Answer(text=shtab.complete(build_parser(*COMMANDS), shell))
+
+
+SHELLS = "bash", "zsh", "fish"
+TABLE = {
+    "doctor": (doctor, ()),
+    "completion": (completion, (
+        Flag("SHELL", "", one_of(*SHELLS),
+             f"{', '.join(SHELLS)}; in bash: eval \"$(ves-gym completion bash)\""),
+    )),
+}  # fmt: skip

@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NoReturn
 
 from ves_gym._util.one_line import on_one_line
@@ -46,12 +47,14 @@ COMMANDS = {  # name -> its module, loaded when it is asked for, and what it doe
     "emulation-check": ("checks", "is an emulation stable, and how true, before it runs"),
     "list": ("list", "what exists: vehicles, planners, suites, effects"),
     "doctor": ("doctor", "what is broken on this machine"),
+    "completion": ("doctor", "what makes a shell complete these commands"),
     "view": ("watch", "watch a run log: window, GIF, MP4, or rerun"),
     "export": ("export", "a run as MCAP, a machine as an FMU, for the tools of others"),
     "teleop": ("watch", "drive the arm from the keyboard while the base reacts"),
 }
 EMULATED = ("emulation-check", "list")  # mode of their machine where nothing says it
 DONE, NEGATIVE, BAD_INPUT = 0, 1, 2
+EXAMPLES = Path(__file__).with_name("examples.txt")  # scripts/examples.py ran them
 
 
 def _own(name: str, place: Place) -> str:
@@ -71,6 +74,12 @@ EVERY = (  # options of every command
 
 class UsageError(ValueError):
     """A command line that cannot be carried out."""
+
+
+class _Help(argparse.HelpFormatter):
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        """Keep the lines of an example."""
+        return text if text.startswith("$ ") else super()._fill_text(text, width, indent)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -103,8 +112,13 @@ class _Parser(argparse.ArgumentParser):
         return out, extra
 
 
-def build_parser(command: str | None) -> argparse.ArgumentParser:
-    """The parser; only the asked command's module is imported for its arguments."""
+def examples() -> list[str]:
+    """Return an example of every command, each with what it printed."""
+    return EXAMPLES.read_text("utf-8").rstrip().split("\n\n")
+
+
+def build_parser(*asked: str) -> argparse.ArgumentParser:
+    """The parser; only modules of the commands that are asked for are imported."""
     parser = _Parser(
         prog="ves-gym",
         description="A PUMA 560 on a long flexible beam in micro-gravity, judged by the"
@@ -115,17 +129,18 @@ def build_parser(command: str | None) -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, (_, text) in COMMANDS.items():
         sub = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
-        if name != command:
+        if name not in asked:
             continue
         table = table_of(name)
         if name in table:
-            _add(sub, *table[name])
+            _add(sub, name, *table[name])
             continue
         actions = sub.add_subparsers(dest="action", metavar="ACTION", required=True)
         for words, (run, flags) in table.items():
             help = " ".join(str(run.__doc__).split()).rstrip(".")
             help = help[0].lower() + help[1:]
-            _add(actions.add_parser(words.split()[1], help=help, description=help), run, flags)
+            action = actions.add_parser(words.split()[1], help=help, description=help)
+            _add(action, words, run, flags)
     return parser
 
 
@@ -136,10 +151,18 @@ def table_of(command: str) -> dict[str, tuple[Callable[..., Answer], tuple[Flag,
 
 
 def _add(
-    parser: argparse.ArgumentParser, run: Callable[..., Answer], flags: Sequence[Flag]
+    parser: argparse.ArgumentParser,
+    words: str,
+    run: Callable[..., Answer],
+    flags: Sequence[Flag],
 ) -> None:
-    """Add the options of a table, and those that every command has."""
+    """Add the options of a table, those that every command has, and the example."""
     parser.set_defaults(flags=flags, run=run)
+    parser.formatter_class = _Help
+    start = f"$ ves-gym {words}"
+    parser.epilog = next(
+        (k for k in examples() if f"{k} ".startswith((f"{start} ", f"{start}\n"))), ""
+    )
     places: dict[str, Any] = {"": parser}  # headings, and options that exclude each other
     for flag in (*flags, *EVERY):
         if flag.group not in places:
@@ -251,7 +274,7 @@ def _show_warning(message: Warning | str, category: type[Warning], *where: Any) 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the exit status."""
     words = list(sys.argv[1:] if argv is None else argv)
-    command = next((w for w in words if w in COMMANDS), None)
+    command = next((w for w in words if w in COMMANDS), "")
     warnings.showwarning = _show_warning  # type: ignore[assignment]
     try:
         status = _carry_out(build_parser(command).parse_args(words))
