@@ -1,7 +1,7 @@
 # /// script
 # dependencies = ["d3rlpy", "torch", "minari", "h5py", "pillow"]
 # ///
-"""Behaviour cloning and TD3+BC (d3rlpy) on a data set: `python offline.py FOLDER [STEPS]`.
+"""Behaviour cloning, TD3+BC and IQL (d3rlpy) on a data set: `python offline.py FOLDER [STEPS]`.
 
 The folder is what `ves-gym dataset make PumaDamp-v0 --episodes 1000` wrote, such as
 out/datasets/ves/PumaDamp-v0/mixed-v0. Four control periods become one decision: what one
@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable
 
 import numpy as np
-from d3rlpy.algos import BCConfig, TD3PlusBCConfig
+from d3rlpy.algos import BCConfig, IQLConfig, TD3PlusBCConfig
 from d3rlpy.dataset import MDPDataset
 from d3rlpy.logging import NoopAdapterFactory
 from puma_damp import HOLD, solved
@@ -35,7 +35,8 @@ def main(folder: str, steps: int = 4000, tests: int = 100) -> dict[str, float]:
         terminals=np.concatenate([per_decision(e.terminations, np.max) for e in episodes]),
     )
     shares = {"data": float(np.mean([e.success for e in episodes]))}
-    for name, config in {"BC": BCConfig(), "TD3+BC": TD3PlusBCConfig()}.items():
+    configs = {"BC": BCConfig(), "TD3+BC": TD3PlusBCConfig(), "IQL": IQLConfig()}
+    for name, config in configs.items():
         learner = config.create(device="cpu")
         learner.fit(
             data,
