@@ -8,7 +8,9 @@ page and the figure of the curves are written again from what is there.
 
 `--train RUNS [NAME ...]` trains first, all seeds of each, as many at once as there are
 processors; runs that are there go on from their checkpoints. `--missing RUNS` says what no
-policy is released of and why, and how many hours all of it takes.
+policy is released of and why, and how many hours all of it takes. `--rewards RUNS [NAME ...]`
+measures what RUNS has of PPO's seeds, released or not, and writes docs/training/rewards.json,
+the page's table of what is learned from rewards alone.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from gymnasium.vector import AutoresetMode
 
 import ves_gym.api as vg
@@ -40,6 +43,9 @@ from ves_gym.envs.registration import IDS
 
 DOCS = Path(__file__).parents[1] / "docs"
 PLACE, PICTURES = DOCS / "training", DOCS / "pictures"
+REWARDS = PLACE / "rewards.json"
+# Beside what is learned from rewards: `zero` is the straight line, `compensating` plans for long.
+BESIDE = REFERENCES | {"PumaRestToRest": "zero", "DualArmReach": "resolved"}
 EPISODES = 200  # seeds 0, 1, ...: none of them is trained on or chosen by
 LAB_EPISODES = 100  # of the same on the ...Emulated twin
 
@@ -189,6 +195,29 @@ def _compared(
     return result
 
 
+def measure_rewards(found: Iterable[TrainConfig], runs: Path) -> None:
+    """PPO's seeds that are there beside the reference; what others had before stays."""
+    every = json.loads(REWARDS.read_text("utf-8")) if REWARDS.exists() else {}
+    for config in found:
+        folders = sorted((runs / config.name).glob("seed-*/best.json"))
+        if config.imitate or not folders:
+            continue
+        reference = BESIDE[task(config)]
+        lineup: list[tuple[str, Controller]] = [(reference, get_controller(reference))]
+        lineup += [(path.parent.name, load_policy(path)) for path in folders]
+        result = _compared(config.env, lineup, LAB_EPISODES, {})
+        summary = {one["name"]: one["summary"]["success"] for one in result["controllers"]}
+        every[config.name] = {
+            "reference": reference,
+            "decisions": min(map(_decisions, (p.with_name("curve.jsonl") for p in folders))),
+            "seeds": {
+                name: {"success": summary[name], "E_mean": result["ratios"][name]["E_mean"]}
+                for name, _ in lineup[1:]
+            },
+        }
+        write_text(REWARDS, json.dumps(_short(every), indent=1, sort_keys=True) + "\n")
+
+
 # ------------------------------------------------------------------------ pictures
 
 
@@ -286,7 +315,32 @@ def page() -> str:
     done = [c for c in configs() if (PLACE / f"{c.name}.json").exists()]
     head, tail = (DOCS / "training.md").read_text("utf-8").split("<!-- tables -->")[::2]
     tables = "\n\n".join((_runs(done), _figures(done)))
-    return f"{head}<!-- tables -->\n{tables}\n<!-- tables -->{tail}"
+    text = f"{head}<!-- tables -->\n{tables}\n<!-- tables -->{tail}"
+    head, tail = text.split("<!-- rewards -->")[::2]
+    return f"{head}<!-- rewards -->\n{_rewards()}\n<!-- rewards -->{tail}"
+
+
+def _rewards() -> str:
+    """Per configuration: of one seed with its interval, of several the least, median and most."""
+    rows = []
+    for name, one in json.loads(REWARDS.read_text("utf-8")).items():
+        seeds = list(one["seeds"].values())
+        solved = sorted(seed["success"]["value"] for seed in seeds)
+        ends = solved[0], solved[-1]
+        if len(seeds) == 1:
+            ends = seeds[0]["success"]["low"], seeds[0]["success"]["high"]
+        low, high = (f"{100 * end:.0f}" for end in ends)
+        ratios = [seed["E_mean"]["value"] for seed in seeds]
+        rows.append(
+            (
+                name,
+                f"{one['decisions'] / 1e6:.2g} M",
+                str(len(seeds)),
+                f"{100 * np.median(solved):.0f} ({low} to {high})",
+                f"{np.median(ratios):.2g} of `{one['reference']}`",
+            )
+        )
+    return _table(("configuration", "decisions", "seeds", "solved %", "energy"), rows)
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -347,6 +401,11 @@ def main(words: Sequence[str]) -> None:
     if words and words[0] == "--missing":
         print(missing(Path(words[1])))
         return
+    if words and words[0] == "--rewards":
+        measure_rewards(
+            [c for c in configs() if c.name in (words[2:] or [c.name])], Path(words[1])
+        )
+        words = []
     if words and words[0] == "--train":
         words = words[1:]
         chosen = [c for c in configs() if c.name in (words[1:] or [c.name])]
