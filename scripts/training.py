@@ -44,7 +44,7 @@ from ves_gym.envs.registration import IDS
 DOCS = Path(__file__).parents[1] / "docs"
 PLACE, PICTURES = DOCS / "training", DOCS / "pictures"
 REWARDS = PLACE / "rewards.json"
-# Beside what is learned from rewards: `zero` is the straight line, `compensating` plans for long.
+# Beside what rewards alone taught; `zero` is the straight line, `compensating` plans for long.
 BESIDE = REFERENCES | {"PumaRestToRest": "zero", "DualArmReach": "resolved"}
 EPISODES = 200  # seeds 0, 1, ...: none of them is trained on or chosen by
 LAB_EPISODES = 100  # of the same on the ...Emulated twin
@@ -321,7 +321,7 @@ def page() -> str:
 
 
 def _rewards() -> str:
-    """Per configuration: of one seed with its interval, of several the least, median and most."""
+    """One seed with its interval, or the median of several with the least and the most."""
     rows = []
     for name, one in json.loads(REWARDS.read_text("utf-8")).items():
         seeds = list(one["seeds"].values())
