@@ -9,11 +9,17 @@ on where it was.
     --method M      only entries of this method; repeatable
     --board DIR     another folder of entries; the page is written beside it
     --salt FILE     official seeds, of this salt
+    --repeat N      run the commands of N entries of the board, drawn at random, and time them
 """
 
 from __future__ import annotations
 
 import argparse
+import os
+import random
+import shlex
+import statistics
+import subprocess
 import sys
 import time
 from collections.abc import Sequence
@@ -28,7 +34,8 @@ from ves_gym._util.params import ParameterError
 from ves_gym._util.process_pool import Workers
 from ves_gym.baselines.policy import released, task_name
 from ves_gym.baselines.registry import REFERENCES
-from ves_gym.leaderboard.board import make_board, read_board, write_page
+from ves_gym.leaderboard.board import PLACE as FOLDER
+from ves_gym.leaderboard.board import command, make_board, read_board, write_page
 from ves_gym.leaderboard.entry import Entry
 from ves_gym.leaderboard.problems import (
     GAINS,
@@ -44,11 +51,12 @@ from ves_gym.leaderboard.problems import (
 from ves_gym.leaderboard.tracks.damping import TUNERS
 from ves_gym.leaderboard.verify import add, make_entry
 
-PLACE = Path(__file__).parents[1] / "docs" / "leaderboard"
-README = Path(__file__).parents[1] / "README.md"
+ROOT = Path(__file__).parents[1]
+PLACE = ROOT / FOLDER
+README = ROOT / "README.md"
 SHOWN = "bent-2s"  # problem of the README's table, and methods, one of each kind
 KINDS = ("refined", "calm", "shaped-zv", "drake-torque", "ompl-qt", "straight")
-PEER_FILES = Path(__file__).parents[1] / "examples" / "peers"
+PEER_FILES = ROOT / "examples" / "peers"
 AUTHOR = "ves-gym"
 PLANNERS = (
     "straight", "smooth-jerk", "shaped-zv", "shaped-zvd", "reaction-null", "direct", "refined",
@@ -163,6 +171,27 @@ def fill(wanted: Sequence[Wanted], board: Path, workers: int, salt: str | None) 
     return failed
 
 
+def repeat(count: int) -> int:
+    """Run the commands of entries drawn at random; how many were refused."""
+    refused, seconds = 0, []
+    entries = read_board(PLACE / "entries")
+    for entry in random.sample(entries, min(count, len(entries))):
+        before, begun = os.times(), time.monotonic()
+        words = [sys.executable, "-m", "ves_gym.cli.main", *shlex.split(command(entry))[1:]]
+        done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+        after = os.times()
+        seconds.append(sum(after[2:4]) - sum(before[2:4]))
+        refused += done.returncode != 0
+        told = (done.stdout if done.returncode == 0 else done.stderr).strip().splitlines()
+        wall = time.monotonic() - begun
+        print(f"{seconds[-1]:.0f} s ({wall:.0f} s)  {entry.file}: {told[-1:]}", flush=True)
+    print(
+        f"{len(seconds) - refused} of {len(seconds)} repeated; median"
+        f" {statistics.median(seconds):.0f} s of processor time"
+    )
+    return refused
+
+
 def readme(board: dict[str, Any]) -> str:
     """Text of the README with the table of one problem, as the board has it."""
     (group,) = (
@@ -189,7 +218,10 @@ def main(words: Sequence[str]) -> int:
         parser.add_argument(option, action="append")
     parser.add_argument("--board", type=Path, default=PLACE / "entries")
     parser.add_argument("--salt", type=Path)
+    parser.add_argument("--repeat", type=int)
     args = parser.parse_args(words)
+    if args.repeat is not None:
+        return int(repeat(args.repeat) > 0)
     salt = None if args.salt is None else read_salt(args.salt)
     wanted = [
         w

@@ -258,7 +258,7 @@ def test_a_name_opens_all_that_is_known(show, board):
     page.click("tr.entry:nth-of-type(2) th button")
     text = page.do("document.querySelector('tr.detail').innerText")
     e = group(board, "tasks", "ves/PumaReach-v0")["entries"][1]
-    assert f"ves-gym leaderboard verify {e['file']}" in text and "by training seed" in text
+    assert e["repeat"].endswith(e["file"]) and e["repeat"] in text and "by training seed" in text
     assert '"numpy": "2.3.0"' in text
     assert page.do("document.activeElement.getAttribute('aria-expanded')") == "true"
     page.press("Enter")

@@ -20,13 +20,14 @@ from ves_gym._util.statistics import iqm
 from ves_gym.leaderboard import statistics
 from ves_gym.leaderboard.entry import MEASURES, Entry, Refused, from_bytes
 from ves_gym.leaderboard.files import ENTRY, read_files
-from ves_gym.leaderboard.problems import SCORES, get_problem
+from ves_gym.leaderboard.problems import PUBLIC, SCORES, get_problem
 from ves_gym.report.pages import page, require_schema
 
 SCHEMA = "ves-board/1"
 RANKED = "reproduced"  # level of entries that are compared
 BY_SUCCESS = ("tasks",)  # tracks that rank by classes of success before they do by the score
 RATIOS = ("paths", "damping")  # tracks whose scores are ratios to something that is done today
+PLACE = "docs/leaderboard"  # in a clone: entries, salts that were published, the page
 _DIGITS = 6
 
 Plain = dict[str, Any]
@@ -128,7 +129,19 @@ def _of(entry: Entry) -> Plain:
         **{name: _plain(value) for name, value in measures.items() if value is not None},
         "settings": entry.method.settings,
         "about": entry.about,
+        "repeat": command(entry),
     }
+
+
+def command(entry: Entry) -> str:
+    """What repeats an entry of the board, from the root of a clone."""
+    words = ["ves-gym leaderboard verify", f"{PLACE}/entries/{entry.file}"]
+    module = str(entry.about.get("code", "")).partition(":")[0]
+    if module.isidentifier():  # a peer, by its library; what is built in has dots
+        words.append(f"--import examples/peers/{module}.py")
+    if entry.seeds != PUBLIC:
+        words.append(f"--salt {PLACE}/salts/{entry.seeds}")
+    return " ".join(words)
 
 
 def _plain(value: float | Iterable[float]) -> Any:

@@ -182,7 +182,7 @@ function detail(e) {
     ["by training seed", e.by_group.map(amount).join(", ")],
     ["failed", e.failed ? `${e.failed} of ${e.episodes * e.groups}` : "none"],
     ["code", codeOf(e.about.code)],
-    ["repeat it", el("code", {}, `ves-gym leaderboard verify ${e.file}${state.seeds === "public" ? "" : " --salt FILE"}`)],
+    ["repeat it", el("code", {}, e.repeat)],
     ["settings", json(e.settings)],
     ["told", json(e.about)],
   ].filter(([, value]) => value);

@@ -9,9 +9,12 @@ account stays open. Built-in planners leave a reserve of the speed limits
 
 from __future__ import annotations
 
+import os
+import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -135,14 +138,21 @@ def _row(answer: Played | None, line: Played, calm: bool) -> dict[str, float]:
 
 def _planned(job: tuple[Planner, Query, int]) -> Plan:
     planner, query, seed = job
+    begin = _processor_seconds()
     try:
-        if planner.name in PLANNERS:
-            return solve_with_reserve(planner, query, seed)
-        return solve(planner, query, seed)
+        planned = solve_with_reserve if planner.name in PLANNERS else solve
+        plan = planned(planner, query, seed)
     except ParameterError:
         raise
     except Exception as error:  # a planner that fails has no answer to this query
-        return Plan(planner.name, query, None, 0.0, f"{type(error).__name__}: {error}")
+        plan = Plan(planner.name, query, None, 0.0, f"{type(error).__name__}: {error}")
+    return replace(plan, seconds=_processor_seconds() - begin)
+
+
+def _processor_seconds() -> float:
+    """Time of this process and the programs it ran: a board is filled on a computer in use."""
+    times = os.times()
+    return time.process_time() + times.children_user + times.children_system
 
 
 def _motion(query: Query, control: Array) -> Motion | None:
