@@ -1,6 +1,6 @@
 """Search without gradients: CMA-ES over four via points a joint, by `pip install cma`.
 
-    ves-gym --import examples/peers/cma_es.py leaderboard run paths bent-2s cma-es --author peer
+    ves-gym leaderboard run paths bent-2s cma-es --author peer --import examples/peers/cma_es.py
 
 A black box of 600 predictions of E_mean, twice: what somebody tries who has a simulator and no
 derivatives. Speeds beyond the limits cost as much as the straight line's energy.

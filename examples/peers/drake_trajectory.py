@@ -1,7 +1,7 @@
 """Drake's trajectory optimisation on the board's queries, by `pip install drake`.
 
-    ves-gym --import examples/peers/drake_trajectory.py \
-        leaderboard run paths bent-2s drake-wrench --author peer
+    ves-gym leaderboard run paths bent-2s drake-wrench --author peer \
+        --import examples/peers/drake_trajectory.py
 
 KinematicTrajectoryOptimization with three proxies of a quiet base that one would choose who
 plans with Drake: least acceleration of the joints, least torque, and least wrench on a base

@@ -1,5 +1,6 @@
 """The board says what its files say, and nothing is lost; the script fills it."""
 
+import dataclasses
 import json
 from concurrent.futures import ThreadPoolExecutor
 
@@ -10,7 +11,7 @@ from scripts import leaderboard as script
 from tests.leaderboard.entries import made_entry, noisy
 from ves_gym._util.params import ParameterError
 from ves_gym.leaderboard import statistics
-from ves_gym.leaderboard.board import make_board, read_board
+from ves_gym.leaderboard.board import command, make_board, read_board
 from ves_gym.leaderboard.entry import from_bytes, to_bytes
 from ves_gym.leaderboard.problems import SCORES, problems
 from ves_gym.leaderboard.verify import add
@@ -63,6 +64,23 @@ def test_what_was_only_replayed_ranks_nowhere_and_seeds_are_not_mixed(entries):
     assert "believed" not in json.dumps(board["tracks"])
     (only,) = groups(board)["paths", "bent-2s", OFFICIAL]["entries"]
     assert only["rank"] == [1, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("code", "seeds", "after"),
+    [
+        ("ves_gym.planners.refine:Refined", "public", ""),
+        ("https://example.org/x", "public", ""),
+        ("x; rm -r ~:Planner", "public", ""),
+        ("cma_es:Cma", "public", " --import examples/peers/cma_es.py"),
+        ("ves_gym.a:B", OFFICIAL, f" --salt docs/leaderboard/salts/{OFFICIAL}"),
+    ],
+)
+def test_an_entry_names_the_command_that_repeats_it(code, seeds, after):
+    entry = made_entry("one", scores=noisy(1.0), seeds=seeds)
+    told = command(dataclasses.replace(entry, about={"code": code}))
+    place = f"docs/leaderboard/entries/{entry.file}"
+    assert told == f"ves-gym leaderboard verify {place}{after}"
 
 
 def test_a_board_is_read_from_its_files(entries, tmp_path):

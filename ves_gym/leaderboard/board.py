@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -136,9 +137,9 @@ def _of(entry: Entry) -> Plain:
 def command(entry: Entry) -> str:
     """What repeats an entry of the board, from the root of a clone."""
     words = ["ves-gym leaderboard verify", f"{PLACE}/entries/{entry.file}"]
-    module = str(entry.about.get("code", "")).partition(":")[0]
-    if module.isidentifier():  # a peer, by its library; what is built in has dots
-        words.append(f"--import examples/peers/{module}.py")
+    peer = re.fullmatch(r"(\w+):\w+", str(entry.about.get("code")))  # of ours has dots
+    if peer:
+        words.append(f"--import examples/peers/{peer[1]}.py")
     if entry.seeds != PUBLIC:
         words.append(f"--salt {PLACE}/salts/{entry.seeds}")
     return " ".join(words)

@@ -25,9 +25,11 @@ function readState() {
   for (const key of Object.keys(state)) state[key] = given.get(key) ?? "";
   if (!track()) state.track = data.tracks[0]?.track ?? "";
   const groups = track()?.groups ?? [];
-  if (!groups.some((g) => g.problem === state.problem)) state.problem = groups[0]?.problem ?? "";
-  const here = groups.filter((g) => g.problem === state.problem);
   const count = (g) => g?.entries.length ?? 0;
+  if (!groups.some((g) => g.problem === state.problem)) { // where most was compared
+    state.problem = groups.reduce((a, b) => (count(b) > count(a) ? b : a), groups[0])?.problem ?? "";
+  }
+  const here = groups.filter((g) => g.problem === state.problem);
   // official rows cannot have been fitted to: they come first where they are not few
   const official = here.find((g) => g.seeds !== "public");
   const open = here.find((g) => g.seeds === "public");
@@ -281,16 +283,24 @@ $("tabs").addEventListener("keydown", (event) => {
   openTrack(data.tracks[next], true);
 });
 
+/** Who may be the best of a group: one name where that is settled. */
+function candidates(g) {
+  if (g.entries.length === 1) return "1 entry";
+  const some = g.entries.filter((e) => e.rank[1] === 1 && finite(e.score[0])).map((e) => e.name);
+  return some.length > 2 ? `${some[0]}, ${some.length - 1} others` : some.join(", ") || "nobody";
+}
+
 function drawProblems() {
-  const names = [...new Set(track().groups.map((g) => g.problem))];
-  $("problems").replaceChildren(...names.map((name) => {
+  const groups = new Map(track().groups.map((g) => [g.problem, g]));
+  $("problems").replaceChildren(...[...groups].map(([name, g]) => {
     const here = name === state.problem;
-    const button = el("button", { type: "button", "aria-pressed": String(here) }, name);
+    const best = el("span", { class: "sub" }, candidates(here ? group() : g));
+    const button = el("button", { type: "button", "aria-pressed": String(here) }, name.replace(/^ves\//, ""), best);
     button.addEventListener("click", () => {
       go({ problem: name, seeds: "", open: "" }, () => {});
       readState();
       drawAll();
-      [...$("problems").children].find((b) => b.textContent === name).focus();
+      $("problems").querySelector("[aria-pressed=true]").focus();
     });
     return button;
   }));
