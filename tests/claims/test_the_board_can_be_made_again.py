@@ -40,4 +40,4 @@ def test_an_entry_drawn_by_the_day_is_repeated():
 
 def test_the_board_is_small():
     files = [p for p in PLACE.rglob("*") if p.is_file()]
-    assert sum(p.stat().st_size for p in files) <= 500_000
+    assert sum(p.stat().st_size for p in files) <= 3_000_000
