@@ -14,11 +14,8 @@ def lazily(package: str, homes: Mapping[str, str], modules: tuple[str, ...] = ()
     The functions are set here, not named in the package: a type checker that saw its
     `__getattr__` would take every misspelt name for one of the package's.
 
-    Args:
-        package: its `__name__`.
-        homes: name -> "module" below the package, or "module:name" where it is called
-            otherwise there.
-        modules: modules of the package that are attributes themselves.
+    A name's home is "module" below the package, or "module:name" where it is called otherwise
+    there; `modules` are attributes themselves.
     """
 
     def resolve(name: str) -> Any:
