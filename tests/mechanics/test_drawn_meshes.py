@@ -40,7 +40,7 @@ def path(tmp_path):
 def in_space(arm, q, i):
     """Corners of the mesh of link i from its file, on a base that stands still."""
     (mesh,) = arm.links[i].meshes
-    points = mesh.placed(read_mesh(Path(mesh.file)).points)
+    points = mesh.points_at(read_mesh(Path(mesh.file)).points)
     at = frames(arm, q)
     return points @ at.rotation[i].T + at.position[i]
 

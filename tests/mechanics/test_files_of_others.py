@@ -301,3 +301,18 @@ def test_a_mesh_is_found_and_read_as_others_do(tmp_path, urdf):
     path = urdf(CHAIN, "</link><joint", mesh.replace("203", "204") + "<joint")
     with pytest.raises(ParameterError, match=r"is not there \(--no-collision, in Python"):
         Arm.from_file(path)
+
+
+def test_commas_stand_between_numbers_or_are_refused(urdf):
+    """ "0.4, 0, 0" is three numbers; "0,4 0" may be two with decimal commas."""
+    arm = Arm.from_file(urdf(CHAIN))
+    assert Arm.from_file(urdf(CHAIN, '"0.4 0 0"', '"0.4, 0, 0"')).links == arm.links
+    for other in ('"0,4 0"', '"0,4 0,1"'):
+        with pytest.raises(ParameterError, match="three numbers"):
+            Arm.from_file(urdf(CHAIN, '"0.4 0 0"', other))
+
+
+def test_a_shape_without_a_size_is_left_out_and_told(urdf):
+    sphere = '<collision><geometry><sphere radius="0"/></geometry></collision></link>'
+    arm = Arm.from_file(urdf(CHAIN, "</link><joint", f"{sphere}<joint"))
+    assert not arm.links[2].shape and "a shape without a size left out: l3" in arm.source

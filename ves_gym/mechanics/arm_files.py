@@ -19,9 +19,9 @@ from ves_gym.mechanics.arm import Arm, ArmPart
 from ves_gym.mechanics.arm_reader import arm_of_tree
 from ves_gym.mechanics.arm_tree import ChainChoice
 from ves_gym.mechanics.attitude import from_matrix
-from ves_gym.mechanics.chain import angles_of, upright
+from ves_gym.mechanics.chain import upright
 from ves_gym.mechanics.flexure import expand
-from ves_gym.mechanics.link import BANDWIDTH, Capsule, Inertial
+from ves_gym.mechanics.link import BANDWIDTH, Capsule, Inertial, angles_of
 from ves_gym.mechanics.mjcf_arm import MjcfTree
 from ves_gym.mechanics.urdf import UrdfTree
 
@@ -82,15 +82,7 @@ def _bodies(arm: Arm) -> list[tuple[Inertial, tuple[Capsule, ...]]]:
     """Mass and shape of the base link and of each link, in the frame at its joint."""
     out = [(arm.base, arm.base_shape or ())]
     for link in (part.link for part in arm.parts):
-        R, p = link.far_end
-        capsules = tuple(
-            Capsule(
-                start=tuple((p + R @ np.array(k.start)).tolist()),
-                end=tuple((p + R @ np.array(k.end)).tolist()),
-                radius=k.radius,
-            )
-            for k in link.shape or ()
-        )
+        capsules = tuple(k.placed(*link.far_end) for k in link.shape or ())
         out.append((link.inertial_at_joint, capsules))
     return out
 

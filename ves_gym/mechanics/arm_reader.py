@@ -17,8 +17,8 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.arm_coupling import coupled_joints, moving_joints
 from ves_gym.mechanics.arm_tree import ChainChoice, Tree, held
-from ves_gym.mechanics.chain import Joint, LinkMass, Lump, Segment, arm_of
-from ves_gym.mechanics.link import WEIGHTLESS, rigid_moments
+from ves_gym.mechanics.chain import Joint, LinkMass, Lump, arm_of
+from ves_gym.mechanics.link import WEIGHTLESS, Capsule, rigid_moments
 from ves_gym.mechanics.side_by_side import side_by_side
 
 # Numbers beyond these look like mm, g and kg mm^2 (this project).
@@ -107,7 +107,7 @@ def _arm_of_chain(
     still = []
     for mover, of in pieces.items():
         for piece in of:
-            lumps[mover].add(piece)
+            lumps[mover].add(piece.mass, piece.com, piece.moments)
     _require_bodies(tree, lumps, pieces)
     for body, mover in movers.items():
         if choice.collision:
@@ -189,11 +189,11 @@ def _require_bodies(
     where the tree is to be repaired. Links that are none by themselves are noted."""
     alone: list[str] = []
     for mover, lump in lumps.items():
-        about = lump.second - lump.mass_at_centre
+        about = lump.moments
         nearest = rigid_moments(about) if lump.mass else np.zeros((3, 3))
-        if _alike(about, nearest, 0.1 * lump.second):
+        if _alike(about, nearest):
             bodies = ((k.link, k.moments) for k in pieces[mover])
-            alone += [name for name, x in bodies if not _alike(x, rigid_moments(x), x)]
+            alone += [name for name, x in bodies if not _alike(x, rigid_moments(x))]
             continue
         names = ", ".join(k.link for k in pieces[mover])
         was, now = (
@@ -206,7 +206,7 @@ def _require_bodies(
                 f" {now}"
             )
         tree.repairs.append(f"principal moments of {names} {was} taken as {now} kg m^2")
-        lump.second = lump.mass_at_centre + nearest
+        lump.moments = nearest
     if alone:
         tree.repairs.append(
             f"inertia of {', '.join(alone)}, which no rigid body has, taken as it is: with what"
@@ -214,13 +214,13 @@ def _require_bodies(
         )
 
 
-def _alike(one: Array, other: Array, size: Array) -> bool:
-    return bool(np.abs(one - other).max() <= _ROUND * np.abs(np.stack([one, size])).max())
+def _alike(one: Array, other: Array) -> bool:
+    return bool(np.abs(one - other).max() <= _ROUND * np.abs(one).max())
 
 
-def _require_shapes(body: str, capsules: list[Segment], size: float) -> None:
+def _require_shapes(body: str, capsules: list[Capsule], size: float) -> None:
     """Refuse shapes far larger than the arm, which look like mm."""
-    largest = max((r + float(np.linalg.norm(b - a)) for a, b, r in capsules), default=0.0)
+    largest = max((k.radius + math.dist(k.start, k.end) for k in capsules), default=0.0)
     if largest > _SHAPE * size:
         raise ParameterError(
             f"link {body!r} has a shape of {largest:.4g} m on an arm of {size:.3g} m: shapes"

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 from ves_gym._util.params import Array, ParameterError
-from ves_gym.mechanics.chain import Joint, LinkMass, PlacedMesh, Segment
-from ves_gym.mechanics.link import BANDWIDTH
+from ves_gym.mechanics.chain import Joint, LinkMass
+from ves_gym.mechanics.link import BANDWIDTH, Capsule, MeshFile
 
 
 class ChainChoice(NamedTuple):
@@ -172,11 +172,11 @@ class Tree(ABC):
         """Return a body's mass properties; None of a mere frame."""
 
     @abstractmethod
-    def capsules(self, body: str) -> list[Segment]:
+    def capsules(self, body: str) -> list[Capsule]:
         """Return a body's shapes as capsules that hold them."""
 
     @abstractmethod
-    def meshes(self, body: str) -> list[PlacedMesh]:
+    def meshes(self, body: str) -> list[MeshFile]:
         """Return the meshes that a body is drawn with."""
 
     def notes(self, moving: list[str]) -> list[str]:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ves_gym._util.params import Array
-from ves_gym.mechanics.spatial import cross, matvec, numbers
+from ves_gym.mechanics.spatial import cross, matvec, numbers, rotation
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 _SMALL = 1e-4  # rad: below it two terms of a sine's series are exact to rounding
@@ -125,13 +125,8 @@ def difference(target: npt.ArrayLike, q: npt.ArrayLike) -> Array:
 
 def from_angles(phi: npt.ArrayLike) -> Array:
     """(..., 3) Z-Y-X angles (phi_x, phi_y, phi_z) [rad] -> (..., 4) unit quaternion."""
-    half = np.asarray(phi, float) / 2
-    parts = []
-    for k in (2, 1, 0):
-        part = np.zeros((*half.shape[:-1], 4))
-        part[..., 0], part[..., 1 + k] = np.cos(half[..., k]), np.sin(half[..., k])
-        parts.append(part)
-    return _positive(product(product(parts[0], parts[1]), parts[2]))
+    angles = np.asarray(phi, float)
+    return from_matrix(rotation(np.concatenate([np.zeros_like(angles), angles], axis=-1)))
 
 
 def to_angles(q: npt.ArrayLike) -> Array:

@@ -29,13 +29,13 @@ from ves_gym._util.params import (
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.threads import on_one_thread
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.chain import Joint, LinkMass, Lump, angles_of, arm_of
+from ves_gym.mechanics.chain import Joint, Lump, arm_of
 from ves_gym.mechanics.craig_bampton import reduce
 from ves_gym.mechanics.finite_elements import Material, Section, Tube
 from ves_gym.mechanics.flexible_base import REACH, FlexibleBase, Reduced
 from ves_gym.mechanics.flexure import expand
 from ves_gym.mechanics.kinematics import frames
-from ves_gym.mechanics.link import WEIGHTLESS, Flexure, Inertial, Link, Mount, diagonal
+from ves_gym.mechanics.link import WEIGHTLESS, Capsule, Flexure, Inertial, Link, Mount, diagonal
 
 _SOFTEST = 1e-9  # of the flange's ways, in compliance over the largest: below it none
 _EVENLY = 7  # points of a member that a picture shows
@@ -141,7 +141,7 @@ def _hinges_of(member: BoomMember, start: Array, inner: list[_Hinge]) -> list[_H
     for joint in member.joints:
         housing = Lump()
         moment = 2 / 5 * joint.mass * joint.radius**2
-        housing.add(LinkMass("", joint.mass, start, moment * np.eye(3)))
+        housing.add(joint.mass, start, moment * np.eye(3))
         axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
         out.append(_Hinge(start, axis, joint.stiffness, joint.damping, joint, housing))
     section, length, axes = member.section.of(member.material), member.length, member.axes()
@@ -178,16 +178,10 @@ def _rod(member: BoomMember, start: Array, first: float, last: float) -> Lump:
         [bent.sum(), mass * length**2 / 12 + bent[0], mass * length**2 / 12 + bent[1]]
     )
     middle = start + (first + last) / 2 * member.length * axes[:, 0]
-    lump.add(LinkMass("", mass, middle, axes @ moments @ axes.T))
+    lump.add(mass, middle, axes @ moments @ axes.T)
     near, far = (start + share * member.length * axes[:, 0] for share in (first, last))
-    lump.capsules.append((near, far, _diameter(member) / 2))
+    lump.capsules.append(Capsule.of(near, far, section.diameter / 2))
     return lump
-
-
-def _diameter(member: BoomMember) -> float:
-    """Return the outer diameter of a member, or of the round bar of its area [m]."""
-    section = member.section.of(member.material)
-    return 2 * (section.fibre or math.sqrt(section.area / math.pi))
 
 
 class _Pose(NamedTuple):
@@ -244,8 +238,9 @@ class Boom:
             else:
                 joints[-1].body.join(event.body)
                 within[-1].append(event)
-        R, p = _mounted(arm, flange)
-        chain = arm_of(self.name, Lump(), joints, (R, p), source=self.source)
+        mount = (arm.mount or Mount()).placed(*flange)
+        foot = mount.rotation, np.array(mount.position)
+        chain = arm_of(self.name, Lump(), joints, foot, source=self.source)
         at = frames(chain, np.zeros(chain.n))
         links = []
         parts = chain.links, at.rotation, at.position, within
@@ -275,7 +270,6 @@ class Boom:
         total = Lump()
         for event in events:
             total.join(event.body)
-        R, p = _mounted(arm, flange)
         still = np.eye(3), np.zeros(3)
         return replace(
             arm,
@@ -283,7 +277,7 @@ class Boom:
             base=total.inertial(*still),
             base_shape=total.shape(*still),
             base_flexures=tuple(_flexure(k, *still) for k in events),
-            mount=Mount(position=tuple(p.tolist()), angles=angles_of(R)),
+            mount=(arm.mount or Mount()).placed(*flange),
             source=f"{self.source}; on it {arm.source}",
         )
 
@@ -330,8 +324,9 @@ class Boom:
         moved = np.vstack([back @ _ways(events, at, n) for at, n in centreline]) @ T
         at_rest = np.array([at - flange.position for at, _ in centreline]) @ back.T
         line = at_rest, moved @ reduction.static, moved @ reduction.shapes
+        diameters = (k.section.of(k.material).diameter for k in self.members)
         return FlexibleBase(
-            structure=Reduced.of(reduction, line, max(map(_diameter, self.members))),
+            structure=Reduced.of(reduction, line, max(diameters)),
             modes=reduction.m,
             fastest=fastest,
             source=f"{self.source}; joints on their brakes at"
@@ -408,12 +403,6 @@ def _joint(event: _Hinge, number: int) -> Joint:
         a_max=joint.a_max,
         tau_max=joint.tau_max,
     )
-
-
-def _mounted(arm: Arm, flange: Flange) -> tuple[Array, Array]:
-    """Rotation and position of an arm's first joint on a flange."""
-    _, R, p, _ = arm.feet[0]
-    return flange.rotation @ R, flange.position + flange.rotation @ p
 
 
 NO_ARM = Arm(

@@ -26,13 +26,14 @@ from ves_gym.mechanics.link import (
     Link,
     MeshFile,
     Mount,
+    angles_of,
     matrix,
     rigid_moments,
     turned_about,
 )
 
 ENDLESS = 2 * math.pi  # rad either way, the range taken for a joint without limits
-_NOTHING = 1e-13  # of m c^2
+_NOTHING = 1e-13  # of an inertia
 _LEAST = 1e-9  # share of a link's mass below which nothing is left of it
 _ZERO = 1e-13  # m, rad: rounding of a file's angles
 _SPEED = math.pi  # rad/s, v_max where a file gives none
@@ -43,16 +44,6 @@ _DECAY = 400.0  # 1/s, the fastest that a joint's friction may be: rk4 at 1.25 m
 _PUSH = 10.0  # rad/s^2 that tau_max gives the largest inertia, where a file gives none
 
 _UPRIGHT, _ORIGIN = np.eye(3), np.zeros(3)
-Segment = tuple[Array, Array, float]  # both ends of a capsule (3,) and its radius [m]
-
-
-class PlacedMesh(NamedTuple):
-    """A mesh of a file as it is drawn."""
-
-    file: str
-    R: Array  # (3, 3) of the file's axes in the root's
-    p: Array  # (3,) of its origin [m]
-    scale: Array  # (3,)
 
 
 @dataclass
@@ -60,92 +51,60 @@ class Lump:
     """Bodies that move as one, in the root's axes."""
 
     mass: float = 0.0
-    moment: Array = field(default_factory=lambda: np.zeros(3))  # m c [kg m]
-    second: Array = field(default_factory=lambda: np.zeros((3, 3)))  # about the root's origin
-    capsules: list[Segment] = field(default_factory=list)  # ends, radius
-    meshes: list[PlacedMesh] = field(default_factory=list)
+    com: Array = field(default_factory=lambda: np.zeros(3))
+    moments: Array = field(default_factory=lambda: np.zeros((3, 3)))  # about it [kg m^2]
+    capsules: list[Capsule] = field(default_factory=list)
+    meshes: list[MeshFile] = field(default_factory=list)
 
-    def add(self, piece: LinkMass) -> None:
-        """Add a link."""
-        mass, c = piece.mass, piece.com
-        self.mass += mass
-        self.moment = self.moment + mass * c
-        square = c @ c * np.eye(3) - np.outer(c, c)
-        self.second = self.second + piece.moments + mass * square
+    def add(self, mass: float, com: Array, moments: Array) -> None:
+        """Add a body by its moments (3, 3) about its centre of mass; a negative one goes."""
+        total, way = self.mass + mass, com - self.com
+        if total:
+            apart = way @ way * np.eye(3) - np.outer(way, way)
+            self.moments = self.moments + self.mass * mass / total * apart
+            self.com = self.com + mass / total * way
+        self.mass, self.moments = total, self.moments + moments
 
     def add_body(
         self, body: Inertial, R: Array = _UPRIGHT, p: Array = _ORIGIN, sign: float = 1.0
     ) -> None:
         """Add a body whose frame has rotation R (3, 3) and position p (3,), or take it away
         (sign -1)."""
-        moments = sign * (R @ np.array(body.inertia) @ R.T)
-        self.add(LinkMass("", sign * body.mass, p + R @ np.array(body.com), moments))
+        body = body.placed(R, p)
+        self.add(sign * body.mass, np.array(body.com), sign * np.array(body.inertia))
 
     def join(self, other: Lump) -> None:
         """Add all of another lump, its capsules included."""
-        self.mass += other.mass
-        self.moment = self.moment + other.moment
-        self.second = self.second + other.second
+        self.add(other.mass, other.com, other.moments)
         self.capsules += other.capsules
 
     def turned(self, R: Array, p: Array) -> Lump:
         """Return the lump turned by R (3, 3) about a point p (3,) [m]."""
-        out = Lump()
-        if self.mass:
-            out.add_body(self.inertial(_UPRIGHT, _ORIGIN), R, p - R @ p)
-        out.capsules = [(p + R @ (a - p), p + R @ (b - p), r) for a, b, r in self.capsules]
-        return out
-
-    @property
-    def mass_at_centre(self) -> Array:
-        """(3, 3) moments about the root's origin, were all mass at its centre [kg m^2]."""
-        if self.mass == 0:
-            return np.zeros((3, 3))
-        out: Array = self.moment @ self.moment * np.eye(3) - np.outer(self.moment, self.moment)
-        return out / self.mass
+        capsules = [k.placed(R, p - R @ p) for k in self.capsules]
+        return Lump(self.mass, p + R @ (self.com - p), R @ self.moments @ R.T, capsules)
 
     def inertial(self, R: Array, p: Array) -> Inertial:
         """Return the mass properties in a frame of rotation (3, 3) and position (3,)."""
         if self.mass == 0:
             return WEIGHTLESS
-        c = self.moment / self.mass
-        square = self.mass_at_centre
-        about = self.second - square
-        if np.abs(about).max() <= _NOTHING * np.abs(square).max(initial=0.0):
-            about = np.zeros((3, 3))  # of a point mass, what rounding leaves is no inertia
-        finite(about, (3, 3), "the inertia of fixed links together")  # far ones overflow
+        about = finite(self.moments, (3, 3), "the inertia of fixed links together")
         least = np.trace(about) / 2 - np.linalg.eigvalsh(about)[-1]
-        if -_NOTHING * np.abs(self.second).max() <= least < 0:
+        if -_NOTHING * np.abs(about).max() <= least < 0:
             about = rigid_moments(about)  # of few point masses rounding leaves no body
         turned = R.T @ about @ R
         return Inertial(
             mass=self.mass,
-            com=tuple((R.T @ (c - p)).tolist()),
+            com=tuple((R.T @ (self.com - p)).tolist()),
             inertia=matrix((turned + turned.T) / 2),
         )
 
     def shape(self, R: Array, p: Array) -> tuple[Capsule, ...]:
         """Return the capsules in a frame of rotation (3, 3) and position (3,)."""
-        return tuple(
-            Capsule(
-                start=tuple((R.T @ (a - p)).tolist()),
-                end=tuple((R.T @ (b - p)).tolist()),
-                radius=float(radius),
-            )
-            for a, b, radius in self.capsules
-        )
+        return tuple(k.placed(R.T, -R.T @ p) for k in self.capsules)
 
     def drawn(self, R: Array, p: Array) -> tuple[MeshFile, ...] | None:
         """Return the meshes in a frame of rotation (3, 3) and position (3,)."""
-        return tuple(
-            MeshFile(
-                file=k.file,
-                position=tuple((R.T @ (k.p - p)).tolist()),
-                angles=angles_of(R.T @ k.R),
-                scale=tuple(k.scale.tolist()),
-            )
-            for k in self.meshes
-        ) or None  # fmt: skip
+        return tuple(k.placed(R.T, -R.T @ p) for k in self.meshes) or None
 
 
 class LinkMass(NamedTuple):
@@ -276,13 +235,6 @@ def upright(axis: Array) -> Array:
     return np.array(
         [[1 - k * x * x, -k * x * y, x], [-k * x * y, 1 - k * y * y, y], [-x, -y, z]]
     )
-
-
-def angles_of(R: Array) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw of a rotation (3, 3): about x, then y, then z [rad]."""
-    yaw = math.atan2(R[1, 0], R[0, 0])
-    flat = turned_about(2, yaw).T @ R  # without yaw: exact also where x points along z
-    return math.atan2(-flat[1, 2], flat[1, 1]), math.atan2(-flat[2, 0], flat[0, 0]), yaw
 
 
 def _mount(R: Array, p: Array) -> Mount | None:

@@ -8,6 +8,7 @@ Six freedoms a node, in the frame's axes: (x, y, z, phi_x, phi_y, phi_z), small.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar
@@ -82,6 +83,11 @@ class Section:
             )
         if self.up is not None and not np.linalg.norm(finite(self.up, (3,), "Section.up")):
             raise ParameterError("Section.up must not be zero")
+
+    @property
+    def diameter(self) -> float:
+        """Outer diameter, or that of the round bar of its area [m]."""
+        return 2 * (self.fibre or math.sqrt(self.area / math.pi))
 
     def of(self, material: Material) -> Section:
         """Return the section itself; a `Tube` becomes one with its material's shear."""

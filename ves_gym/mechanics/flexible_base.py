@@ -177,9 +177,7 @@ class Beam(Saved):
     @property
     def nodes(self) -> Array:
         """(s + 1, 3) corner points from clamp to tip, tip at the origin [m]."""
-        corners = np.vstack([np.zeros(3), np.cumsum(np.array(self.segments), axis=0)])
-        relative: Array = corners - corners[-1]
-        return relative
+        return Polyline.of(self).corners
 
     @cached_property
     def _condensed(self) -> Reduction:
@@ -373,8 +371,7 @@ class FlexibleBase(Saved):
         """Largest outer diameter, to draw it and to keep clear of it [m]."""
         if isinstance(self.structure, Reduced):
             return self.structure.diameter or 0.1
-        tubes = [k.section.of(k.material) for k in self.structure.members]
-        return max(2 * (k.fibre or np.sqrt(k.area / np.pi)) for k in tubes)
+        return max(k.section.of(k.material).diameter for k in self.structure.members)
 
     def reduction(self) -> Reduction:
         """Return interface and the internal modes that are kept."""

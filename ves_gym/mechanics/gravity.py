@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from ves_gym._util.params import Array, ParameterError, Vector, finite, require_positive, unit
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.kinematics import frames
+from ves_gym.mechanics.kinematics import frames, joint_values
 from ves_gym.mechanics.spatial import cross, numbers, room
 
 GRAVITY = 9.81  # m/s^2; thesis: 919 N for 93.7 kg
@@ -49,20 +49,13 @@ def moment_regressor(arm: Arm, q: npt.ArrayLike) -> Array:
     c is the first moment of base and links about the platform origin. The thesis's matrix of
     eq. 3.8 is that of c x g.
     """
-    n, at = arm.n, frames(arm, _joints(arm, q))
+    n, at = arm.n, frames(arm, joint_values(arm, q))
     out = np.zeros((*at.position.shape[:-2], 3, 3 * (n + 1) + n))
     out[..., :3] = np.eye(3)
     for i in range(n):
         out[..., 3 * (i + 1) : 3 * (i + 2)] = at.rotation[..., i, :, :]
     out[..., 3 * (n + 1) :] = np.swapaxes(at.position, -1, -2)
     return out
-
-
-def _joints(arm: Arm, q: npt.ArrayLike) -> Array:
-    angles = numbers(q)
-    if angles.ndim == 0 or angles.shape[-1] != arm.n:
-        raise ParameterError(f"q must have shape (..., {arm.n}), got {angles.shape}")
-    return angles
 
 
 # ---------------------------------------------------------------- minimal parameters
@@ -112,7 +105,7 @@ class MinimalModel:
 
     def _columns(self, q: npt.ArrayLike) -> Array:
         """(..., size, 3) the directions in platform axes."""
-        rotation = frames(self.arm, _joints(self.arm, q)).rotation
+        rotation = frames(self.arm, joint_values(self.arm, q)).rotation
         out = room(rotation, *rotation.shape[:-3], self.size, 3)
         for k, (body, axis) in enumerate(self.directions):
             out[..., k, :] = rotation[..., body - 1, :, axis] if body else np.eye(3)[axis]

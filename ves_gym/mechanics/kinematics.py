@@ -184,7 +184,7 @@ def joint_positions(arm: Arm, q: npt.ArrayLike) -> Array:
 
 def joint_values(arm: Arm, q: npt.ArrayLike, name: str = "q") -> Array:
     """Return (..., n) values of the joints as an array; refused by `name` of another number."""
-    array = np.asarray(q, float)
+    array = numbers(q)
     if array.ndim == 0 or array.shape[-1] != arm.n:
         raise ParameterError(f"{name} must have shape (..., {arm.n}), got {array.shape}")
     return array

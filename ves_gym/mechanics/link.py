@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -56,6 +57,13 @@ def turned_about(axis: int, angle: float) -> Array:
     return out
 
 
+def angles_of(R: Array) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw of a rotation (3, 3): about x, then y, then z [rad]."""
+    yaw = math.atan2(R[1, 0], R[0, 0])
+    flat = turned_about(2, yaw).T @ R  # without yaw: exact also where x points along z
+    return math.atan2(-flat[1, 2], flat[1, 1]), math.atan2(-flat[2, 0], flat[0, 0]), yaw
+
+
 @dataclass(frozen=True, kw_only=True)
 class Inertial:
     """Mass properties of a rigid body in its own frame."""
@@ -78,6 +86,11 @@ class Inertial:
                 "Inertial.inertia must be that of a rigid body (principal moments >= 0, none"
                 f" larger than the sum of the others), got {a:.6g}, {b:.6g}, {c:.6g} kg m^2"
             )
+
+    def placed(self, R: Array, p: Array) -> Self:
+        """Return the body in axes in which its frame has rotation R (3, 3), position p (3,)."""
+        com, inertia = p + R @ np.array(self.com), R @ np.array(self.inertia) @ R.T
+        return replace(self, com=tuple(com.tolist()), inertia=matrix(inertia))
 
     def spatial(self) -> Array:
         """(6, 6) inertia at the frame's origin, linear part first [kg, kg m, kg m^2]."""
@@ -172,28 +185,16 @@ class Capsule:
         finite(self.end, (3,), "Capsule.end")
         require_positive(self, "radius")
 
+    @staticmethod
+    def of(start: Array, end: Array, radius: float) -> Capsule:
+        """Return the capsule from one point (3,) to another."""
+        ends = (tuple(np.asarray(k, float).tolist()) for k in (start, end))
+        return Capsule(**dict(zip(("start", "end"), ends, strict=True)), radius=float(radius))
 
-@dataclass(frozen=True, kw_only=True)
-class MeshFile:
-    """A mesh that a body is drawn with, in the body's own frame: for views alone.
-
-    Arms that differ in these are equal, and so are their systems' hashes.
-    """
-
-    file: str
-    position: Vector = unit("m", default=(0.0, 0.0, 0.0))
-    angles: Vector = unit("rad", default=(0.0, 0.0, 0.0))  # about its x, then y, then z
-    scale: Vector = unit("1", default=(1.0, 1.0, 1.0))
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-        for name in ("position", "angles", "scale"):
-            finite(getattr(self, name), (3,), f"MeshFile.{name}")
-
-    def placed(self, points: Array) -> Array:
-        """Return points (k, 3) of the file in the body's frame [m]."""
-        at = Mount(position=self.position, angles=self.angles)
-        return np.asarray(points * self.scale @ at.rotation.T + at.position, float)
+    def placed(self, R: Array, p: Array) -> Capsule:
+        """Return the same in axes in which its frame has rotation R (3, 3), position p (3,)."""
+        start, end = (p + R @ np.array(k) for k in (self.start, self.end))
+        return Capsule.of(start, end, self.radius)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,14 +206,40 @@ class Mount:
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
-        finite(self.position, (3,), "Mount.position")
-        finite(self.angles, (3,), "Mount.angles")
+        for name in ("position", "angles"):
+            finite(getattr(self, name), (3,), f"{type(self).__name__}.{name}")
 
     @cached_property
     def rotation(self) -> Array:
         """(3, 3) from the first joint's frame to the platform-top frame."""
         turn = rotation(np.array([0.0, 0.0, 0.0, *self.angles]))
         return turn.round(15) + 0.0
+
+    def placed(self, R: Array, p: Array) -> Self:
+        """Return the same in axes in which its frame has rotation R (3, 3), position p (3,)."""
+        position = (p + R @ np.array(self.position)).round(15) + 0.0
+        return replace(
+            self, position=tuple(position.tolist()), angles=angles_of(R @ self.rotation)
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshFile(Mount):
+    """A mesh that a body is drawn with, placed in the body's own frame: for views alone.
+
+    Arms that differ in these are equal, and so are their systems' hashes.
+    """
+
+    file: str
+    scale: Vector = unit("1", default=(1.0, 1.0, 1.0))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        finite(self.scale, (3,), "MeshFile.scale")
+
+    def points_at(self, points: Array) -> Array:
+        """Return points (k, 3) of the file in the body's frame [m]."""
+        return np.asarray(points * self.scale @ self.rotation.T + self.position, float)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -294,12 +321,7 @@ class Link:
     @property
     def inertial_at_joint(self) -> Inertial:
         """The same mass properties in the frame at the joint (z along its axis)."""
-        R, p = self.far_end
-        return Inertial(
-            mass=self.inertial.mass,
-            com=tuple((p + R @ np.array(self.inertial.com)).tolist()),
-            inertia=matrix(R @ np.array(self.inertial.inertia) @ R.T),
-        )
+        return self.inertial.placed(*self.far_end)
 
 
 @dataclass(frozen=True, kw_only=True)

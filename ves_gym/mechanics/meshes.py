@@ -11,6 +11,7 @@ import trimesh
 
 from ves_gym._util.params import Array, Index, ParameterError
 from ves_gym._util.reading import named, read_bytes, read_xml
+from ves_gym.mechanics.link import Capsule
 
 _FORMATS = (".stl", ".obj", ".dae", ".ply")
 _SWELL = (1.0, 1.05, 1.1, 1.2, 1.4)  # radii tried: a thicker capsule may be shorter
@@ -64,12 +65,12 @@ def _joined(scene: trimesh.Scene) -> Mesh:
     return Mesh(np.concatenate(points), np.concatenate(faces))
 
 
-def capsule_around(points: Array) -> tuple[Array, Array, float]:
-    """Return the ends (3,) and the radius [m] of a capsule that holds points (k, 3): the
-    smallest of those along their main axes and along x, y and z."""
+def capsule_around(points: Array) -> Capsule:
+    """Return the capsule that holds points (k, 3) [m]: the smallest of those along their main
+    axes and along x, y and z."""
     points = _hull(points)
     main = np.linalg.eigh(np.cov(points.T))[1].T if len(points) > 1 else np.eye(3)
-    best, capsule = np.inf, None
+    best, ends = np.inf, (points[0], points[0], 0.0)
     for axis in (*np.eye(3), *main):
         across = np.linalg.svd(axis[None])[2][1:]
         flat, along = points @ across.T, points @ axis
@@ -84,9 +85,8 @@ def capsule_around(points: Array) -> tuple[Array, Array, float]:
             volume = radius**2 * (high - low) + 4 / 3 * radius**3
             if volume < best * (1 - 1e-9):
                 middle = centre @ across
-                best, capsule = volume, (middle + low * axis, middle + high * axis, radius)
-    assert capsule is not None  # points are finite
-    return capsule
+                best, ends = volume, (middle + low * axis, middle + high * axis, radius)
+    return Capsule.of(*ends)
 
 
 def box_corners(half: Array) -> Array:

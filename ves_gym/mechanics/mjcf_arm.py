@@ -12,7 +12,8 @@ import numpy as np
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.mechanics.arm_tree import Tie, Tree, TreeJoint, held
 from ves_gym.mechanics.attitude import to_matrix
-from ves_gym.mechanics.chain import ENDLESS, Joint, LinkMass, Lump, PlacedMesh, Segment
+from ves_gym.mechanics.chain import ENDLESS, Joint, LinkMass, Lump
+from ves_gym.mechanics.link import Capsule, MeshFile
 from ves_gym.mechanics.meshes import box_corners, capsule_around
 
 _TOOL = "tool"  # site that is the tool where none is named
@@ -305,7 +306,7 @@ class MjcfTree(Tree):
         mass, com = float(m.body_mass[k]), R.T @ (d.xipos[k] - p)
         return LinkMass(body, mass, com, axes @ moments @ axes.T)
 
-    def capsules(self, body: str) -> list[Segment]:
+    def capsules(self, body: str) -> list[Capsule]:
         """Return a body's shapes that meet others."""
         m, d, (R, p), out = self.model, self.data, self.frame, []
         k = self.bodies.index(body)
@@ -315,19 +316,18 @@ class MjcfTree(Tree):
                 shape = self._capsule(g)
             if shape is not None:
                 turn, at = d.geom_xmat[g].reshape(3, 3), d.geom_xpos[g]
-                a, b = (R.T @ (turn @ end + at - p) for end in shape[:2])
-                out.append((a, b, float(shape[2])))
+                out.append(shape.placed(R.T @ turn, R.T @ (at - p)))
         return out
 
-    def _capsule(self, g: int) -> Segment | None:
+    def _capsule(self, g: int) -> Capsule | None:
         """A capsule that holds a shape, in its own frame; None of a plane or a height field."""
         m, kinds = self.model, self.mj.mjtGeom
         size, kind = m.geom_size[g], kinds(int(m.geom_type[g]))
         zero, z = np.zeros(3), np.array([0.0, 0.0, 1.0])
         if kind == kinds.mjGEOM_SPHERE:
-            return zero, zero, size[0]
+            return Capsule.of(zero, zero, size[0])
         if kind in (kinds.mjGEOM_CAPSULE, kinds.mjGEOM_CYLINDER):
-            return -size[1] * z, size[1] * z, size[0]
+            return Capsule.of(-size[1] * z, size[1] * z, size[0])
         if kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_ELLIPSOID):
             return capsule_around(box_corners(size))
         if kind == kinds.mjGEOM_MESH:
@@ -337,7 +337,7 @@ class MjcfTree(Tree):
             return capsule_around(np.unique(np.array(points, float), axis=0))
         return None
 
-    def meshes(self, body: str) -> list[PlacedMesh]:
+    def meshes(self, body: str) -> list[MeshFile]:
         """Return the meshes of a body that meet nothing, all where none are for drawing."""
         m, d, (R, p), k = self.model, self.data, self.frame, self.bodies.index(body)
         first = m.body_geomadr[k]
@@ -351,7 +351,8 @@ class MjcfTree(Tree):
             turn = R.T @ d.geom_xmat[g].reshape(3, 3) @ to_matrix(m.mesh_quat[mesh]).T
             at = R.T @ (d.geom_xpos[g] - p) - turn @ m.mesh_pos[mesh]  # of the file's origin
             if m.mesh_pathadr[mesh] >= 0 and Path(file).is_file():
-                out.append(PlacedMesh(file, turn, at, m.mesh_scale[mesh].copy()))
+                scale = tuple(m.mesh_scale[mesh].tolist())
+                out.append(MeshFile(file=file, scale=scale).placed(turn, at))
         return out
 
     def notes(self, moving: list[str]) -> list[str]:

@@ -133,14 +133,11 @@ class Motion:
             raise ParameterError(f"controls must be >= {DEGREE + 1}, got {controls}")
         u = np.linspace(0, 1, len(q))
         design = basis(controls, u)
-        last = design[:, -_HELD:].sum(1)[:, None] * q[-1]
-        if first is None:
-            ends = design[:, :_HELD].sum(1)[:, None] * q[0] + last
-        else:
-            ends = design[:, :_HELD] @ first + last
-        inner = np.linalg.lstsq(design[:, _HELD:-_HELD], q - ends, rcond=None)[0]
         begin = np.array([q[0]] * _HELD) if first is None else first
-        control = np.vstack([begin, inner, [q[-1]] * _HELD])
+        end = np.array([q[-1]] * _HELD)
+        ends = design[:, :_HELD] @ begin + design[:, -_HELD:] @ end
+        inner = np.linalg.lstsq(design[:, _HELD:-_HELD], q - ends, rcond=None)[0]
+        control = np.vstack([begin, inner, end])
         return Motion(
             duration=duration, control=matrix(control), moving=None if first is None else True
         )

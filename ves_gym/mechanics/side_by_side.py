@@ -13,10 +13,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError, Vector, finite
+from ves_gym._util.params import ParameterError, Vector, finite
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.chain import Lump, PlacedMesh, angles_of
-from ves_gym.mechanics.link import BANDWIDTH, Follower, Limb, Link, Mount
+from ves_gym.mechanics.chain import Lump
+from ves_gym.mechanics.link import BANDWIDTH, Limb, Link, Mount
 
 _SAME = 1e-6  # m between first joints, below which both belong to one link
 
@@ -27,37 +27,18 @@ def placed(arm: Arm, position: Vector, angles: Vector = (0.0, 0.0, 0.0)) -> Arm:
     arm.require_rigid("Arm.at")
     finite(position, (3,), "position")
     R, p = Mount(angles=tuple(angles)).rotation, np.array(position, float)
-    root = Lump()
-    root.add_body(arm.base, R, p)
-    root.capsules = [
-        (p + R @ np.array(k.start), p + R @ np.array(k.end), k.radius)
-        for k in arm.base_shape or ()
-    ]
-    root.meshes = [
-        PlacedMesh(k.file, R @ at.rotation, p + R @ np.array(k.position), np.array(k.scale))
-        for k in arm.base_meshes or ()
-        for at in (Mount(angles=k.angles),)
-    ]
-    _, turn, place, _ = arm.feet[0]
-    still = np.eye(3), np.zeros(3)
+    followers = tuple(
+        replace(k, mount=(k.mount or Mount()).placed(R, p)) if k.on == -1 else k
+        for k in arm.followers or ()
+    )
     return replace(
         arm,
-        base=root.inertial(*still),
-        base_shape=None if arm.base_shape is None else root.shape(*still),
-        base_meshes=root.drawn(*still),
-        mount=Mount(position=_plain(p + R @ place), angles=angles_of(R @ turn)),
-        followers=tuple(_follower_at(k, R, p) for k in arm.followers or ()) or None,
+        base=arm.base.placed(R, p),
+        base_shape=arm.base_shape and tuple(k.placed(R, p) for k in arm.base_shape),
+        base_meshes=arm.base_meshes and tuple(k.placed(R, p) for k in arm.base_meshes),
+        mount=(arm.mount or Mount()).placed(R, p),
+        followers=followers or None,
     )
-
-
-def _follower_at(follower: Follower, R: Array, p: Array) -> Follower:
-    """A follower whose base link is turned by R (3, 3) and moved by p (3,), if that has it."""
-    if follower.on != -1:
-        return follower
-    mount = follower.mount or Mount()
-    place = _plain(p + R @ np.array(mount.position))
-    turned = Mount(position=place, angles=angles_of(R @ mount.rotation))
-    return replace(follower, mount=turned)
 
 
 def side_by_side(arms: Sequence[Arm]) -> Arm:
@@ -127,9 +108,5 @@ def _require_apart(arms: Sequence[Arm], names: Sequence[str]) -> None:
         if math.dist(feet[i], feet[j]) < _SAME:
             raise ParameterError(
                 f"arms must stand apart, but {names[i]} and {names[j]} share a link: the first"
-                f" joints of both are at {_plain(feet[i])} m; move one, Arm.at((0.5, 0, 0))"
+                f" joints of both are at {feet[i].tolist()} m; move one, Arm.at((0.5, 0, 0))"
             )
-
-
-def _plain(x: Array) -> Vector:
-    return tuple((x.round(15) + 0.0).tolist())

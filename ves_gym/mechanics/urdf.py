@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.reading import read_xml
 from ves_gym.mechanics.arm_tree import Tie, Tree, TreeJoint, held
-from ves_gym.mechanics.chain import ENDLESS, Joint, LinkMass, Lump, PlacedMesh, Segment
+from ves_gym.mechanics.chain import ENDLESS, Joint, LinkMass, Lump
+from ves_gym.mechanics.link import Capsule, MeshFile
 from ves_gym.mechanics.meshes import box_corners, capsule_around, read_mesh
 
 _DRIVEN = ("revolute", "continuous", "prismatic")
@@ -215,7 +216,7 @@ class UrdfTree(Tree):
         mass = number(inertial.find("mass"), "value", f"{where}: its mass", least=0.0)
         return LinkMass(body, mass, at.p, at.R @ matrix @ at.R.T)
 
-    def capsules(self, body: str) -> list[Segment]:
+    def capsules(self, body: str) -> list[Capsule]:
         """Return the shapes of a link, but not the ends of a capsule written as three."""
         shapes, pose = self.links[body].findall("collision"), self.poses[body]
         names, out = {shape.get("name") for shape in shapes}, []
@@ -223,11 +224,14 @@ class UrdfTree(Tree):
             name = shape.get("name") or ""
             stem = name.removesuffix("_start").removesuffix("_end")
             if stem == name or stem not in names:
-                a, b, radius = _capsule(self.path, shape, f"link {body!r}", self.outside)
-                out.append((pose.R @ a + pose.p, pose.R @ b + pose.p, radius))
+                capsule = _capsule(self.path, shape, f"link {body!r}", self.outside)
+                if capsule is None:
+                    self.repairs.append(f"a shape without a size left out: {body}")
+                else:
+                    out.append(capsule.placed(*pose))
         return out
 
-    def meshes(self, body: str) -> list[PlacedMesh]:
+    def meshes(self, body: str) -> list[MeshFile]:
         """Return the meshes that a link is drawn with, but not those that are not there."""
         out = []
         for shape in self.links[body].findall("visual"):
@@ -242,23 +246,23 @@ class UrdfTree(Tree):
                 self.repairs.append(f"drawn without its mesh, which is not there: {body}")
                 continue
             at = self.poses[body] @ _origin(shape, where)
-            out.append(PlacedMesh(str(file), at.R, at.p, scale))
+            out.append(MeshFile(file=str(file), scale=tuple(scale.tolist())).placed(*at))
         return out
 
 
-def _capsule(path: Path, shape: Element, where: str, outside: bool) -> Segment:
-    """A capsule that holds a <collision>, in its link's frame."""
+def _capsule(path: Path, shape: Element, where: str, outside: bool) -> Capsule | None:
+    """A capsule that holds a <collision>, in its link's frame; None of one without a size."""
     at = _origin(shape, where)
     kind = next(iter(_child(shape, "geometry")), None)
     if kind is None:
         raise ParameterError(f"{where}: a <collision> without a shape")
     tag = kind.tag
     if tag == "sphere":
-        return at.p, at.p, number(kind, "radius", f"{where}: a sphere")
-    if tag in ("cylinder", "capsule"):
+        radius, half = number(kind, "radius", f"{where}: a sphere", least=0.0), np.zeros(3)
+    elif tag in ("cylinder", "capsule"):
         half = number(kind, "length", f"{where}: a {tag}") / 2 * at.R[:, 2]
-        return at.p - half, at.p + half, number(kind, "radius", f"{where}: a {tag}")
-    if tag == "box":
+        radius = number(kind, "radius", f"{where}: a {tag}", least=0.0)
+    elif tag == "box":
         points = box_corners(vector(kind, "size", f"{where}: a box") / 2)
     elif tag == "mesh":
         file = _mesh_file(path, kind.get("filename") or "", where, outside)
@@ -269,7 +273,9 @@ def _capsule(path: Path, shape: Element, where: str, outside: bool) -> Segment:
         points = points * vector(kind, "scale", f"{where}: a mesh", (1.0, 1.0, 1.0))
     else:
         raise ParameterError(f"{where}: no such shape: <{tag}>")
-    return capsule_around(points @ at.R.T + at.p)
+    if tag in ("box", "mesh"):
+        return capsule_around(points @ at.R.T + at.p)
+    return Capsule.of(at.p - half, at.p + half, radius) if radius else None
 
 
 def _mesh_file(path: Path, name: str, where: str, outside: bool) -> Path:
@@ -356,7 +362,9 @@ def vector(
             raise ParameterError(f"{where} has no {key}")
         return np.array(default)
     try:
-        values = np.array([float(k) for k in text.split()])
+        # commas between all three; one alone may be a decimal comma
+        plain = text.replace(",", " ") if text.count(",") == 2 else text
+        values = np.array([float(k) for k in plain.split()])
     except ValueError:
         values = np.array([])
     if values.shape != (3,) or not np.isfinite(values).all():

@@ -26,5 +26,5 @@ def meshes_of(files: Sequence[MeshFile] | None) -> list[Mesh]:
             continue
         if len(faces):
             mirrored = np.prod(file.scale) < 0
-            out.append(Mesh(file.placed(points), faces[:, ::-1] if mirrored else faces))
+            out.append(Mesh(file.points_at(points), faces[:, ::-1] if mirrored else faces))
     return out
