@@ -93,8 +93,7 @@ def _parsed(data: bytes) -> Element:
     parser.ExternalEntityRefHandler = lambda *_: 0  # an error: files are not let in
     parser.SkippedEntityHandler = _refuse_entity
     parser.Parse(data, True)
-    top: Element = builder.close()
-    return top
+    return builder.close()
 
 
 def read_apart(reader: str, path: str | os.PathLike[str]) -> dict[str, Any]:

@@ -83,15 +83,13 @@ class ArmTask(Task):
 
     def half_widths(self) -> Vector:
         """Half the widths of the box [rad]."""
-        span: Vector = self.span  # type: ignore[attr-defined]
-        return span
+        return self.span  # type: ignore[attr-defined]
 
     def angles(self, u: Array) -> Array:
         """(k, rows, joints) angles in the box [rad] from uniform numbers (k, draws)."""
         low, high = self.box
         share = u[:, : u.shape[1] - self.more].reshape(len(u), self.rows, -1)
-        out: Array = low + (high - low) * share[..., : self.system.arm.n]
-        return out
+        return low + (high - low) * share[..., : self.system.arm.n]
 
     # --------------------------------------------------------------------- energies
 
@@ -179,14 +177,12 @@ def gap(distance: Array, near: float, far: float) -> Array:
 
     Halving a distance is worth the same from `far` down to `near`, what the task tells apart.
     """
-    out: Array = np.log(1.0 + distance / near) / float(np.log(1.0 + far / near))
-    return out
+    return np.log(1.0 + distance / near) / float(np.log(1.0 + far / near))
 
 
 def braked(way: Array, rate: Array, seconds: float) -> Array:
     """Return the length (n,) of ways (n, k) left, rates as what they make in `seconds`."""
-    out: Array = np.sqrt((way**2).sum(axis=1) + seconds**2 * (rate**2).sum(axis=1))
-    return out
+    return np.sqrt((way**2).sum(axis=1) + seconds**2 * (rate**2).sum(axis=1))
 
 
 def wide(values: Vector, arm: Arm) -> Array:
@@ -234,8 +230,7 @@ def straight_pace(arm: Arm, way: Array, seconds: float) -> Array:
         (...,); up to one is within the limits.
     """
     speed = np.abs(way) * (QUINTIC_PEAK_SPEED / seconds)
-    pace: Array = (speed / arm.column("v_max")).max(axis=-1)
-    return pace
+    return (speed / arm.column("v_max")).max(axis=-1)
 
 
 def directions(u: Array) -> Array:

@@ -189,8 +189,7 @@ class BerthingContact(ArmTask):
     def closes(self, s: Scene) -> Mask:
         t = LatchTarget.of(s.payload)
         slow = np.linalg.norm(t.relative[:, :3], axis=1) <= self.catch
-        closing: Mask = slow & (t.reached > 0) & (t.carried == 0)
-        return closing
+        return slow & (t.reached > 0) & (t.carried == 0)
 
     def remember(self, s: Scene, dt: float) -> None:
         t = LatchTarget.of(s.payload)
@@ -200,8 +199,7 @@ class BerthingContact(ArmTask):
 
     def success(self, s: Scene) -> Mask:
         """The client is carried, and has come to rest."""
-        at_rest: Mask = s.memory[:, 0] >= self.hold - 1e-9
-        return at_rest
+        return s.memory[:, 0] >= self.hold - 1e-9
 
     def failed(self, s: Scene) -> Mask:
         """The probe breaks, the client is lost, or a joint limit is broken."""
@@ -277,8 +275,7 @@ def _aside(way: Array, t: LatchTarget) -> Array:
 
 def _unit(vectors: Array) -> Array:
     """(k, 3) of length one."""
-    out: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return out
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def _across(axis: Array, angle: Array) -> Array:

@@ -199,5 +199,4 @@ def _control(control_spec: str | Mapping[str, Any] | Control) -> Control:
         return control_spec
     if isinstance(control_spec, str):
         return get_control(control_spec)
-    control: Control = from_plain(Control, control_spec, "control")
-    return control
+    return from_plain(Control, control_spec, "control")

@@ -299,8 +299,7 @@ def plain_command(task: Task, s: Scene) -> Array:
         return s.ref[:, 2].copy()
     if task.control.level == "torque":
         return np.zeros_like(s.q)
-    out: Array = s.kp * s.ref[:, 0] + s.kd * s.ref[:, 1]
-    return out
+    return s.kp * s.ref[:, 0] + s.kd * s.ref[:, 1]
 
 
 def _follow(shape: Shape) -> casadi.Function:

@@ -279,8 +279,7 @@ class Acceleration(SmoothReference):
     compiled: ClassVar[bool] = True
 
     def asked(self, s: Moving, action: Array, arm: Arm, dt: float, rate: Array) -> Array:
-        out: Array = rate + action * self.limits(arm) * dt
-        return out
+        return rate + action * self.limits(arm) * dt
 
 
 @_file
@@ -296,14 +295,12 @@ class JointVelocity(SmoothReference):
         require_positive(self, "speed")
 
     def asked(self, s: Moving, action: Array, arm: Arm, dt: float, rate: Array) -> Array:
-        out: Array = action * (self.speed * arm.column("v_max"))
-        return out
+        return action * (self.speed * arm.column("v_max"))
 
     def coasting(self, s: Moving, arm: Arm, dt: float) -> Array:
         """See `Control`: the rate that there will be."""
         _, v, a = s.ref.swapaxes(0, 1)
-        out: Array = (v + a * (dt / 2)) / (self.speed * arm.column("v_max"))
-        return out
+        return (v + a * (dt / 2)) / (self.speed * arm.column("v_max"))
 
 
 @_file
@@ -337,16 +334,14 @@ class ToolVelocity(SmoothReference):
         )
         rates = (across @ load)[..., 0]
         most = (np.abs(rates) / arm.column("v_max")).max(axis=1)[:, None]
-        out: Array = rates / np.maximum(most, 1.0)
-        return out
+        return rates / np.maximum(most, 1.0)
 
 
 def _stoppable(room: Array, most: Array, dt: float) -> Array:
     """Rate from which steps of dt at the deceleration `most` end within the room."""
     half = dt / 2
     root = np.sqrt(half * half + 2 * np.maximum(room, 0.0) / most)
-    speed: Array = most * (root - half)
-    return speed
+    return most * (root - half)
 
 
 @_file
@@ -402,8 +397,7 @@ class Torque(Control):
 
     def torque(self, action: Array, arm: Arm) -> Array:
         """(n, joints) [N m]."""
-        out: Array = self.fraction * arm.column("tau_max") * action
-        return out
+        return self.fraction * arm.column("tau_max") * action
 
 
 @_file

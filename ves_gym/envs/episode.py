@@ -235,13 +235,11 @@ def _paid(task: Task, e: Episodes, steps: Index) -> Array:
     """(n,) what episodes have been paid after a number (n,) of periods, success apart."""
     first, now = e.missing[:, 0], e.missing[:, 1]
     going = 1.0 - steps / task.steps
-    out: Array = 1.0 / (1.0 + e.cost + now) - 1.0 + going * first / (1.0 + first)
-    return out
+    return 1.0 / (1.0 + e.cost + now) - 1.0 + going * first / (1.0 + first)
 
 
 def _meaningless(value: Array, diverged: Mask) -> Mask:
-    out: Mask = diverged & ~(np.abs(value) < np.inf)  # a NaN is not
-    return out
+    return diverged & ~(np.abs(value) < np.inf)  # a NaN is not
 
 
 def ended_energies(

@@ -91,8 +91,7 @@ class FreeFlyerReach(ArmTask):
 
     def success(self, s: Scene) -> Mask:
         """The tool has come to stay."""
-        settled: Mask = s.memory[:, 1] >= self.hold
-        return settled
+        return s.memory[:, 1] >= self.hold
 
     def fields(self) -> tuple[Field, ...]:
         near = np.full(6, 0.1)

@@ -163,8 +163,7 @@ class PayloadTransfer(ArmTask):
 
     def success(self, s: Scene) -> Mask:
         """The payload is in its berth."""
-        berthed: Mask = s.memory[:, _BERTHED] > 0
-        return berthed
+        return s.memory[:, _BERTHED] > 0
 
     # --------------------------------------------------------------- observation
 

@@ -136,8 +136,7 @@ class PoseReach(ArmTask):
 
     def success(self, s: Scene) -> Mask:
         """(n,) whether the tool has come to stay."""
-        settled: Mask = s.memory[:, 2] >= self.hold
-        return settled
+        return s.memory[:, 2] >= self.hold
 
     # --------------------------------------------------------------- observation
 

@@ -247,8 +247,7 @@ def _brief(numbers: Array) -> str:
 
 def _normal(ndtri: Any, u: Array) -> Array:
     """Standard normal numbers from uniform ones; of none smaller than their own spacing."""
-    out: Array = ndtri(np.maximum(u, 2.0**-54))
-    return out
+    return ndtri(np.maximum(u, 2.0**-54))
 
 
 def ranges_of(spec: Mapping[str, Mapping[str, Any]]) -> tuple[Range, ...]:

@@ -54,8 +54,7 @@ def reachable(
         gone = np.linalg.norm(tools[1] - tools[0], axis=-1)
         excess += np.maximum(1 - gone / away, 0.0)
     best = excess.argmin(axis=1)  # the first without any, or the one with the least
-    chosen: Array = ends[np.arange(len(q)), best]
-    return chosen
+    return ends[np.arange(len(q)), best]
 
 
 @register_task("reach")
@@ -130,8 +129,7 @@ class Reach(ArmTask):
 
     def success(self, s: Scene) -> Mask:
         """(n,) whether the tool has come to stay."""
-        settled: Mask = s.memory[:, 1] >= self.hold
-        return settled
+        return s.memory[:, 1] >= self.hold
 
     # --------------------------------------------------------------- observation
 
@@ -206,8 +204,7 @@ class ReachGoal(Reach):
 
     def success(self, s: Scene) -> Mask:
         """(n,) whether the tool has been there for long enough."""
-        settled: Mask = s.memory[:, 1] >= self.hold - 1e-9
-        return settled
+        return s.memory[:, 1] >= self.hold - 1e-9
 
     def _reached_now(self, s: Scene) -> Array:
         return self._reached(self._goal_of(s.tool_seen) - self._goal_of(s.goal[:, :3]))

@@ -258,8 +258,7 @@ class ServicerCapture(ArmTask):
         t = LatchTarget.of(s.payload)
         slow = np.linalg.norm(t.relative[:, :3], axis=1) <= self.catch
         slow = slow & (np.linalg.norm(t.relative[:, 3:], axis=1) <= self.catch_turn)
-        closing: Mask = slow & (t.reached > 0) & (t.carried == 0)
-        return closing
+        return slow & (t.reached > 0) & (t.carried == 0)
 
     def _missing(self, t: LatchTarget) -> Array:
         """(n, 3) rotation vectors from the tool to the fixture [rad]."""
@@ -283,8 +282,7 @@ class ServicerCapture(ArmTask):
 
     def success(self, s: Scene) -> Mask:
         """Target, arm and base have come to rest together, and the base points as it did."""
-        at_rest: Mask = s.memory[:, 0] >= self.hold - 1e-9
-        return at_rest
+        return s.memory[:, 0] >= self.hold - 1e-9
 
     def failed(self, s: Scene) -> Mask:
         """The base has turned by more than `tumbled`, or a joint limit is broken."""
@@ -392,8 +390,7 @@ def meeting(s: Scene, joints: int) -> tuple[Array, Array]:
 
 def _angle(s: Scene) -> Array:
     """(n,) angle by which the base has turned since the start [rad]."""
-    out: Array = np.linalg.norm(log(from_matrix(rotation(s.y))), axis=1)
-    return out
+    return np.linalg.norm(log(from_matrix(rotation(s.y))), axis=1)
 
 
 def _flown(attitude: Array, spin: Array, inertia: Array, time: Array) -> tuple[Array, Array]:

@@ -316,8 +316,7 @@ class Task(ABC):
     def failed(self, s: Scene) -> Mask:
         """(n,) whether an episode must end now as a failure. Joint limits, by default."""
         low, high = self.joint_range
-        beyond: Mask = np.any((s.q < low) | (s.q > high), axis=1)
-        return beyond
+        return np.any((s.q < low) | (s.q > high), axis=1)
 
     def marker(self, s: Scene) -> Array | None:
         """(n, k, 3) points in space that pictures show [m]: a target, then a line from it."""
@@ -387,8 +386,7 @@ class Task(ABC):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, `kind` included."""
-        plain: dict[str, Any] = to_plain(self)
-        return plain
+        return to_plain(self)
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(unit, field))

@@ -162,8 +162,7 @@ class Track(ArmTask):
     def success(self, s: Scene) -> Mask:
         """(n,) whether the whole path is behind the tool, and was close to it."""
         close = s.memory[:, 1] <= self.tolerance**2 * self.duration
-        done: Mask = close & (s.time > self.duration - self.system.control_dt / 2)
-        return done
+        return close & (s.time > self.duration - self.system.control_dt / 2)
 
     # --------------------------------------------------------------- observation
 

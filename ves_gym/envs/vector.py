@@ -283,5 +283,4 @@ def _rows(part: Any, i: int, n: int) -> Any:
 
 
 def _repeated(array: Any, i: int, n: int) -> Array:
-    out: Array = np.repeat(array[i : i + 1], n, axis=0)
-    return out
+    return np.repeat(array[i : i + 1], n, axis=0)

@@ -37,8 +37,7 @@ def open_loop(servo: LegServo, f: npt.ArrayLike) -> Complex:
     filtered: Complex = np.polyval(leg.b, z) / np.polyval(leg.a, z)
     if servo.filter is not None and servo.filter.place == "feedback":
         damping = damping * filtered
-    loop: Complex = servo.scale * (servo.K1 * filtered + damping) * late * plant
-    return loop
+    return servo.scale * (servo.K1 * filtered + damping) * late * plant
 
 
 def leg_poles(servo: LegServo, extension: float = 0.5) -> Complex:
@@ -48,8 +47,7 @@ def leg_poles(servo: LegServo, extension: float = 0.5) -> Complex:
         servo: the leg servo.
         extension: of the leg, 0 shortest, 1 longest; home is 0.5.
     """
-    poles: Complex = np.linalg.eigvals(Leg(servo, extension).closed[0]).astype(complex)
-    return poles
+    return np.linalg.eigvals(Leg(servo, extension).closed[0]).astype(complex)
 
 
 def step_response(servo: LegServo, t: npt.ArrayLike) -> Array:

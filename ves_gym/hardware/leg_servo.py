@@ -326,16 +326,14 @@ def closed_loop(servo: LegServo, f: npt.ArrayLike) -> Complex:
 
 
 def on_circle(servo: LegServo, f: npt.ArrayLike) -> Complex:
-    z: Complex = np.exp(2j * np.pi * np.asarray(f, float) / servo.rate)
-    return z
+    return np.exp(2j * np.pi * np.asarray(f, float) / servo.rate)
 
 
 def response(A: Array, B: Array, C: Array, z: Complex) -> Complex:
     """C (z - A)^-1 B at points z (...)."""
     resolvent = z[..., None, None] * np.eye(len(A)) - A
     inputs = np.broadcast_to(B.astype(complex)[:, None], (*z.shape, len(B), 1))
-    out: Complex = np.linalg.solve(resolvent, inputs)[..., 0] @ C
-    return out
+    return np.linalg.solve(resolvent, inputs)[..., 0] @ C
 
 
 _NEAR = 1e-6  # [m] error of a length that one more step of Newton's method makes rounding

@@ -80,8 +80,7 @@ class Stewart:
     @property
     def feet(self) -> Array:
         """(6, 3) base joints seen from the home position of the platform-top frame [m]."""
-        joints: Array = np.array(self.base) - [0.0, 0.0, self.home_height]
-        return joints
+        return np.array(self.base) - [0.0, 0.0, self.home_height]
 
     @cached_property
     def _base(self) -> Array:
@@ -240,8 +239,7 @@ def _dot(a: list[Array], b: list[Array]) -> Array:
 
 
 def _norm(a: list[Array]) -> Array:
-    length: Array = np.sqrt(_dot(a, a))
-    return length
+    return np.sqrt(_dot(a, a))
 
 
 def _cross(a: list[Array], b: list[Array]) -> list[Array]:

@@ -500,8 +500,7 @@ class Arm:
     def to_pinocchio(self) -> pinocchio.Model:
         """Return the arm on a base that stands still in Pinocchio, its tool the frame
         `tool`."""
-        model: pinocchio.Model = _files().pinocchio_model(self)
-        return model
+        return _files().pinocchio_model(self)
 
 
 def _files() -> Any:

@@ -192,5 +192,4 @@ def torque_free_step(
 
 def _positive(q: Array) -> Array:
     """The one of q and -q whose first component is not negative."""
-    out: Array = np.where(q[..., :1] < 0, -q, q)
-    return out
+    return np.where(q[..., :1] < 0, -q, q)

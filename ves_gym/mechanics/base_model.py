@@ -170,8 +170,7 @@ class BaseModel:
         rigid = self.body.spatial()
         if not self.carried:
             return rigid
-        out: Array = rigid + carried_inertia(self.carried, np.zeros(len(self.carried)))[0]
-        return out
+        return rigid + carried_inertia(self.carried, np.zeros(len(self.carried)))[0]
 
     @property
     def m(self) -> int:

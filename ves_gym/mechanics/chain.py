@@ -228,8 +228,7 @@ def upright(axis: Array) -> Array:
     """(3, 3) a rotation that brings z to the axis; the smallest, where the axis points up."""
     if axis[2] < 0:  # 1 + z would cancel
         turned = np.diag([1.0, -1.0, -1.0])
-        out: Array = turned @ upright(turned @ axis)
-        return out
+        return turned @ upright(turned @ axis)
     x, y, z = axis
     k = 1 / (1 + z)
     return np.array(

@@ -217,8 +217,7 @@ def _held_as(values: Any) -> Any:
 
 
 def _array(values: Any) -> Array:
-    dense: Array = values if isinstance(values, np.ndarray) else values.toarray()
-    return dense
+    return values if isinstance(values, np.ndarray) else values.toarray()
 
 
 def _check_freedoms(interface: Any, held: Any, size: int) -> None:

@@ -41,8 +41,7 @@ class ExpandedChain(NamedTuple):
         driven joints, at q (..., n) and deflections (..., p) [rad]."""
         order = np.r_[:6, 6 + np.array(self.passive, int), 6 + np.array(self.driven, int)]
         H = inertia(self.arm, self.angles(q, d))
-        out: Array = H[..., order[:, None], order]
-        return out
+        return H[..., order[:, None], order]
 
     def tool(self, q: npt.ArrayLike, d: npt.ArrayLike) -> Array:
         """Return the tool's place (..., 3) in the platform-top frame [m], at q (..., n) and

@@ -85,8 +85,7 @@ class MinimalModel:
         arm = self.arm if arm is None else arm
         if not np.array_equal(minimal_model(arm).combination, self.combination):
             raise ParameterError(f"{arm.name} has not the geometry of {self.arm.name}")
-        out: Array = self.combination @ mass_parameters(arm)
-        return out
+        return self.combination @ mass_parameters(arm)
 
     def regressor(self, q: npt.ArrayLike) -> Array:
         """(..., 3, size) C with c(q) = C P [kg m]."""

@@ -146,8 +146,7 @@ class LatchTarget(NamedTuple):
     @property
     def fixture_velocity(self) -> Array:
         """(n, 3) [m/s]."""
-        out: Array = self.velocity + cross(self.spin, self.fixture - self.centre)
-        return out
+        return self.velocity + cross(self.spin, self.fixture - self.centre)
 
 
 _WIDTHS = (1, 1, 1, 1, 3, 3, 3, 3, 6, 9, 9)  # of the fields of a `LatchTarget`, in rows
@@ -178,8 +177,7 @@ def flown(rows: Array, com: Array, inertia: Array, time: Array) -> Array:
     centre = body["position"] + rotate(body["attitude"], com) + time * body["velocity"]
     q, w = torque_free_step(body["attitude"], body["spin"], J, time)
     moved = [centre - rotate(q, com), q, body["velocity"], w]
-    out: Array = np.where(time != 0.0, np.concatenate(moved, axis=1), rows)
-    return out
+    return np.where(time != 0.0, np.concatenate(moved, axis=1), rows)
 
 
 def target(tool: ToolState, axes: Array, body: Mapping[str, Array]) -> LatchTarget:

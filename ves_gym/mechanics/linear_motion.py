@@ -124,8 +124,7 @@ class LinearMotion:
 
     def mass(self, H: Array) -> Array:
         """M (..., size, size) from `inertia`."""
-        out: Array = self._rigid.T @ H @ self._rigid + self._constant[0]
-        return out
+        return self._rigid.T @ H @ self._rigid + self._constant[0]
 
     def blocks(self, q: npt.ArrayLike) -> InertiaBlocks:
         """Return the inertia blocks of base and motors, gears locked, at q (..., n) [rad]."""
@@ -151,8 +150,7 @@ class LinearMotion:
         rows[..., :3] = np.eye(3)
         rows[..., 3:6] = -skew(joint_positions(chain.arm, angles)[..., -1, :])
         rows[..., 6:] = by_joints[..., [*chain.passive, *chain.driven]]
-        out: Array = rows @ self._rigid
-        return out
+        return rows @ self._rigid
 
     @property
     def loaded(self) -> list[int]:

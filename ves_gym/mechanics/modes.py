@@ -144,7 +144,4 @@ def quintic_spectrum(x: npt.ArrayLike) -> Array:
     small = np.abs(half) < 1e-2  # there the series is exact to rounding
     safe = np.where(small, 1.0, half)
     series = 1 - half**2 / 14 + half**4 / 504
-    out: Array = np.where(
-        small, series, np.abs(15 * scipy.special.spherical_jn(2, safe) / safe**2)
-    )
-    return out
+    return np.where(small, series, np.abs(15 * scipy.special.spherical_jn(2, safe) / safe**2))

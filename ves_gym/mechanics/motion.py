@@ -213,15 +213,13 @@ def leading_points(m: int, duration: float, q: Array, v: Array, a: Array) -> Arr
     """Return the first three (3, n) of m control points of a motion that begins with angles q,
     rates v and accelerations a (n,)."""
     rows = [basis(m, [0.0], k)[0, :_HELD] / duration**k for k in range(_HELD)]
-    out: Array = np.linalg.solve(np.array(rows), np.array([q, v, a]))
-    return out
+    return np.linalg.solve(np.array(rows), np.array([q, v, a]))
 
 
 def graded(count: int) -> Array:
     """Points on [0, 1], ends included, spaced like the knots: closer near the ends."""
     even = np.linspace(0, 1, count)
-    out: Array = even - _GRADING * np.sin(2 * np.pi * even) / (2 * np.pi)
-    return out
+    return even - _GRADING * np.sin(2 * np.pi * even) / (2 * np.pi)
 
 
 def basis(m: int, u: npt.ArrayLike, derivative: int = 0) -> Array:

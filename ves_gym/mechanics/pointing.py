@@ -241,19 +241,17 @@ class AttitudeControl:
         size = np.linalg.norm(request, axis=-1, keepdims=True)
         request = request / np.maximum(size / self.spin_max, 1.0)
         gyroscopic = np.cross(spin, matvec(inertia, spin) + stored)
-        out: Array = np.clip(
+        return np.clip(
             matvec(self.gains(inertia)[1], request - spin) + gyroscopic,
             -self.moment_max,
             self.moment_max,
         )
-        return out
 
 
 def about_centre(locked: Array) -> Array:
     """Inertia (..., 3, 3) about the centre of mass, of a spatial inertia (..., 6, 6)."""
     mass, first = locked[..., :1, :1], locked[..., 3:, :3]
-    out: Array = locked[..., 3:, 3:] + first @ first / mass
-    return out
+    return locked[..., 3:, 3:] + first @ first / mass
 
 
 def wheel_axes(wheels: tuple[ReactionWheel, ...]) -> Array:
@@ -307,5 +305,4 @@ def within_limits(
     )
     up = np.maximum((fastest - speed) * inertia / dt, 0.0)
     down = np.minimum((-fastest - speed) * inertia / dt, 0.0)
-    out: Array = np.clip(torque, np.maximum(-most, down), np.minimum(most, up))
-    return out
+    return np.clip(torque, np.maximum(-most, down), np.minimum(most, up))

@@ -406,8 +406,7 @@ class StructureSummary:
     @property
     def fixed(self) -> Array:
         """Frequencies of the internal modes, the interface held."""
-        out: Array = self.vehicle.reduction().omega / (2 * np.pi)
-        return out
+        return self.vehicle.reduction().omega / (2 * np.pi)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
@@ -500,8 +499,7 @@ def frequencies(reduction: Reduction, inertia: Array) -> Array:
     mass, stiffness = reduction.matrices()
     mass = mass.copy()
     mass[:6, :6] += inertia
-    out: Array = natural_modes(stiffness, mass).omega / (2 * np.pi)
-    return out
+    return natural_modes(stiffness, mass).omega / (2 * np.pi)
 
 
 def _agree(coarse: Array, exact: Array, band: float, error: float) -> bool:

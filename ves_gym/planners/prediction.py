@@ -179,8 +179,7 @@ class LinearBase:
 
     def mass(self, H: Array) -> Array:
         """Inertia of x (..., size, size) from the arm's `inertia`."""
-        M: Array = self.free.mass(H)[..., self._at[:, None], self._at] - self._spun
-        return M
+        return self.free.mass(H)[..., self._at[:, None], self._at] - self._spun
 
     def tool(self, q: Array) -> Array:
         """Way of the tool (..., 3, size) per coordinate of x, joints at q (..., n) [m]."""
@@ -203,8 +202,7 @@ class LinearBase:
     def base_mass(self, M: Array) -> Array:
         """Inertia of z (..., b, b) that makes the base's energy, from that of x: wheels count
         as locked."""
-        out: Array = M[..., : self.b, : self.b] + self._spun[: self.b, : self.b]
-        return out
+        return M[..., : self.b, : self.b] + self._spun[: self.b, : self.b]
 
     def load(self, motion: Motion, t: Array) -> Array:
         """Samples u (N, k) of a motion at even times from its start on, see `driven`.
@@ -283,8 +281,7 @@ def _pointing(system: System, start: npt.ArrayLike | None) -> tuple[Array, Array
         return None
     middle = (system.arm.column("q_min") + system.arm.column("q_max")) / 2
     H = inertia(system.arm, middle if start is None else start)
-    gains: tuple[Array, Array] = law.gains(about_centre(H[:6, :6] + system.base.rigid()))
-    return gains
+    return law.gains(about_centre(H[:6, :6] + system.base.rigid()))
 
 
 class Transport(NamedTuple):

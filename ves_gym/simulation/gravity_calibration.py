@@ -302,8 +302,7 @@ def _to_gauge(C: Array) -> Array:
     projection = np.einsum("jab,kac,cb->jk", _GAUGE, _GAUGE, C)
     traces = np.einsum("jaa->j", _GAUGE)
     L = np.tensordot(np.linalg.solve(projection, traces), _GAUGE, axes=1)
-    out: Array = L @ C
-    return out
+    return L @ C
 
 
 # --------------------------------------------------------------------- least squares
@@ -327,8 +326,7 @@ class _Problem:
 
     def weight(self, theta: Array) -> Array:
         """(m, 6) gravity wrench."""
-        out: Array = self.A @ theta
-        return out
+        return self.A @ theta
 
     def masses(self, wrench: Array) -> tuple[Array, Array]:
         """theta and offset (6,) from true wrenches up to that offset (eq. 3.5, 3.13)."""

@@ -233,8 +233,7 @@ class Machines(Part):
         """(n,) satellites whose attitude reached the end of its angles, phi_y = 90 deg."""
         _, z, _ = self.backend.read()  # in its chart, where it has one
         # or beyond: a step may jump over it
-        tilt: Mask = (self.system.base.body is not None) & (np.cos(z[:, 4]) < SINGULAR)
-        return tilt
+        return (self.system.base.body is not None) & (np.cos(z[:, 4]) < SINGULAR)
 
     def describe_divergence(self, i: int) -> str:
         """Name simulation i, time and the worst coordinate while it was finite."""

@@ -497,8 +497,7 @@ class Simulator:
             (n, ..., joints) [N m].
         """
         middle = (slice(None), *(None,) * (np.ndim(q) - 2))
-        command: Array = self.machines.kp[middle] * q + self.machines.kd[middle] * v + tau
-        return command
+        return self.machines.kp[middle] * q + self.machines.kd[middle] * v + tau
 
     def play(self, commands: Array, platform: npt.ArrayLike | None = None) -> None:
         """Advance k physics steps.

@@ -106,8 +106,7 @@ def tool_error(arm: Arm, q: Array, q_cmd: Array, y: Array, d: Array | None = Non
     """
     reach = joint_positions(arm, q)[..., -1, :] if d is None else expand(arm).tool(q, d)
     place = matvec(rotation(y), reach) + y[..., :3]
-    out: Array = place - joint_positions(arm, q_cmd)[..., -1, :]
-    return out
+    return place - joint_positions(arm, q_cmd)[..., -1, :]
 
 
 def disturbance(

@@ -43,8 +43,7 @@ class BaseEnergy(NamedTuple):
     @property
     def total(self) -> Array:
         """E(t)."""
-        total: Array = self.strain + self.kinetic
-        return total
+        return self.strain + self.kinetic
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -51,8 +51,7 @@ class EnergyBalance(Viewable):
     @property
     def residual(self) -> Array:
         """Work less changes and losses: (N,) [J], zero where the account closes."""
-        residual: Array = self.work - self.kinetic - self.strain - self.dissipated
-        return residual
+        return self.work - self.kinetic - self.strain - self.dissipated
 
     @property
     def relative(self) -> float:

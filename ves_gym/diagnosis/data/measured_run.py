@@ -176,8 +176,7 @@ class Run:
         original = self.memory.get(NEAR, {}) if near else {}
         if key not in self.memory and key not in original:
             self.memory[key] = make()
-        out: T = original[key] if key in original else self.memory[key]
-        return out
+        return original[key] if key in original else self.memory[key]
 
     def with_signals(self, changes: Mapping[str, Array]) -> Run:
         """Return the run with other signals (..., T, c); what the rest leads to is kept."""

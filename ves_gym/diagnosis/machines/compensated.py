@@ -145,8 +145,7 @@ def reference(run: Run, taken: ControllerSignals, described: System) -> Trajecto
             if moved < _CLOSE and np.abs(path.payload - before.payload).max() < _SETTLED:
                 break
         memory["controller"] = path
-    out: Trajectory = memory["controller"]
-    return out
+    return memory["controller"]
 
 
 def _memory(run: Run) -> dict[Any, Any]:

@@ -42,8 +42,7 @@ class SlowPath:
     def effect(self) -> Effect:
         """A drift of this size."""
         signals = list(EFFECTS[self.kind].candidates(Scope(joints=0)))
-        drift: Effect = signals[self.channel].effect(np.array([self.size]))
-        return drift
+        return signals[self.channel].effect(np.array([self.size]))
 
 
 def courses(run: Run, drift: Array, time: float) -> list[tuple[SlowPath, float]]:

@@ -177,7 +177,6 @@ def _noise_through(arm: Arm, run: Run, top: float) -> Array:
     """Noise of the torques through gears up to `top` Hz (n,) [N m], computed once per arm."""
     rotors = arm.column("rotor_inertia")
     key = tuple(rotors.tolist()), top
-    noise = cached(
+    return cached(
         run.memory, "noise through gears", key, lambda: winding_noise(run, rotors, top)
     )
-    return noise

@@ -279,5 +279,4 @@ def _symmetric(lower: Array, k: int) -> Array:
     """Matrices (n, k, k) from their lower triangles, row by row."""
     i, j = np.indices((k, k))
     high, low = np.maximum(i, j), np.minimum(i, j)
-    matrix: Array = lower[:, high * (high + 1) // 2 + low]
-    return matrix
+    return lower[:, high * (high + 1) // 2 + low]

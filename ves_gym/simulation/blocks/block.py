@@ -241,5 +241,4 @@ def mixed(weights: Array, history: Array) -> Array:
     Returns:
         (n, c).
     """
-    out: Array = (weights[:, None, :] @ history)[:, 0]
-    return out
+    return (weights[:, None, :] @ history)[:, 0]

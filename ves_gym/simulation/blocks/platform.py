@@ -105,8 +105,7 @@ class Safety(Block):
 def _size(vectors: Array) -> Array:
     """Length of vectors (n, 3)."""
     x, y, z = (vectors[:, k] for k in range(3))
-    length: Array = np.sqrt(x * x + y * y + z * z)
-    return length
+    return np.sqrt(x * x + y * y + z * z)
 
 
 def standing(u: Values) -> Array:
