@@ -133,11 +133,14 @@ class Motion:
             raise ParameterError(f"controls must be >= {DEGREE + 1}, got {controls}")
         u = np.linspace(0, 1, len(q))
         design = basis(controls, u)
-        begin = np.array([q[0]] * _HELD) if first is None else first
-        end = np.array([q[-1]] * _HELD)
-        ends = design[:, :_HELD] @ begin + design[:, -_HELD:] @ end
+        last = design[:, -_HELD:].sum(1)[:, None] * q[-1]
+        if first is None:
+            ends = design[:, :_HELD].sum(1)[:, None] * q[0] + last
+        else:
+            ends = design[:, :_HELD] @ first + last
         inner = np.linalg.lstsq(design[:, _HELD:-_HELD], q - ends, rcond=None)[0]
-        control = np.vstack([begin, inner, end])
+        begin = np.array([q[0]] * _HELD) if first is None else first
+        control = np.vstack([begin, inner, [q[-1]] * _HELD])
         return Motion(
             duration=duration, control=matrix(control), moving=None if first is None else True
         )
@@ -213,13 +216,15 @@ def leading_points(m: int, duration: float, q: Array, v: Array, a: Array) -> Arr
     """Return the first three (3, n) of m control points of a motion that begins with angles q,
     rates v and accelerations a (n,)."""
     rows = [basis(m, [0.0], k)[0, :_HELD] / duration**k for k in range(_HELD)]
-    return np.linalg.solve(np.array(rows), np.array([q, v, a]))
+    out: Array = np.linalg.solve(np.array(rows), np.array([q, v, a]))
+    return out
 
 
 def graded(count: int) -> Array:
     """Points on [0, 1], ends included, spaced like the knots: closer near the ends."""
     even = np.linspace(0, 1, count)
-    return even - _GRADING * np.sin(2 * np.pi * even) / (2 * np.pi)
+    out: Array = even - _GRADING * np.sin(2 * np.pi * even) / (2 * np.pi)
+    return out
 
 
 def basis(m: int, u: npt.ArrayLike, derivative: int = 0) -> Array:
