@@ -297,7 +297,7 @@ TABLE = {
              "only queries of these durations [s]; default all"),
         Flag("--first", "N", integer(1), "only N queries per duration"),
         Flag("--skip", "N", integer(), "leave out N of each first (0)"),
-        Flag("--quick", help=f"{_QUICK} queries of the middle duration: a minute"),
+        Flag("--quick", help=f"{_QUICK} queries of the middle duration: half a minute"),
         Flag("--bounds", "NAME=SHARE,SHARE,...", _bounds,
              "also `refined` and `calm` with each of these bounds on a disturbance measure"
              f" (pareto.png): {', '.join(MEASURES)}"),
