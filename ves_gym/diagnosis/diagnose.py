@@ -17,7 +17,15 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, to_plain, write_result
 from ves_gym._util.views import Viewable
-from ves_gym.diagnosis.constants import ALIKE, CLEAR, EXCESS, NOISE_POWER, POWER, TEMPERATURE
+from ves_gym.diagnosis.constants import (
+    ALIKE,
+    CLEAR,
+    EXCESS,
+    NOISE_POWER,
+    POWER,
+    SPREAD,
+    TEMPERATURE,
+)
 from ves_gym.diagnosis.data.measured_run import Run, with_shared_colour
 from ves_gym.diagnosis.data.quality import Fault, faults
 from ves_gym.diagnosis.inference.cache import AnswerCache, CachedResiduals
@@ -201,7 +209,7 @@ def _named(explanation: Explanation) -> str:
     path = c.effect(explanation.values)
     if isinstance(path, SlowPath):
         return f"{c.name} (root mean square {path.size:.3g} {c.units[0]})"
-    certain = TEMPERATURE**0.5 * np.abs(explanation.values) > CLEAR * explanation.std
+    certain = np.abs(explanation.values) > CLEAR / SPREAD * explanation.std
     if not (c.sparse and certain.any()):  # of coordinates those that are not about zero
         certain = np.ones(c.k, bool)
     values = ", ".join(
@@ -380,8 +388,9 @@ def _explanation(
     of_kind = sum(r.probability for r in rivals if r.candidate.kind == candidate.kind)
     there = sum(r.probability for r in rows if candidate.name in r.names)
     gained = without(residuals, fitted, i).deviance - fitted.deviance
-    std = TEMPERATURE**0.5 * fitted.std[i]
-    return Explanation(candidate, fitted.values[i], std, gained, of_kind * there, near)
+    return Explanation(
+        candidate, fitted.values[i], SPREAD * fitted.std[i], gained, of_kind * there, near
+    )
 
 
 def _excess(f: Fit, residuals: WhitenedResiduals) -> float:

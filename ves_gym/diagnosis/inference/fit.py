@@ -133,10 +133,9 @@ def fit(
 
     z = residuals_at([x])[0]
     B = blurs(x, z)
-    S, straight = np.zeros((len(z), 0)), False
     current = judged(x, z, B)
     for turn in range(_MORE):
-        S = S if straight else tangents(x, z, B, current.x[p:])
+        S = tangents(x, z, B, current.x[p:])
         b = p + B.shape[1]
         solution = solve(products(residuals, z, np.hstack([B, S])), b, low - x, high - x)
         toward = solution.x[b:]
@@ -157,9 +156,6 @@ def fit(
                 break
         if better is None:
             break
-        # most laws are linear in their numbers: tangents that foretold the step stay true
-        bend = np.linalg.norm(better[1] - z - S @ (better[0] - x))
-        straight = not B.size and bool(bend < _UNSEEN)
         gained = current.misfit - better[2].misfit
         x, z, current, B = better
         if gained < (_ENOUGH if turn + 1 < _ROUNDS else _FAR):

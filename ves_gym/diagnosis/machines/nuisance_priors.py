@@ -37,7 +37,6 @@ from ves_gym.system.system import System
 # Standard deviations: 0.6 of the bound one would state.
 _MASS, _INERTIA, GAIN, _FILTER = 0.0006, 0.006, 0.0006, 0.006  # relative
 _COM, _FRICTION, _OFFSET = 1.2e-4, 0.03, 0.018  # m; N m; N, N m
-_LEVER = 0.1  # m: of cross-talk from forces to moments, about a sensor's size
 _WEIGHT, _MOMENT = 0.03, 0.006  # kg, kg m, of the weight estimate
 _INNER, _RESIDUAL = (8.0, 8.5, 9.5), 0.7  # Hz, kg: modes that the vehicle's model leaves out
 _BASE, _LOSS = 0.0012, 0.006  # relative, of the base's mass and stiffness; of its damping
@@ -131,7 +130,7 @@ def _nuisances(system: System) -> Iterator[Nuisance | None]:
                 inner = altered(system.vehicle, mode.base(system.base))
                 tolerance = dataclasses.replace(tolerance, model=system.replace(vehicle=inner))
             yield tolerance
-    modal = not isinstance(system.vehicle, Satellite)
+    modal = system.mode == "ideal" and not isinstance(system.vehicle, Satellite)
     if modal:
         yield from _of_the_modes(system)
     for what, kind in (
@@ -139,7 +138,7 @@ def _nuisances(system: System) -> Iterator[Nuisance | None]:
         ("mass", BaseVirtualMass),
         ("damping", BaseDamping),
     ):
-        if modal and what != "mass" and system.mode == "ideal":
+        if modal and what != "mass":
             continue
         std = _BASE if what != "damping" else _LOSS
         yield effect(f"{what} of the base", _at_base(system), 0.01, std, kind(error=0.01))
@@ -148,8 +147,7 @@ def _nuisances(system: System) -> Iterator[Nuisance | None]:
 def _of_the_modes(system: System) -> Iterator[Nuisance]:
     """Yield errors of stiffness and damping, those of each mode of the base by themselves.
 
-    Six modes are those of the interface; of inner ones the slow count. The laboratory's are as
-    computed unless `known` states them.
+    Six modes are those of the interface; of inner ones the slow count.
     """
     base = system.base
     M, D, K = (base.M, base.D, base.K) if base.carried else base.full()
@@ -165,8 +163,7 @@ def _of_the_modes(system: System) -> Iterator[Nuisance]:
         ):
             other = system.replace(vehicle=altered(system.vehicle, base.with_full(*changed)))
             name = f"{what} of the base at {hertz[i]:.3g} Hz"
-            usual = std if system.mode == "ideal" else 0.0
-            yield Nuisance(name, tuple(_at_base(system).split()), other, 0.01, usual)
+            yield Nuisance(name, ("base", "wrench"), other, 0.01, std)
 
 
 def _at_base(system: System) -> str:
@@ -178,8 +175,7 @@ def _of_the_laboratory(
     system: System, effect: Callable[..., Nuisance | None]
 ) -> Iterator[Nuisance | None]:
     weight = GravityModel.of(system.arm).wrench(system.arm, np.zeros(system.arm.n), np.zeros(6))
-    most = _BIAS / 0.01
-    resting = np.clip(system.emulator_settings.sensor.frame @ weight, -most, most)
+    resting = system.emulator_settings.sensor.frame @ weight
     for i in range(6):
 
         def six(value: float, i: int = i) -> dict[str, tuple[float, ...]]:
@@ -188,17 +184,12 @@ def _of_the_laboratory(
 
         axis = WRENCH[i]
         yield effect(f"zero of {axis}", "wrench", 0.1, _OFFSET, SensorBias(**six(0.1)))
-        for k, read in enumerate(WRENCH):
-            error = np.zeros((6, 6))
-            error[i, k] = 0.01 * (_LEVER if i >= 3 > k else 1.0)
-            gain = SensorCalibration(error=tuple(map(tuple, error.tolist())))
-            zero = SensorBias(**six(-float(error[i, k] * resting[k])))  # zeroed under the arm
-            name = f"gain of {axis}" if i == k else f"cross-talk of {read} in {axis}"
-            yield effect(name, "wrench", 0.01, GAIN if i == k else 0.0, gain, zero)
-        # not zeroed there, if `known` says so: its calibration is off by a part of the weight
-        part = 0.01 * float(np.abs(resting[:3]).max()) * (_LEVER if i >= 3 else 1.0)
-        off, name = SensorBias(**six(part)), f"gain of {axis} under the weight"
-        yield effect(name, "wrench", 0.01, 0.0, off)
+        error = np.zeros((6, 6))
+        error[i, i] = 0.01
+        gain = SensorCalibration(error=tuple(map(tuple, error.tolist())))
+        off = float(np.clip(-0.01 * resting[i], -_BIAS, _BIAS))  # it was zeroed under the arm
+        zero = SensorBias(**six(off))
+        yield effect(f"gain of {axis}", "wrench", 0.01, GAIN, gain, zero)
     yield effect("sensor filter", "wrench", 0.01, _FILTER, SensorLag(error=0.01))
     if system.emulator_settings.operation == "microgravity":
         yield effect("weight estimate", "gravity", 0.1, _WEIGHT, GravityMass(error=0.1))
