@@ -32,9 +32,9 @@ dataset make PumaDamp-v0/random-v0 --episodes 4 --out sets
 dataset check sets/ves/PumaDamp-v0/random-v0
 policy export out/train/PumaDamp-ppo/seed-0/best.json --onnx
 policy card out/train/PumaDamp-ppo/seed-0/best.json --episodes 10
-leaderboard run paths bent-2s-quick straight --author me
-leaderboard verify out/leaderboard/paths_bent-2s-quick_me_straight
-leaderboard render out/leaderboard
+leaderboard run paths thesis straight --author me
+leaderboard verify out/leaderboard/paths_thesis_me_straight --board entries
+leaderboard render entries
 sweep sweep.toml --part 1/8
 merge out/sweep/sweep
 matrix matrix.toml --episodes 1 --seeds 1

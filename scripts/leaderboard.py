@@ -175,7 +175,7 @@ def repeat(count: int) -> int:
     """Run the commands of entries drawn at random; how many were refused."""
     refused, seconds = 0, []
     entries = read_board(PLACE / "entries")
-    for entry in random.sample(entries, min(count, len(entries))):
+    for entry in random.Random(0).sample(entries, min(count, len(entries))):
         before, begun = os.times(), time.monotonic()
         words = [sys.executable, "-m", "ves_gym.cli.main", *shlex.split(command(entry))[1:]]
         done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)

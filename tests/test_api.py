@@ -276,7 +276,7 @@ def test_no_argument_of_a_foreign_kind_passes(verb, wrong, plan, log):
     for name, parameter in taken.items():
         a_table = "Mapping" in parameter.annotation and isinstance(wrong, dict)
         if parameter.kind is not parameter.VAR_KEYWORD and not a_table:
-            with pytest.raises(vg.ParameterError):
+            with pytest.raises(vg.ParameterError, match=name):
                 function(**{**needed, name: wrong})
 
 

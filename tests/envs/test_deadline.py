@@ -61,7 +61,7 @@ def test_a_limit_of_the_callers_truncates():
     for limit in (-1, 1000):
         assert ends(gym.make(ID, max_episode_steps=limit, **SHORT)) == (20, True, False)
     for bad in (0, -2, 1.5, True, "7"):
-        with pytest.raises(ParameterError, match=r"max_episode_steps .* whole number"):
+        with pytest.raises(ParameterError, match="max_episode_steps must be a whole number"):
             VesVectorEnv(1, max_episode_steps=bad)
     checked = gym.make(ID, disable_env_checker=False)
     assert type(checked) is gym.wrappers.PassiveEnvChecker

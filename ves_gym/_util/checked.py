@@ -67,7 +67,7 @@ def checked(*structural: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
                 given = signature.bind(*args, **kwargs).arguments
             except TypeError:  # Python says it better
                 return function(*args, **kwargs)
-            for name in closed.keys() & given:
+            for name in (k for k in given if k in closed):
                 value, options = given[name], closed[name]
                 if not any(_is(value, kind) for kind in options):
                     known = " or ".join(_PLAIN[k][1] if k in _PLAIN else k for k in options)

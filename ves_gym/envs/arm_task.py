@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError, Vector, finite, require_positive
+from ves_gym._util.params import Array, ParameterError, Vector, require_positive
 from ves_gym.envs.control import Control, SmoothReference
 from ves_gym.envs.scales import least_scale, straight_energy, straight_motion
 from ves_gym.envs.task import Field, Scene, Task
@@ -187,7 +187,7 @@ def braked(way: Array, rate: Array, seconds: float) -> Array:
 
 def wide(values: Vector, arm: Arm) -> Array:
     """One number per joint (joints,); fewer are repeated."""
-    return np.resize(finite(values, np.shape(values), "angles of joints"), arm.n)
+    return np.resize(np.asarray(values, float), arm.n)
 
 
 def usual_of(task: Task, *names: str) -> bool:

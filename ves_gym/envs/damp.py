@@ -69,7 +69,6 @@ class Damp(ArmTask):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        wide(self.room, self.system.arm)  # numbers
         softest = float(np.linalg.eigvalsh(self._stiffness)[0])
         if softest <= 0:
             raise ParameterError(

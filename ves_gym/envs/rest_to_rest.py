@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from ves_gym._util.params import Array, Mask, Vector, require_positive, unit
-from ves_gym.envs.arm_task import middle_and_half, straight_pace, usual_of, wide
+from ves_gym.envs.arm_task import middle_and_half, straight_pace, usual_of
 from ves_gym.envs.control import Control, Guided
 from ves_gym.envs.scales import least_scale, straight_energy, straight_motion
 from ves_gym.envs.task import Field, Scene, Start, Task, register_task
@@ -52,7 +52,6 @@ class RestToRest(Task):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        wide(self.span, self.system.arm)  # numbers
         require_positive(self, "tolerance", "rest")
         require_positive(self, "miss", zero=True)
         if self.saving is not None:

@@ -181,6 +181,9 @@ class Task(ABC):
 
     def __post_init__(self) -> None:
         require_types(self, "system", "control", "base_control", "randomize")
+        for name in (k.name for k in fields(self) if k.type == "Vector"):
+            value = getattr(self, name)
+            finite(value, np.shape(value), f"{self.kind}.{name}")
         require_positive(self, "duration")
         require_positive(self, "tail", zero=True)
         self.system.arm.require_rigid(f"task {self.kind}")

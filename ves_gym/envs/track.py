@@ -8,7 +8,16 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, Index, Mask, ParameterError, Vector, unit
+from ves_gym._util.params import (
+    Array,
+    Index,
+    Mask,
+    ParameterError,
+    Vector,
+    finite,
+    integer,
+    unit,
+)
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
 from ves_gym.engine.kernel.numbers import geometry
 from ves_gym.envs.arm_task import ArmTask, directions, gap
@@ -69,8 +78,7 @@ class Track(ArmTask):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.rounds < 1:
-            raise ParameterError(f"track.rounds must be >= 1, got {self.rounds}")
+        integer(self.rounds, f"{self.kind}.rounds", 1)
         periods = np.array(self.preview) / self.system.control_dt
         if (periods < 0.5).any() or (np.abs(periods - np.rint(periods)) > 1e-9 * periods).any():
             raise ParameterError(
@@ -256,7 +264,7 @@ class Seam(Track):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        low, high = self.length
+        low, high = finite(self.length, (2,), f"{self.kind}.length").tolist()
         if not 0 < low <= high:
             raise ParameterError(f"seam.length must be 0 < low <= high, got {low}, {high}")
         softest = float(np.linalg.eigvalsh(self._stiffness)[0])

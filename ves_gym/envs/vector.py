@@ -220,7 +220,7 @@ def _step_limit(limit: Any) -> int | None:
         return None
     if isinstance(limit, (int, np.integer)) and limit == -1:
         return None
-    return integer(limit, "max_episode_steps (-1 for none)", 1)
+    return integer(limit, "max_episode_steps", 1)
 
 
 def _mask(raw_mask: Any, n: int) -> Mask:

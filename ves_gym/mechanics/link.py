@@ -188,8 +188,8 @@ class Capsule:
     @staticmethod
     def of(start: Array, end: Array, radius: float) -> Capsule:
         """Return the capsule from one point (3,) to another."""
-        ends = (tuple(np.asarray(k, float).tolist()) for k in (start, end))
-        return Capsule(**dict(zip(("start", "end"), ends, strict=True)), radius=float(radius))
+        first, last = np.asarray([start, end], float).tolist()
+        return Capsule(start=tuple(first), end=tuple(last), radius=float(radius))
 
     def placed(self, R: Array, p: Array) -> Capsule:
         """Return the same in axes in which its frame has rotation R (3, 3), position p (3,)."""
