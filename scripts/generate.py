@@ -1,12 +1,14 @@
 """Write docs/environments from the code: `python scripts/generate.py`.
 
-Of README.md only the lists of ids, controls, the laboratory and `info`.
+Of README.md only the lists between its marks.
 tests/envs/test_pages.py compares.
 """
 
 from __future__ import annotations
 
+import collections
 import dataclasses
+import functools
 import inspect
 import re
 import textwrap
@@ -125,19 +127,40 @@ def _setting(control: Control, field: dataclasses.Field[Any]) -> str:
     return f"`{field.name}` = {_number(value)}{'' if unit == '1' else ' ' + unit}"
 
 
+def _tasks() -> Iterable[Task]:
+    return (_env(name).task for name in IDS)
+
+
+@functools.cache
+def _shared_fields() -> dict[str, str]:
+    """Return name and meaning of the observation's entries that most tasks have."""
+    count = collections.Counter((f.name, f.what) for task in _tasks() for f in task.fields())
+    return {name: what for (name, what), n in count.items() if 2 * n > len(IDS)}
+
+
 def _observation(task: Task) -> str:
     rows, at = [], 0
     for field in task.fields():
         last = at + field.size - 1
         entries = str(at) if field.size == 1 else f"{at}-{last}"
         unit = "" if field.unit == "1" else f" [{field.unit}]"
-        rows.append((f"{entries} `{field.name}`{unit} / {_number(field.scale)}", field.what))
+        rows.append(
+            (
+                f"{entries} `{field.name}`{unit} / {_number(field.scale)}",
+                "" if _shared_fields().get(field.name) == field.what else field.what,
+            )
+        )
         at += field.size
     return _list(rows)
 
 
+def _values(control: Control) -> str:
+    return ", ".join(_setting(control, f) for f in dataclasses.fields(control))
+
+
 def _controls(task: Task) -> str:
-    rows = []
+    """Return the controls of a task, and the settings in which they differ from README.md's."""
+    names, settings = {}, []
     for kind in CONTROLS:
         try:
             control = build_task(task, control=kind).control
@@ -145,10 +168,16 @@ def _controls(task: Task) -> str:
             continue
         if kind == task.control.kind:
             control = task.control
-        settings = ", ".join(_setting(control, f) for f in dataclasses.fields(control))
-        name = f"`{kind}`" + (" (default)" if kind == task.control.kind else "")
-        rows.append((f"{name}, {control.width(task.system.arm)} numbers", settings))
-    return _list(rows) + _beside(task)
+        if control != CONTROLS[kind]():
+            settings.append((f"`{kind}`", _values(control)))
+        names[f"`{kind}`" + " (default)" * (kind == task.control.kind)] = control.width(
+            task.system.arm
+        )
+    sizes = [
+        (", ".join(name for name, width in names.items() if width == size), f"{size} numbers")
+        for size in dict.fromkeys(names.values())
+    ]
+    return _list((*sizes, *settings)) + _beside(task)
 
 
 def _beside(task: Task) -> str:
@@ -248,6 +277,19 @@ def _laboratory(task: Task) -> str:
     )
 
 
+def _calibrations() -> str:
+    """Return the errors of each arm's calibration, as deviations."""
+    rows = {}
+    for name, entry in IDS.items():
+        if entry.emulated is not None:
+            task = _env(name, emulated=True).task
+            laws = (f"{k} {law.partition('+- ')[2]}" for k, law in _calibrated(_ranges(task)))
+            row = ", ".join(laws)
+            arm = task.system.arm.name
+            assert rows.setdefault(arm, row) == row, f"calibrations of {arm} differ"
+    return _list(rows.items())
+
+
 def _page(name: str) -> str:
     env = _env(name)
     task = env.task
@@ -323,13 +365,9 @@ Beside [those of every task](README.md#settings); options of `reset`: {options}.
 def _emulated(name: str) -> str:
     """Section of the id in the laboratory."""
     text = ", ".join(f"`{k}` = {v:.4g}" for k, v in (IDS[name].emulated or {}).items())
-    ranges = _calibrated(_ranges(_env(name, emulated=True).task))
     return f"""## ves/{name}Emulated-v0
 
-[The laboratory](README.md#the-laboratory){f", with {text}" if text else ""}. Errors of its
-calibration:
-
-{_list(ranges)}
+In [the laboratory](README.md#the-laboratory){f", with {text}" if text else ""}.
 """
 
 
@@ -378,8 +416,12 @@ def _index() -> str:
     assert len(laboratories) == 1, "ranges differ from id to id: say so on their pages"
     blocks = {
         "ids": _list(rows),
-        "controls": _list((f"`{k}`", _first_line(c.__doc__)) for k, c in CONTROLS.items()),
+        "fields": _list((f"`{k}`", v) for k, v in _shared_fields().items()),
+        "controls": _list(
+            (f"`{k}`", f"{_first_line(c.__doc__)} {_values(c())}.") for k, c in CONTROLS.items()
+        ),
         "laboratory": laboratories.pop(),
+        "calibrations": _calibrations(),
         "info": _list((f"`{k}`", v) for k, v in SHARED_INFO.items()),
     }
     for mark, block in blocks.items():
