@@ -279,7 +279,7 @@ def _laboratory(task: Task) -> str:
 
 def _calibrations() -> str:
     """Return the errors of each arm's calibration, as deviations."""
-    rows = {}
+    rows: dict[str, str] = {}
     for name, entry in IDS.items():
         if entry.emulated is not None:
             task = _env(name, emulated=True).task

@@ -56,30 +56,33 @@ DROGUE = Contact(
 class BerthingContact(ArmTask):
     """Guide a probe into the funnel of a free client, by contact, until the latch closes.
 
-    The tool is a ball of 3 cm, the client a cube that drifts, with a funnel of 12 cm on one of
-    its faces: where they touch they push on each other by a spring, a damper and friction, and
-    the base feels it; the links touch nothing. A client that is hit bounces off. The latch
+    The tool is a ball of 3 cm. The client is a cube that drifts, with a funnel of 12 cm on one
+    of its faces. Where they touch they push on each other by a spring, a damper and friction,
+    and the base feels it; the links touch nothing. A client that is hit bounces off. The latch
     closes once the ball is within its reach (12 mm) of the funnel's end and slower against it
     than `catch`. Solved: the client has been carried, and slower than `rest`, for the last
     `hold` seconds. Failed: a force above `strength`, a client farther than `lost` from where it
     is met, a joint limit.
 
-    Drawn: joint angles of the meeting from zero +- `span`, where the arm is `dexterous`; the
-    start, near them and at least `away` before the funnel's end; the funnel's axis, up to
-    `tilt` from the way out of the shoulder; the client's velocity, up to `drift`, with which it
-    is at the meeting after 0.7 of the episode; its mass, between the ends of `mass` on a
-    logarithmic scale, which is not observed; and up to `blur` along each axis of space, by
-    which the funnel is seen beside where it is: the funnel guides what is as near as that.
+    Drawn for each episode:
 
-    Cost: what is missing at the end, between 1 and a half until the latch has closed
-    (`arm_task.gap` of the way from the ball to the funnel's end, of which what is across the
-    axis counts four times: a straight way ends at the rim, and pushes the client away), then
-    down to nothing as the client comes to `rest`; `gentle` times the mean of the contact's
-    force; and `energy` times the mean of the base's energy E.
+    - Joint angles of the meeting, from zero +- `span`, where the arm is `dexterous`.
+    - The start, near them and at least `away` before the funnel's end.
+    - The funnel's axis, up to `tilt` from the way out of the shoulder.
+    - The client's velocity, up to `drift`: the meeting is after 0.7 of the episode.
+    - Its mass, between the ends of `mass` on a logarithmic scale; it is not observed.
+    - An error of the observed funnel, up to `blur` along each axis of space. The funnel guides
+      a probe that is off by as much.
 
-    Measured, 100 starts of seed 0: the controller resolved, which aims 3 cm beyond the end of
-    the funnel as it is seen, solves all, and 6 where the funnel does not push; no motion and
-    random actions solve none.
+    Cost, three terms. The first is what is missing at the end: between 1 and a half until the
+    latch has closed, then down to nothing as the client comes to `rest`. It is `arm_task.gap`
+    of the way from the ball to the funnel's end. What is across the axis counts four times, for
+    a straight way ends at the rim and pushes the client away. The others are `gentle` times the
+    mean of the contact's force and `energy` times the mean of the base's energy E.
+
+    Measured, 100 starts of seed 0: the controller `resolved`, which aims 3 cm beyond the end of
+    the funnel as observed, solves all. It solves 6 where the funnel does not push. No motion
+    and random actions solve none.
 
     Only in mode ideal: in the laboratory nothing floats.
     """

@@ -23,30 +23,29 @@ from ves_gym.mechanics.spatial import quadratic
 class Damp(ArmTask):
     """The base is displaced and released, the arm at rest; damp it by moving the arm.
 
-    Thesis 4.3.2, where Y(0) is 0.1 m along x, y and z, 82 J in the bent beam's springs. Here
-    the direction is drawn, uniform over the sphere, and the displacement holds `energy`: on
-    the bent beam 25 J are 0.06 m along x or z and 0.11 m along y. The joints start anywhere in
+    In thesis 4.3.2 Y(0) is 0.1 m along x, y and z, 82 J in the bent beam's springs. Here the
+    direction is drawn, uniform over the sphere, and the displacement stores `energy`: 25 J on
+    the bent beam are 0.06 m along x or z and 0.11 m along y. The joints start anywhere in
     `home` +- `span`, about the thesis's (45, 0, 0) deg.
 
     Control: `torque` on top of the joint damping of the PPED gains (eq. 4.5b); `pd_gains`,
-    the servos' gains about the start, which is the thesis's own means; or `acceleration`.
+    the servos' gains about the start, which is the thesis's means; or `acceleration`.
 
-    The base is observed in its modes with the arm at home, each with its energy, for the
-    return to come is about a weighted sum of these. From pose and rate as they are, one seed
-    of PPO was at 0.84 of the high gains' integral after 4 million steps, from the modes at
-    0.77 after one.
+    The base is observed in its modes with the arm at home, each with its energy, because the
+    return to come is about a weighted sum of these. From pose and rate, one seed of PPO was at
+    0.84 of the high gains' integral after 4 million steps; from the modes, at 0.77 after one.
 
-    Cost: `energy`, the time integral of the strain energy over what it would be with the joints
-    locked where they start (closed form, `released_energy`), and `astray`, of joints further
-    than `room` from home. An episode ends after `duration`, or with a joint limit as a failure.
-    Solved: the integral is at most `saving` times that of locked joints.
+    Cost, two terms. `energy` is the time integral of the strain energy over that with the
+    joints locked where they start (closed form, `released_energy`). `astray` counts joints
+    further than `room` from home. Solved: the integral is at most `saving` times that of locked
+    joints.
 
-    Measured, `bent-thesis` in space, 512 starts of seed 0: strain integrals over those of
-    servos held at the high gains (eq. 4.6), sum by sum. PPED gains 0.99; random gains 0.90; no
-    torque 1.01; one LQR feedback for all starts, linearised at home, saturated, 0.60 (by
-    acceleration 0.54); by pd_gains, those nearest to that feedback's torques 0.65 (128
-    starts). Along y the arm has little hold on the slow modes: single starts range from 0.4 to
-    0.9. Learned policies: docs/training.md.
+    Measured, `bent-thesis` in space, 512 starts of seed 0: sums of strain integrals over those
+    of servos at the high gains (eq. 4.6). PPED gains 0.99; random gains 0.90; no torque 1.01.
+    One LQR feedback for all starts, linearised at home and saturated, 0.60 (by acceleration
+    0.54); the `pd_gains` nearest to that feedback's torques 0.65 (128 starts). Along y the arm
+    acts little on the slow modes: single starts range from 0.4 to 0.9. Learned policies:
+    docs/training.md.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q", "y")

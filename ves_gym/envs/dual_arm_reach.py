@@ -20,15 +20,15 @@ _HOME, _SPAN = (0.0, -75.0, 80.0, -95.0, -90.0, 0.0), (50.0, 25.0, 25.0, 20.0, 2
 
 @register_task("dual_arm_reach")
 class DualArmReach(FreeFlyerReach):
-    """Bring one arm's tool to a point in space while another keeps the satellite from turning.
+    """Bring one arm's tool to a point in space while another stops the satellite from turning.
 
     `FreeFlyerReach` with two UR5e: the last six joints carry the tool that has a target, the
-    first six are another arm's, whose task is the reaction. Nothing else holds the satellite.
-    Both arms must come to rest.
+    first six are another arm's, whose task is the reaction. No other actuator acts on the
+    satellite. Both arms must come to rest.
 
-    Measured, 20 starts of seed 0: the controller compensating, which plans for both arms, and
-    resolved, which holds the other arm, solve all; of the base's mean energy and mean turn the
-    first leaves 0.03 and 0.11 of what the second does. No motion solves none.
+    Measured, 20 starts of seed 0: two controllers solve all, `compensating`, which plans for
+    both arms, and `resolved`, which locks the other arm. The first leaves 0.03 of the base's
+    mean energy and 0.11 of the mean turn that the second does. No motion solves none.
     """
 
     compiled: ClassVar[bool] = True

@@ -36,26 +36,25 @@ class Lqr(ArmTask):
     """The base sways by millimetres; calm it at least cost, which is known in closed form.
 
     Starts are uniform in a box: the base displaced by up to `shift` and `tilt`, the joints by
-    `bend` about `home`, rates `pace` times that. A period of length dt costs
-    dt (E + stray |q - home|^2 + effort |tau|^2), E the energy of the base with the arm frozen
-    at home; the state is that at the period's end, the torque is held. That is x'Q x + u'R u
-    on the plant linearised at home (`engine/linear.py`) and sampled exactly: `optimum` gives
-    the best feedback and its cost, by the Riccati recursion over the episode. `home` is the
-    thesis's configuration of 4.3.2, the joints are damped by its PPED gains (eq. 4.5b); the
-    other numbers keep motions small and the optimal torque within bounds (this project).
+    `bend` about `home`, rates `pace` times that. A period of length dt costs dt (E + stray |q -
+    home|^2 + effort |tau|^2). E is the energy of the base with the arm frozen at home, of the
+    state at the period's end; the torque is constant over the period. That is x'Q x + u'R u on
+    the plant linearised at home (`engine/linear.py`) and sampled exactly: `optimum` gives the
+    best feedback and its cost, by the Riccati recursion over the episode. `home` is the
+    thesis's configuration of 4.3.2, and the joints are damped by its PPED gains (eq. 4.5b). The
+    other numbers make motions small and the optimal torque stay within bounds (this project).
 
     The episode's cost is that, `state` and `effort`, over the expected optimal cost, so that
-    the optimum costs 1 on average. Finite horizon: an episode terminates after `duration`, or
-    with a joint limit as a failure. Solved: the whole episode has cost at most 1 + `slack`
-    times the least that its start allows.
+    the optimum costs 1 on average. Solved: the whole episode has cost at most 1 + `slack` times
+    the least that its start allows.
 
     The base is the thesis's condensed beam: internal modes, which an optimal feedback would
     need, are not measured.
 
     Measured, that beam in space, 1000 starts of seed 0: the optimal feedback costs 1.01695,
-    in closed form 1.01694; single starts differ by 4e-4, at most 2e-3, by what the linear
+    in closed form 1.01694. Single starts differ by 4e-4, at most 2e-3, by what the linear
     plant leaves out. Gains 5 % off cost 3e-4 more, no torque costs 1.84. In the laboratory
-    the platform's lag and errors come on top: no closed form holds, and the same feedback
+    the platform's lag and errors come on top: no closed form applies, and the same feedback
     costs 1.08.
     """
 

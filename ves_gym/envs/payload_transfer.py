@@ -38,27 +38,27 @@ BOX = Payload(
 class PayloadTransfer(ArmTask):
     """Fetch a floating payload of unknown mass and berth it at rest, on a base that sways.
 
-    The payload floats at rest in space. The latch closes by itself once the tool is within
-    its reach of the grapple fixture (2 cm) and slower against it than `catch`: an exact
-    inelastic impulse, after which the last link carries it. Once the fixture has been within
-    `tolerance` of the berth, a point fixed in space, and slower than `rest` for `hold` seconds,
-    the berth takes the payload and the latch opens; solved are episodes in which it has.
+    The payload floats at rest in space. The latch closes by itself once the tool is within its
+    reach of the grapple fixture (2 cm) and slower against it than `catch`. That is an exact
+    inelastic impulse, after which the last link carries the payload. The berth, a point fixed
+    in space, takes it once the fixture has been within `tolerance` and slower than `rest` for
+    `hold` seconds. The latch then opens, and the episode is solved.
 
-    Neither the mass, drawn between the ends of `mass` on a logarithmic scale, nor the centre of
-    mass, up to `off_centre` from the middle along each axis, is observed; servo, feed-forward,
+    The mass is drawn between the ends of `mass` on a logarithmic scale, the centre of mass up
+    to `off_centre` from the middle along each axis. Neither is observed: servo, feed-forward,
     energies E and gravity estimate know the arm alone. Angles of start, payload and berth are
-    drawn as those of task reach, both legs straight quintics of a third of the episode within
-    the speed limits and at least `away` long.
+    drawn as those of task reach. Both legs are straight quintics of a third of the episode,
+    within the speed limits and at least `away` long.
 
-    Cost: what is missing at the end, between 1 and a half until the payload is carried, then
-    down to nothing until it is berthed (`arm_task.gap`, up to `far`; a speed counts as
-    the way that it makes in `brake`); and `thrift` times E_mean in that expected of the two
-    straight legs, at least a quarter of what it is in the median.
+    Cost, two terms. What is missing at the end is between 1 and a half until the payload is
+    carried, then down to nothing until it is berthed (`arm_task.gap`, up to `far`; a speed
+    counts as the way that it makes in `brake`). `thrift` times E_mean counts in that expected
+    of the two straight legs, at least a quarter of its median.
 
     The default masses are the PUMA's; give arms with slender wrists lighter ones (`mass`).
 
-    In the laboratory a stand holds the payload until the latch closes and its weight, which
-    the gravity estimate does not know, is emulated as a force of the arm on the base.
+    In the laboratory a stand carries the payload until the latch closes. Its weight, which the
+    gravity estimate does not know, is emulated as a force of the arm on the base.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q",)

@@ -31,24 +31,21 @@ class PoseReach(ArmTask):
     """Bring the tool to a pose in space, place and orientation, and hold it there at rest.
 
     For arms of six joints or more (`arm=`; here the PUMA 560 with its wrist); a seventh joint
-    is free to spare the base. The pose is that of joint angles which a straight quintic
-    reaches in half the time within the speed limits: drawn in the box `span` around zero
-    until they are, and `dexterous`, so that the pose stays within reach while the base sways;
-    what none of the draws satisfies is drawn nearer to the start. Solved: for the last `hold`
-    seconds the tool has been within `tolerance` of the place and within `turned` of the
-    orientation, and slower than `rest` and `turning`.
+    is free to spare the base. The pose is that of joint angles drawn in the box `span` around
+    zero. A straight quintic must reach them in half the time within the speed limits, and they
+    must be `dexterous`, so that the pose stays within reach while the base sways. Where no draw
+    satisfies that, they are drawn nearer to the start. Solved: for the last `hold` seconds the
+    tool has been within `tolerance` of the place and within `turned` of the orientation, and
+    slower than `rest` and `turning`.
 
-    Cost: what is missing at the end to the place and, with the weight `attitude`, to the
-    orientation (`arm_task.gap`, of a distance and of the sine of half an angle), and `thrift`
-    times E_mean in that expected of the straight motion in half the time
-    (`scales.straight_energy`), at least a quarter of what it is in the median.
-
-    An episode is terminated at the deadline (the horizon is part of the task, and the time
-    left is observed) or beyond a joint limit.
+    Cost, two terms. The first is what is missing at the end to the place and, with the weight
+    `attitude`, to the orientation (`arm_task.gap`, of a distance and of the sine of half an
+    angle). `thrift` times E_mean counts in that expected of the straight motion in half the
+    time (`scales.straight_energy`), at least a quarter of its median.
 
     Measured, 100 starts of seed 0, in space and in the laboratory: the controller
-    resolved-pose solves 100 and 100 with the PUMA's six joints, 98 and 98 with the seven of
-    the iiwa14, 100 and 96 with the UR5e; no motion and random actions solve none.
+    `resolved-pose` solves 100 and 100 with the PUMA's six joints. With the seven of the iiwa14
+    it solves 98 and 98, with the UR5e 100 and 96. No motion and random actions solve none.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q", "pose")

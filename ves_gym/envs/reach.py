@@ -59,21 +59,18 @@ def reachable(
 
 @register_task("reach")
 class Reach(ArmTask):
-    """Bring the tool to a point fixed in space and keep it there until the deadline.
+    """Bring the tool to a point fixed in space, where it stays until the deadline.
 
-    The arm's own motion sways the base by centimetres, so the joints must take back what the
+    The arm's motion sways the base by centimetres, so the joints must take back what the
     base does. Joint angles of start and target are uniform in the box of the planning
-    benchmark reach100; those of the target are used when a straight quintic gets there in
-    half the time within the speed limits, and when they are `dexterous`, so that the target
+    benchmark reach100. Those of the target are used when a straight quintic gets there in
+    half the time within the speed limits. They must also be `dexterous`, so that the target
     stays within reach while the base sways. Solved: the tool has been within `tolerance` of
     the target for the last `hold` seconds.
 
-    Cost: what is missing to the target at the end (`arm_task.gap`, from `tolerance` to `far`),
-    and `thrift` times E_mean in that expected of a straight motion to the target in half the
-    time (`scales.straight_energy`), at least a quarter of what it is in the median.
-
-    An episode is terminated at the deadline (the horizon is part of the task, and the time
-    left is observed) or beyond a joint limit.
+    Cost, two terms. The first is what is missing to the target at the end (`arm_task.gap`, from
+    `tolerance` to `far`). `thrift` times E_mean counts in that expected of a straight motion to
+    the target in half the time (`scales.straight_energy`), at least a quarter of its median.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q", "target")
@@ -166,11 +163,11 @@ class Reach(ArmTask):
 class ReachGoal(Reach):
     """`Reach`, goal-conditioned: the tool as measured is achieved, the target desired.
 
-    Reward: 0 within `tolerance` of the target, -1 elsewhere, computed from the observation,
-    so that it is `compute_reward` of what `step` returned, bit for bit. The base's energy is
-    told in `info` only. No joint limit ends an episode, for no function of the goals could
-    tell; the controls that are left keep the reference within. Solved: the tool has been within
-    `tolerance` for `hold` seconds in all, so that what is solved has more return.
+    Reward: 0 within `tolerance` of the target, -1 elsewhere, computed from the observation. So
+    it is `compute_reward` of what `step` returned, bit for bit. The base's energy is in `info`
+    only. No joint limit ends an episode, because the goals do not show it; of the controls,
+    only those that keep the reference within its limits are allowed. Solved: the tool has been
+    within `tolerance` for `hold` seconds in all, so that a solved episode has more return.
     """
 
     goal_fields: ClassVar[tuple[str, str] | None] = ("tool", "target")

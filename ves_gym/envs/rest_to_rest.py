@@ -23,12 +23,12 @@ class RestToRest(Task):
 
     Queries are drawn as those of the planning benchmark reach100: both ends uniform in a
     box of joint angles, used when the straight quintic respects the speed limits. Cost: E_mean
-    in E_straight, or in a quarter of its median where that is more, so that the straight line
-    costs about one; and `miss` times the distance left at the end.
+    over E_straight, or over a quarter of its median where that is more; and `miss` times the
+    distance to the goal at the end. So the straight line costs about one.
 
     E_straight is the energy that a straight motion is expected to leave on the machine as
-    described (`scales.straight_energy`), in the laboratory and with effects too: what a machine
-    that is not as described does differently is for the policy to find out.
+    described (`scales.straight_energy`), in the laboratory and with effects too. The policy has
+    to find out how another machine differs.
 
     Solved: at the goal and at rest there, with E_mean at most `saving` times E_straight.
     Control `guided` arrives whatever the action: with `saving` None a policy that does nothing

@@ -43,20 +43,17 @@ _EIGHTS = 0.3  # share of joints that swing twice per round
 class Track(ArmTask):
     """Follow a closed path in space with the tool, from rest to rest, `rounds` times.
 
-    A path is where the tool goes when every joint swings sinusoidally, once or twice per
-    round, on a base at rest: ellipses and Lissajous figures bent by the arm's kinematics. So
-    every point of it can be reached, within the joint limits and at rates of at most `pace`
-    of the joints' own; the rest is for the base's sway. The phase runs by the quintic law.
-    It starts in the box of the planning benchmark reach100 and is used when it is `dexterous`
+    A path is where the tool goes on a base at rest when every joint swings sinusoidally, once
+    or twice per round: ellipses and Lissajous figures bent by the arm's kinematics. So every
+    point of it can be reached within the joint limits, at rates of at most `pace` of the
+    joints' limits; the remainder is for the base's sway. The phase runs by the quintic law. The
+    path starts in the box of the planning benchmark reach100 and is used when it is `dexterous`
     all along. Solved: at the deadline, when the root mean square of the tool's distance from
     where it was to be is within `tolerance`.
 
-    Cost: the mean of what is missing to where the tool is to be (`arm_task.gap`, in
-    `far`), and `thrift` times E_mean in that expected of the joint motion that the path was
-    made of (`scales.motion_energy`).
-
-    An episode is terminated at the deadline (the horizon is part of the task, and the time
-    left is observed) or beyond a joint limit.
+    Cost, two terms. The first is the mean of what is missing to where the tool is to be
+    (`arm_task.gap`, in `far`). `thrift` times E_mean counts in that expected of the joint
+    motion that the path was made of (`scales.motion_energy`).
     """
 
     options: ClassVar[tuple[str, ...]] = ("q",)
@@ -235,14 +232,14 @@ def _on_a_boom() -> System:
 class Seam(Track):
     """Follow a seam with the tool, a line or an arc fixed in space, while the boom sways.
 
-    The arm (any: `arm=`) stands on the flange of a long flexible boom whose joints are on
-    their brakes (`mechanics.boom`), the base of the system. The boom has been released: at the
-    start its flange is displaced along a direction drawn uniformly over the sphere, so that
-    the boom holds `energy`, and it sways on through the episode. The seam begins at the tool.
-    It is `length` of the arm's reach long, and bends by up to `bend` in all or not at all;
-    `rounds` counts passes along it, forth, back and so on, by the quintic law. Twenty seams
-    are drawn, the last six shorter. The first counts that the arm can follow on a base at
-    rest within its joint limits, at rates of at most `pace` of the joints' own, `dexterous`.
+    The arm (any: `arm=`) stands on the flange of a long flexible boom whose joints are on their
+    brakes (`mechanics.boom`), the base of the system. The boom has been released: at the start
+    its flange is displaced along a direction drawn uniformly over the sphere. The boom then
+    stores `energy`, and it sways on through the episode. The seam begins at the tool. It is
+    `length` of the arm's reach long, and bends by up to `bend` in all or not at all. `rounds`
+    counts passes along it, forth, back and so on, by the quintic law. Twenty seams are drawn,
+    the last six shorter. The first counts that the arm can follow on a base at rest within its
+    joint limits, at rates of at most `pace` of the joints' limits, `dexterous`.
 
     Observation, reward, end and success are those of task `track`: solved where the root mean
     square of the tool's distance from where it was to be is within `tolerance`.
