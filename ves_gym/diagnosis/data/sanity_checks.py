@@ -334,7 +334,8 @@ def _mistakes(
         if all(a in run and b in run for a, b in pairs):
             ways = {a: b for pair in pairs for a, b in (pair, pair[::-1])}
             text = f"are {pairs[0][0]} and {pairs[0][1]} exchanged"
-            yield _Mistake(text, frozenset(ways), partial(_exchanged, ways))
+            change = partial(lambda ways, run: {a: run[b] for a, b in ways.items()}, ways)
+            yield _Mistake(text, frozenset(ways), change)
     n = run["q"].shape[1] if "q" in run else 0
     for keys, name in _TOGETHER:
         have = tuple(k for k in keys if k in run)
@@ -363,10 +364,6 @@ def _mistakes(
             yield _Mistake(text, _changed(keys), halves)
             yield from _units(keys, first, f"are the forces in {name}", _FORCE)
             yield from _units(keys, last, f"are the moments in {name}", _TORQUE)
-
-
-def _exchanged(ways: Mapping[str, str], run: Run) -> dict[str, Array]:
-    return {a: run[b] for a, b in ways.items()}
 
 
 def _orders(

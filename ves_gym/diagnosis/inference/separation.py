@@ -130,12 +130,11 @@ def separations(new: WhitenedResiduals, rivals: Sequence[LinearHypothesis]) -> A
     J, m, weight = new.slopes, new.shared, _weights(new, rivals[0])
     out = np.zeros((len(rivals), len(rivals)))
     for b, ((wrong, precision), (z, tangents)) in enumerate(zip(at_hand, under, strict=True)):
-        free = _Free(J, tangents, weight, precision, m)
-        for a, ((true, _), (z_true, _)) in enumerate(zip(at_hand, under, strict=True)):
-            if a != b:
-                shift = J[:, :m] @ (wrong - true)
-                d = (z - z_true + shift)[:, None]
-                out[a, b] = float(free.unexplained(d)[0, 0])
+        d = [
+            z - z_true + J[:, :m] @ (wrong - true)
+            for (true, _), (z_true, _) in zip(at_hand, under, strict=True)
+        ]
+        out[:, b] = np.diag(_unexplained(new, tangents, weight, precision, np.stack(d, 1)))
     return out
 
 
@@ -153,32 +152,26 @@ def visibility(
         (c, c), in variances of noise; tolerances and what is named already are projected out.
     """
     _, tangents = linearised(new, at_hand.fit.candidates, at_hand.fit.values)
-    free = _Free(new.slopes, tangents, _weights(new, at_hand), at_hand.at(new)[1], new.shared)
+    weight, precision = _weights(new, at_hand), at_hand.at(new)[1]
     columns = [
         evaluate_residuals(new, [c], [[np.array(c.starts[0])]])[0] - new.null for c in faint
     ]
-    return free.unexplained(np.stack(columns, axis=1))
+    return _unexplained(new, tangents, weight, precision, np.stack(columns, axis=1))
 
 
-class _Free:
-    """Part of a residual that numbers with a prior may explain."""
-
-    def __init__(
-        self, J: Array, tangents: Array, weight: Array, precision: Array, shared: int
-    ) -> None:
-        X = np.hstack([J, tangents])
-        retained = np.r_[0:shared, J.shape[1] : X.shape[1]]
-        A = np.eye(X.shape[1])  # what is of the new run alone has a unit prior
-        A[np.ix_(retained, retained)] = precision
-        self._weighted = X * weight[:, None]
-        A += X.T @ self._weighted
-        self._inverse = np.linalg.inv(A + 1e-9 * np.diag(np.diag(A) + 1e-30))
-        self._weight = weight
-
-    def unexplained(self, d: Array) -> Array:
-        """Return the products (c, c) of residuals (N, c) that are left at best."""
-        across = self._weighted.T @ d
-        return np.asarray(d.T @ (d * self._weight[:, None]) - across.T @ self._inverse @ across)
+def _unexplained(
+    new: WhitenedResiduals, tangents: Array, weight: Array, precision: Array, d: Array
+) -> Array:
+    """Return the products (c, c) of residuals (N, c) that numbers with a prior leave."""
+    X = np.hstack([new.slopes, tangents])
+    retained = np.r_[0 : new.shared, new.slopes.shape[1] : X.shape[1]]
+    A = np.eye(X.shape[1])  # what is of the new run alone has a unit prior
+    A[np.ix_(retained, retained)] = precision
+    weighted = X * weight[:, None]
+    A += X.T @ weighted
+    across = weighted.T @ d
+    solved = np.linalg.solve(A + 1e-9 * np.diag(np.diag(A) + 1e-30), across)
+    return np.asarray(d.T @ (d * weight[:, None]) - across.T @ solved)
 
 
 def _weights(new: WhitenedResiduals, at_hand: LinearHypothesis) -> Array:

@@ -43,17 +43,6 @@ class Score:
     values: Array  # (k,)
 
 
-@dataclass(frozen=True)
-class _NoiseProducts:
-    """Sums that noise alone has: of the residual z, the signatures x and the tangents b."""
-
-    zz: Array  # (G,)
-    xz: Array  # (G, p + M)
-    bz: Array  # (G, r)
-    bb: Array  # (G, r, r)
-    bx: Array  # (G, r, p + M)
-
-
 class Signatures:
     """Signatures (N, M) of candidates and their inner products.
 
@@ -168,54 +157,43 @@ class Signatures:
             beside: (N, r) tangents of the effects accepted already.
             size: (G,) mean squares of the groups.
         """
-        groups, p, r = self.residuals.groups, self._p, beside.shape[1]
-        zz = np.array([z[g.part] @ z[g.part] for g in groups])
-        xz = np.stack([self._all_columns[g.part].T @ z[g.part] for g in groups])
-        bz = np.stack([beside[g.part].T @ z[g.part] for g in groups])
-        bb = np.stack([beside[g.part].T @ beside[g.part] for g in groups])
-        bx = np.stack([beside[g.part].T @ self._all_columns[g.part] for g in groups])
-        # a weight that is stated may be off by a million times its noise, and is a tolerance
-        slopes = self.residuals.slopes
-        xz[:, :p] = [slopes[g.part].T @ z[g.part] for g in groups]
-        bx[:, :, :p] = [beside[g.part].T @ slopes[g.part] for g in groups]
-        noise = self._noise_products(z, beside)
+        p, r, first = self._p, beside.shape[1], self._p + len(self.usual)
+        zz, cross = self._crossed(z, beside)
+        noise_zz, noise = self._noise_crossed(z, beside)
         share = np.minimum(size, 1.0)[:, None]  # of the noise expected that is there
-        weight = 1 / np.maximum(size, 1.0)
-        first = self._first_pass(weight, xz - share * noise.xz, bz - share * noise.bz, bb, bx)
+        seen = np.concatenate([cross[:, :1] - share[:, None] * noise[:, :1], cross[:, 1:]], 1)
+        gains = self._first_pass(1 / np.maximum(size, 1.0), seen)
         best: dict[int, Score] = {}
-        for rank, s in enumerate(np.argsort(-first)):
+        for rank, s in enumerate(np.argsort(-gains)):
             block = self.blocks[int(s)]
             candidate = self.candidates[block.candidate]
             if rank >= _EXACT and not self._delicate[int(s)]:
                 worst = Score(block.candidate, np.inf, np.array(block.values))
                 best.setdefault(block.candidate, worst)
                 continue
-            at = [*range(p), *(p + c for c in block.columns)]
-            k = len(at)
-            xx = np.empty((len(groups), k + r, k + r))
+            every = [*range(p), *(p + c for c in block.columns), *range(first, first + r)]
+            k, at = len(every) - r, every[: len(every) - r]
+            xx = np.empty((len(zz), k + r, k + r))
             xx[:, :p, :p] = self.residuals.gram  # as exact as in a full fit
             xx[:, :k, p:k] = self._products(int(s))
             xx[:, p:k, :p] = xx[:, :p, p:k].swapaxes(1, 2)
-            xx[:, k:, k:] = bb
-            xx[:, k:, :k] = bx[:, :, at]
-            xx[:, :k, k:] = bx[:, :, at].swapaxes(1, 2)
+            noise_xx = np.zeros_like(xx)
+            for g, products in zip(self._noisy, self._noise_xx, strict=True):
+                noise_xx[g, :k, :k] = products[np.ix_(at, at)]
+            for square, rows in ((xx, cross), (noise_xx, noise)):
+                square[:, k:] = rows[:, 1:, every]
+                square[:, :k, k:] = square[:, k:, :k].swapaxes(1, 2)
             low = np.array([candidate.low[i] for i in block.free] + [-np.inf] * r)
             high = np.array([candidate.high[i] for i in block.free] + [np.inf] * r)
             if candidate.sets_in:  # as much as the start has, or twice that
                 low[0], high[0] = 0.0, 2 * block.values[0]
-            noise_xx = np.zeros_like(xx)
-            for g, products in zip(self._noisy, self._noise_xx, strict=True):
-                noise_xx[g, :k, :k] = products[np.ix_(at, at)]
-            noise_xx[:, k:, k:] = noise.bb
-            noise_xx[:, k:, :k] = noise.bx[:, :, at]
-            noise_xx[:, :k, k:] = noise.bx[:, :, at].swapaxes(1, 2)
             both = InnerProducts(
                 self._n,
                 zz,
-                np.concatenate([xz[:, at], bz], axis=1),
+                cross[:, 0, every],
                 xx,
-                noise.zz,
-                np.concatenate([noise.xz[:, at], noise.bz], axis=1),
+                noise_zz,
+                noise[:, 0, every],
                 noise_xx,
                 self._most,
                 self._least,
@@ -238,42 +216,45 @@ class Signatures:
             self._exact[s] = np.stack([both[g.part].T @ columns[g.part] for g in groups])
         return self._exact[s]
 
-    def _noise_products(self, z: Array, beside: Array) -> _NoiseProducts:
-        """Return what noise alone adds to products of z (N,) and tangents (N, r), by group."""
-        G, r, m = len(self._n), beside.shape[1], self._all_columns.shape[1]
-        out = _NoiseProducts(
-            self._n.copy(),
-            np.zeros((G, m)),
-            np.zeros((G, r)),
-            np.zeros((G, r, r)),
-            np.zeros((G, r, m)),
-        )
-        product = self.residuals.noise_product
+    def _crossed(self, z: Array, beside: Array) -> tuple[Array, Array]:
+        """Return products by group: of z (N,) with itself (G,), and (G, 1 + r, p + M + r) of z
+        and tangents (N, r) with tolerances, signatures and tangents."""
+        both, parts = np.column_stack([z, beside]), [g.part for g in self.residuals.groups]
+        inner = np.stack([both[x].T @ both[x] for x in parts])
+        across = np.stack([both[x].T @ self._all_columns[x] for x in parts])
+        # a weight that is stated may be off by a million times its noise, and is a tolerance
+        across[..., : self._p] = [both[x].T @ self.residuals.slopes[x] for x in parts]
+        return inner[:, 0, 0], np.concatenate([across, inner[..., 1:]], axis=2)
+
+    def _noise_crossed(self, z: Array, beside: Array) -> tuple[Array, Array]:
+        """Return what noise alone adds to the products of `_crossed`."""
         both, usual = np.column_stack([z, beside]), self.residuals.null[:, None]
+        r = beside.shape[1]
+        zz = self._n.copy()
+        cross = np.zeros((len(zz), 1 + r, self._all_columns.shape[1] + r))
+        product = self.residuals.noise_product
         for k in self._noisy:
             group = self.residuals.groups[k]
-            inner, across = product(group, both), product(group, both, self._all_columns)
-            out.zz[k] += inner[0, 0] - product(group, usual)[0, 0]
-            out.xz[k], out.bx[k] = across[0], across[1:]
-            out.bz[k], out.bb[k] = inner[0, 1:], inner[1:, 1:]
-        return out
+            inner = product(group, both)
+            zz[k] += inner[0, 0] - product(group, usual)[0, 0]
+            across = product(group, both, self._all_columns)
+            cross[k] = np.concatenate([across, inner[:, 1:]], axis=1)
+        return zz, cross
 
-    def _first_pass(self, weight: Array, xz: Array, bz: Array, bb: Array, bx: Array) -> Array:
+    def _first_pass(self, weight: Array, cross: Array) -> Array:
         """Return (blocks,) gain of each block with the groups' weights held."""
-        p, r = self._p, bz.shape[1]
+        p, m = self._p, self._all_columns.shape[1]
         xx = np.einsum("g,gij->ij", weight, self._xx, dtype=float)
         xx[:p, :p] = np.einsum("g,gij->ij", weight, self.residuals.gram)
-        x, b = weight @ xz, weight @ bz
-        cross = np.einsum("g,gij->ij", weight, bx)  # (r, p + M)
-        inside = np.zeros((p + r, p + r))
-        inside[:p, :p] = xx[:p, :p] + np.eye(p)
-        inside[p:, p:] = np.einsum("g,gij->ij", weight, bb)
-        inside[p:, :p], inside[:p, p:] = cross[:, :p], cross[:, :p].T
+        x, *beside = np.einsum("g,gij->ij", weight, cross)
+        rows = np.reshape(beside, (-1, len(x)))  # (r, p + M + r)
+        fitted = np.concatenate([xx[:p], rows[:, :m]])  # (p + r, p + M)
+        inside = np.hstack([fitted[:, :p], np.concatenate([rows[:, :p].T, rows[:, m:]])])
+        inside[:p, :p] += np.eye(p)
         inside += 1e-10 * np.diag(np.diag(inside) + 1e-30)
-        fitted = np.concatenate([xx[:p], cross])  # (p + r, p + M)
-        solved = np.linalg.solve(inside, np.column_stack([fitted, np.r_[x[:p], b]]))
+        solved = np.linalg.solve(inside, np.column_stack([fitted, np.r_[x[:p], x[m:]]]))
         G = (xx - fitted.T @ solved[:, :-1])[p:, p:]
-        g = (x - fitted.T @ solved[:, -1])[p:]
+        g = (x[:m] - fitted.T @ solved[:, -1])[p:]
         out = np.empty(len(self.blocks))
         for i, block in enumerate(self.blocks):
             at = list(block.columns)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import scipy
 
 from ves_gym._util.params import Array, Index
 from ves_gym.diagnosis.data.measured_run import Run
@@ -21,6 +20,7 @@ from ves_gym.diagnosis.machines.controller_signals import (
     on_log_clock,
     taken_in,
 )
+from ves_gym.diagnosis.machines.recursions import stepped
 from ves_gym.hardware.admittance import admittance_matrices, integrate, rigid_bodies
 from ves_gym.mechanics.spatial import matvec, rate_matrix
 from ves_gym.mechanics.vehicle import BaseModel
@@ -99,7 +99,7 @@ def _linear_gap(base: BaseModel, y: Array, force: Array, system: System) -> Arra
             onto = block(inner, rate) @ back
             A = block(inner, inner) - onto @ block(pose, inner)
             push = y[:, :-1] @ block(inner, pose).T + applied @ gamma[inner].T + moved @ onto.T
-            z = _recursion(A, push, start)[:, :-1]
+            z = stepped(A, push, start)
         v = (moved - z @ block(pose, inner).T) @ back.T
     end_rate = y[:, :-1] @ block(rate, pose).T + z @ block(rate, inner).T
     end_rate += v @ block(rate, rate).T + applied @ gamma[rate].T
@@ -124,12 +124,3 @@ def _body_gap(base: BaseModel, y: Array, force: Array, system: System) -> Array:
     turn = rate_matrix(y[:, 1:-1])
     mass = np.swapaxes(turn, -1, -2) @ base.body.spatial() @ turn + base.M
     return -matvec(mass, y[:, 2:] - foreseen) / dt**2
-
-
-def _recursion(A: Array, push: Array, start: Array) -> Array:
-    """States (k, N + 1, s) of x+ = A x + push, from a start (k, s); push is (k, N, s)."""
-    value, vector = np.linalg.eig(A)
-    modes = np.concatenate([start[:, None], push], axis=1) @ np.linalg.inv(vector).T
-    for i, pole in enumerate(value):
-        modes[..., i] = scipy.signal.lfilter([1.0], [1.0, -pole], modes[..., i], axis=1)
-    return np.asarray((modes @ vector.T).real)

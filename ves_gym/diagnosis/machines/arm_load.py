@@ -26,8 +26,7 @@ from ves_gym.mechanics.link import Inertial
 from ves_gym.mechanics.spatial import twist, twist_rate
 
 _MANY = 300  # instants from which compiled code is faster than NumPy
-_NONE = ((0.0,) * 3,) * 3
-_NOTHING = Inertial(mass=0.0, com=(0.0,) * 3, inertia=_NONE)
+_NOTHING = Inertial(mass=0.0, com=(0.0,) * 3, inertia=((0.0,) * 3,) * 3)
 
 BaseMotion = tuple[Array, Array, Array]
 Load = tuple[Array, Array]
@@ -162,7 +161,3 @@ def _lengths(arm: Arm) -> Hashable:
     """What the numbers of bodies are multiplied by, beside the motion."""
     lengths = tuple((k.d, k.a, k.alpha, k.beta, k.offset, k.slides) for k in arm.links)
     return arm.mount, arm.beside, lengths
-
-
-def _columns(x: Array) -> Any:
-    return tuple(np.moveaxis(x, -1, 0))

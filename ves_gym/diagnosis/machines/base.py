@@ -59,6 +59,7 @@ class Machine(Protocol):
 
     def unknowns(self, run: Run) -> Sequence[Nuisance]:
         """Return what a description says may be, but not how it was in a run: stated drift."""
+        return ()
 
     def model(self, effects: Sequence[Effect]) -> Any:
         """The description with effects."""
@@ -69,6 +70,7 @@ class Machine(Protocol):
         Friction turns with the noise of a joint at rest, where more noise on noisy angles is
         not what noise did, and of angles and rates there is less than of accelerations.
         """
+        return model
 
     def residuals(
         self, run: Run, models: Sequence[Any], ports: Sequence[str]
@@ -77,6 +79,7 @@ class Machine(Protocol):
 
     def rings(self, runs: Sequence[Run], frequency: float) -> bool:
         """Return True if the machine as described rings at a frequency [Hz] by itself."""
+        return False
 
     def floor(self, run: Run, port: str) -> Array:
         """Return (c,) standard deviation below which a residual of the port means nothing."""

@@ -26,7 +26,6 @@ from ves_gym.system.system import System
 _STEADY = 1e-3  # rad/s: a swing that turns no friction round, a tenth of its creep
 _ROUNDS = 3  # of what the swing itself changes
 _EVERY = 2  # nodes of a period at which rates are told
-_TERMS, _NOTHING = 30, 1e-16  # of a series, at most; a term that adds nothing
 
 
 @dataclass(frozen=True)
@@ -160,7 +159,7 @@ def _driven(inner: Array, kp: Array, kd: Array, push: Array, h: float) -> Kinema
     a, b, c, d = (slice(k * n, (k + 1) * n) for k in range(4))
     generator[:, a, b] = generator[:, b, c] = generator[:, c, d] = np.eye(n)
     generator[:, b, a], generator[:, b, b] = -inverse * kp, -inverse * kd
-    step = _exponential(generator * h)[:, : 2 * n]
+    step = scipy.linalg.expm(generator * h)[:, : 2 * n]
     state, out = np.zeros(2 * n), np.empty((N, nodes, 2 * n))
     slope = np.diff(drive, axis=1) / h
     for k in range(N):
@@ -172,18 +171,6 @@ def _driven(inner: Array, kp: Array, kd: Array, push: Array, h: float) -> Kinema
     angle, rate = out[..., :n], out[..., n:]
     acceleration: Array = drive - matvec(inverse[:, None], kp * angle + kd * rate)
     return Kinematics(angle, rate, acceleration)
-
-
-def _exponential(A: Array) -> Array:
-    """Return exponentials (N, s, s) by their series: steps are short beside what moves."""
-    term = np.broadcast_to(np.eye(A.shape[-1]), A.shape)
-    out = term.copy()
-    for k in range(1, _TERMS):
-        term = term @ A / k
-        out += term
-        if np.abs(term).max() < _NOTHING:
-            return out
-    return np.asarray(scipy.linalg.expm(A), dtype=np.float64)
 
 
 def _filtered(wrench: Array, cutoff: float, h: float) -> Array:

@@ -24,9 +24,6 @@ from ves_gym.system.effect import Effect
 
 ARM = 3  # joints from which friction of all of them is one cause
 FRICTION = "joint/friction"
-EVERYWHERE = "all joints"
-_MOST = {"coulomb": 50.0, "viscous": 50.0}  # N m, N m s/rad
-_USUAL = {"coulomb": 2.0, "viscous": 1.0}
 
 
 @dataclass(frozen=True)
@@ -72,13 +69,13 @@ def arm_friction(
 
     yield Candidate(
         kind=FRICTION,
-        slot=EVERYWHERE,
+        slot="all joints",
         ports=("joint",),
         names=(*(f"viscous of {k}" for k in places), *(f"coulomb of {k}" for k in places)),
         units=(*viscous_units, *coulomb_units),
-        starts=((*(_USUAL["viscous"] / r**2), *(_USUAL["coulomb"] / r)),),
+        starts=((*(1.0 / r**2), *(2.0 / r)),),
         low=(0.0,) * (2 * n),
-        high=(*(_MOST["viscous"] / r**2), *(_MOST["coulomb"] / r)),
+        high=(*(50.0 / r**2), *(50.0 / r)),
         make=make,
         factors=tuple(range(2 * n)),
         blurs=tuple(partial(_building_up, form) for form in FORMS) if builds_up else (),

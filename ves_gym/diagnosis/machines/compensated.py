@@ -19,7 +19,7 @@ import scipy
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import NEAR, Run
 from ves_gym.diagnosis.machines.controller_signals import ControllerSignals, extended
-from ves_gym.diagnosis.machines.platform_response import Platforms
+from ves_gym.diagnosis.machines.platform_response import Platforms, loop_shape
 from ves_gym.diagnosis.machines.recursions import wrenches
 from ves_gym.engine.batch_parameters import Bodies
 from ves_gym.hardware.admittance import implicit_step
@@ -27,7 +27,6 @@ from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.spatial import matvec, rate_matrix
 from ves_gym.simulation.blocks.admittance import CoupledAdmittance
-from ves_gym.simulation.blocks.block import LoopShape
 from ves_gym.simulation.blocks.sensing import PayloadCompensation
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.system import System
@@ -159,10 +158,6 @@ def _moving(system: System) -> int:
     return system.arm.n if system.drive == "motor" else 0
 
 
-def _shape(system: System) -> LoopShape:
-    return LoopShape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
-
-
 def _signals(
     run: Run, taken: ControllerSignals, system: System, described: System
 ) -> dict[str, Array]:
@@ -183,7 +178,7 @@ def _inverse(
     base, lag = system.actual.base, system.emulator_settings.lag(dt)
     k = m + base.m
     size = 6 + k
-    block = CoupledAdmittance(_shape(system), base.m, m, lag, base.body is not None, None)
+    block = CoupledAdmittance(loop_shape(system), base.m, m, lag, base.body is not None, None)
     at, rates = np.split(near.state[0], 2, axis=-1)
     X = np.concatenate([at[:, :6], rates[:, :6]], axis=-1)
     N, none = len(X), np.zeros((len(X), 6))
@@ -253,7 +248,7 @@ def _loaded(
     """Trajectories of m systems with the reading that each predicts of the arm's inertia."""
     m, sent = len(paths), np.stack([path.sent for path in paths])
     copies, N = sent.shape[1:3]
-    settings, shape = described.emulator_settings, _shape(described)
+    settings, shape = described.emulator_settings, loop_shape(described)
     start = np.tile(np.concatenate([taken.pose[:, 0], taken.rate], axis=-1), (m, 1))
     waiting = np.repeat(start[:, None], settings.delay, axis=1)
     commands = np.concatenate([waiting, sent.reshape(m * copies, N, 12)], axis=1)

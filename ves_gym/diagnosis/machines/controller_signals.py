@@ -30,33 +30,26 @@ def on_its_clock(run: Run, system: System) -> bool:
     return abs(run.dt / system.control_dt - 1) < _SAME_CLOCK
 
 
-def _on_control_clock(x: Array, run: Run, dt: float) -> Array:
+def _on_control_clock(x: Array, run: Run, system: System) -> Array:
     """Signals (..., T, c) of a log at the controller's own instants."""
-    if abs(run.dt / dt - 1) < _SAME_CLOCK:
+    if on_its_clock(run, system):
         return x
     smooth = differentiated(x, run.dt, run.band)[0]  # what lies between samples is in the band
-    t = run.dt * np.arange(x.shape[-2])
-    instants = dt * np.arange(int(t[-1] / dt + 1e-9) + 1)
-    return np.asarray(scipy.interpolate.CubicSpline(t, smooth, axis=-2)(instants))
+    last = int((x.shape[-2] - 1) * run.dt / system.control_dt + 1e-9)
+    return _resampled(smooth, run.dt, system.control_dt * np.arange(last + 1, dtype=float))
 
 
 def on_log_clock(x: Array, run: Run, system: System) -> Array:
-    """Return signals of the controller at the instants of the log.
-
-    Args:
-        x: (..., N, c), control periods.
-        run: the log.
-        system: whose control period counts.
-
-    Returns:
-        (..., T, c).
-    """
-    dt = system.control_dt
-    if abs(run.dt / dt - 1) < _SAME_CLOCK:
+    """Return signals of the controller (..., N, c) at the instants of the log (..., T, c)."""
+    if on_its_clock(run, system):
         return x
+    return _resampled(x, system.control_dt, run.dt * np.arange(run.length, dtype=float))
+
+
+def _resampled(x: Array, dt: float, instants: Array) -> Array:
+    """Return signals of steps dt at other instants; what comes after them holds the last."""
     t = dt * np.arange(x.shape[-2])
-    instants = np.minimum(run.dt * np.arange(run.length), t[-1])
-    return np.asarray(scipy.interpolate.CubicSpline(t, x, axis=-2)(instants))
+    return scipy.interpolate.CubicSpline(t, x, axis=-2)(np.minimum(instants, t[-1]))
 
 
 def taken_in(run: Run, system: System) -> ControllerSignals:
@@ -66,20 +59,18 @@ def taken_in(run: Run, system: System) -> ControllerSignals:
         run: the log.
         system: as described.
     """
-    dt, skip = system.control_dt, run.window.skip
     force = np.reshape(run["w"] - run["weight"], (-1, run.length, 6))
     pose = np.reshape(run["y_cmd"], (-1, run.length, 6))
     if "yd" in run:
         rate = np.reshape(run["yd"], (-1, run.length, 6))[:, 0]
     else:
-        rate = differentiated(pose[:, : 4 * skip], run.dt, run.band)[1][:, 0]
+        rate = differentiated(pose[:, : 4 * run.window.skip], run.dt, run.band)[1][:, 0]
     q = np.empty(0)
     if system.emulator_settings.payload_compensation:
         angles = np.reshape(run["q"], (-1, run.length, system.arm.n))[0]
-        q = _on_control_clock(angles, run, dt)
-    return ControllerSignals(
-        _on_control_clock(force, run, dt), _on_control_clock(pose, run, dt), rate, q
-    )
+        q = _on_control_clock(angles, run, system)
+    force, pose = (_on_control_clock(x, run, system) for x in (force, pose))
+    return ControllerSignals(force, pose, rate, q)
 
 
 def extended(gap: Array, length: int) -> Array:

@@ -20,7 +20,6 @@ from ves_gym.mechanics.body_numbers import PARAMETER_UNITS, PARAMETERS, nearest_
 from ves_gym.system.effect import EFFECTS, Effect, TorqueEffect
 
 _BESIDE_LAWS = ("joint/measurement_delay", "joint/rotor_inertia", "joint/velocity_lag")
-_LIMITS = ("joint/torque_limit",)  # a mapping file states no limit of the motors
 _ON_RACK = {  # unit of a turning joint -> unit of a slide, power of the radius between them
     "N m": ("N", -1),
     "N m s/rad": ("N s/m", -2),
@@ -31,7 +30,6 @@ _ON_RACK = {  # unit of a turning joint -> unit of a slide, power of the radius 
 _LAGS = (0.02, 0.005, 0.2)  # s, where fits of a low-pass begin
 _BREAKAWAY, _STUCK = 2.0, 30.0  # N m above Coulomb's: where fits begin, and most
 _FADED = 0.1  # rad/s: what fades later is not of standstill but Coulomb's by another name
-_MOST = {"coulomb": 50.0, "viscous": 50.0, "inertia": 10.0}  # N m, N m s/rad, kg m^2
 _PAYLOAD = {"kg": (1.0, 0.0, 50.0), "kg m": (0.1, -20.0, 20.0), "kg m^2": (0.02, -10.0, 10.0)}
 
 
@@ -66,7 +64,7 @@ def is_computed(cls: type[Effect]) -> bool:
         cls: effect of the library.
     """
     if issubclass(cls, TorqueEffect):
-        return cls.kind not in _LIMITS
+        return cls.kind != "joint/torque_limit"  # a mapping file states none of the motors
     return cls.kind in _BESIDE_LAWS
 
 
@@ -117,7 +115,7 @@ def coupled_shaft(joints: Sequence[MjcfJoint], ratio: Sequence[float]) -> Candid
         units=("N m", "N m s/rad", "kg m^2"),
         starts=((2.0, 1.0, 0.1),),
         low=(0.0,) * 3,
-        high=(_MOST["coulomb"], _MOST["viscous"], _MOST["inertia"]),
+        high=(50.0, 50.0, 10.0),
         make=lambda x: Shaft(turns, *(float(k) for k in x)),
         factors=(0, 1, 2),
     )
@@ -203,22 +201,12 @@ def _rates(what: str, slot: str, where: tuple[float, ...]) -> Candidate:
     )
 
 
-def _unit(joint: MjcfJoint, symbol: str) -> str:
-    """Unit of a quantity of a turning joint, at this one."""
-    return symbol if joint.type == "hinge" else _ON_RACK.get(symbol, (symbol, 0))[0]
-
-
-def _factor(joint: MjcfJoint, symbol: str) -> float:
-    """Number at this joint per number of a turning joint."""
-    power = 0 if joint.type == "hinge" else _ON_RACK.get(symbol, (symbol, 0))[1]
-    return float(joint.radius**power)
-
-
 def _placed(candidate: Candidate, joint: MjcfJoint) -> Candidate:
     """A candidate under its joint's name; of a slide in m and N."""
     if joint.type == "hinge":
         return dataclasses.replace(candidate, slot=joint.name)
-    factor = np.array([_factor(joint, u) for u in candidate.units])
+    units, powers = zip(*(_ON_RACK.get(u, (u, 0)) for u in candidate.units), strict=True)
+    factor = joint.radius ** np.array(powers, float)
 
     def scaled(values: Sequence[float]) -> tuple[float, ...]:
         return tuple((np.array(values) * factor).tolist())
@@ -226,7 +214,7 @@ def _placed(candidate: Candidate, joint: MjcfJoint) -> Candidate:
     return dataclasses.replace(
         candidate,
         slot=joint.name,
-        units=tuple(_unit(joint, u) for u in candidate.units),
+        units=units,
         starts=tuple(scaled(s) for s in candidate.starts),
         low=scaled(candidate.low),
         high=scaled(candidate.high),

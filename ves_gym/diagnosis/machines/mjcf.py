@@ -21,7 +21,7 @@ from ves_gym._util.params import Array, ParameterError
 from ves_gym._util.signals import differentiated
 from ves_gym.diagnosis.data.measured_run import Kinematics, Run
 from ves_gym.diagnosis.inference.candidates import Candidate
-from ves_gym.diagnosis.machines.base import Nuisance, Port
+from ves_gym.diagnosis.machines.base import Machine, Nuisance, Port
 from ves_gym.diagnosis.machines.causes import split
 from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft
 from ves_gym.diagnosis.machines.joint_library import (
@@ -69,7 +69,7 @@ class MjcfVariant:
         return dataclasses.replace(self, effects=(*self.effects, *split(effects)))
 
 
-class MjcfMachine:
+class MjcfMachine(Machine):
     """Ports `joint` (with a model) and `velocity` of n joints.
 
     Args:
@@ -133,10 +133,6 @@ class MjcfMachine:
         """The model, where it is MJCF."""
         return self.bodies if isinstance(self.bodies, MjcfBodies) else None
 
-    def passing(self, model: MjcfVariant) -> MjcfVariant:
-        """Return the model: no port here differentiates."""
-        return model
-
     def model(self, effects: Sequence[Any]) -> MjcfVariant:
         """Return the description with effects added."""
         return self.nominal.added(effects)
@@ -149,14 +145,6 @@ class MjcfMachine:
             self.nominal, bodies=tuple(BodyChange(body, factor) for body in range(count))
         )
         return out
-
-    def unknowns(self, run: Run) -> Sequence[Nuisance]:
-        """Return nothing: no drift is described."""
-        return ()
-
-    def rings(self, runs: Sequence[Run], frequency: float) -> bool:
-        """Return False: nothing is known of a controller that could ring."""
-        return False
 
     def floor(self, run: Run, port: str) -> Array:
         """Return (n,) standard deviation below which a residual of the port means nothing."""

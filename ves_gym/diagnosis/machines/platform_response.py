@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,11 @@ from ves_gym.simulation.blocks.platform import CommandLine, LegSensors, LegServo
 from ves_gym.simulation.blocks.wiring import NamedArrays, Wiring
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.system import System
+
+
+def loop_shape(system: System) -> LoopShape:
+    """Return the sizes of a system's loop, without legs."""
+    return LoopShape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
 
 
 def platform_response(
@@ -37,11 +43,10 @@ def platform_response(
         (n, T, 6) poses at the ends of the periods [m, rad], the first of them `y`.
     """
     settings = system.emulator_settings
-    shape = LoopShape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
     command = within_reach(system, p, command, y, yd)
     servo = settings.platform
     if isinstance(servo, PoseServo):
-        block = PosePlatform(servo, shape)
+        block = PosePlatform(servo, loop_shape(system))
         out = _poses(block, block.response(p), command[:, 1:], y, yd)
         return np.concatenate([y[:, None], out], axis=1)
     platforms = Platforms(system, p, y, yd)
@@ -53,16 +58,15 @@ class Platforms:
     """The platform's blocks, compiled, with n memories, from poses and rates (n, 6) on."""
 
     def __init__(self, system: System, p: LoopParameters, y: Array, yd: Array) -> None:
-        settings, n = system.emulator_settings, system.arm.n
-        clock = system.control_dt, system.physics_dt
+        settings, shape = system.emulator_settings, loop_shape(system)
         blocks: list[Block]
         if isinstance(settings.platform, PoseServo):
-            shape = LoopShape(system.substeps + 1, n, *clock)
             first: PosePlatform | LegServos = PosePlatform(settings.platform, shape)
             blocks = [first]
         else:
+            clock = system.control_dt, system.physics_dt
             legs = Legs(settings.platform, settings.stewart, *clock)
-            shape = LoopShape(system.substeps + 1, n, *clock, legs.leg.size)
+            shape = replace(shape, leg_states=legs.leg.size)
             first = LegServos(legs)
             blocks = [first, LegSensors(legs)]
         self.shape = shape
@@ -96,8 +100,7 @@ def within_reach(
     Returns:
         (n, T, 12).
     """
-    shape = LoopShape(system.substeps + 1, system.arm.n, system.control_dt, system.physics_dt)
-    queue = CommandLine(system.emulator_settings.stewart, shape, 0, True)
+    queue = CommandLine(system.emulator_settings.stewart, loop_shape(system), 0, True)
     travel, speed = p.platform_travel, p.platform_speed
     if not (travel.any() or speed.any()):
         return command

@@ -22,7 +22,7 @@ from collections.abc import Callable, Hashable
 import numpy as np
 
 from ves_gym._util.params import Array
-from ves_gym._util.signals import SensorNoiseModel
+from ves_gym._util.signals import noise_power
 from ves_gym.diagnosis.data.measured_run import Run, forget
 from ves_gym.diagnosis.machines.arm_load import bodies_of
 from ves_gym.diagnosis.machines.vehicle_force import dynamic_stiffness
@@ -49,12 +49,13 @@ class PoseNoise:
         self._q = run["q"].reshape(-1, run.length, run["q"].shape[-1])[0]
         self._turn = rate_matrix(run.base.x.reshape(-1, run.length, 6)[0])
         self._size, self._skip = run.length, run.window.skip
-        self._w = w = np.asarray(2 * np.pi * np.fft.rfftfreq(run.length, run.dt), float)
+        f = np.asarray(np.fft.rfftfreq(run.length, run.dt), float)
+        self._w = w = 2 * np.pi * f
         top = 2 * np.pi * run.band
         fade = np.clip((_BEYOND * top - w) / ((_BEYOND - 1) * top), 0.0, 1.0)
         self._low = np.sin(np.pi / 2 * fade)[:, None, None] ** 2
-        self._pose = _density(run.noise["y"], w * run.dt)  # (K, 6)
-        self._wrench = _density(run.noise["w"], w * run.dt) + floor**2
+        self._pose = noise_power(run.noise["y"], f, run.dt)  # (K, 6)
+        self._wrench = noise_power(run.noise["w"], f, run.dt) + floor**2
         self._arms: dict[Hashable, tuple[Array, Array, Array]] = {}
         self._bases: dict[Hashable, Array] = {}
 
@@ -124,13 +125,6 @@ def pose_noise(run: Run, floor: Callable[[], Array]) -> PoseNoise:
     """
     signals = ("q", "y", "w")
     return run.derived("pose noise", signals, lambda: PoseNoise(run, floor()), near=True)
-
-
-def _density(noise: SensorNoiseModel, angle: Array) -> Array:
-    """Return (K, c) spectral density of coloured noise; its mean over frequency is std^2."""
-    a = noise.correlation
-    shape = (1 - a**2) / (1 - 2 * a * np.cos(angle[:, None]) + a**2)
-    return np.asarray(noise.std**2 * shape)
 
 
 def _diagonal(x: Array) -> Array:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -54,17 +55,8 @@ class Presliding:
         return np.asarray(rows).reshape(torque.shape)
 
 
-def _sooner(effect: Effect) -> Presliding:
-    """Return a friction that builds up over less."""
-    return Presliding(effect, length=3e-4)
-
-
-def _later(effect: Effect) -> Presliding:
-    """Return a friction that builds up over more: an elastic gear, or a soft seal."""
-    return Presliding(effect, length=4e-3)
-
-
-FORMS = (Presliding, _sooner, _later)  # in which a friction may be in part
+# in which a friction may be in part; the last is of an elastic gear, or a soft seal
+FORMS = (Presliding, partial(Presliding, length=3e-4), partial(Presliding, length=4e-3))
 
 
 def remembered_friction(run: Run, effects: Iterable[Effect]) -> Array | float:

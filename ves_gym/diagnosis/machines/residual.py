@@ -22,7 +22,7 @@ from ves_gym._util.own import require_free
 from ves_gym._util.params import Array, ParameterError, finite, require_one_of
 from ves_gym._util.signals import SensorNoiseModel, SpectralWindow
 from ves_gym.diagnosis.data.measured_run import Run, cached
-from ves_gym.diagnosis.machines.base import Nuisance, Port
+from ves_gym.diagnosis.machines.base import Machine, Nuisance, Port
 from ves_gym.diagnosis.machines.tolerances import LEAST, with_known
 from ves_gym.system.candidate import Candidate
 
@@ -90,7 +90,7 @@ class _Number:
 
 
 @dataclass(eq=False)
-class ResidualMachine:
+class ResidualMachine(Machine):
     """A machine by its residual function.
 
     Raises:
@@ -160,14 +160,6 @@ class ResidualMachine:
     def model(self, effects: Sequence[Any]) -> tuple[Changed, ...]:
         """Return the description with changes."""
         return tuple(effects)
-
-    def passing(self, model: Any) -> Any:
-        """Return the model: no port here differentiates."""
-        return model
-
-    def rings(self, runs: Sequence[Run], frequency: float) -> bool:
-        """Return False: nothing is known of a loop."""
-        return False
 
     @cached_property
     def nuisances(self) -> tuple[Nuisance, ...]:

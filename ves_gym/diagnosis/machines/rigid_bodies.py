@@ -95,10 +95,13 @@ class MjcfBodies:
 
     def payload(self, q: Array, v: Array, a: Array) -> Array:
         """Return as `RigidBodies.payload`: forces of point masses span it."""
-        empty, forces = self._inverse(self._bare(), q, v, a), []
+        model = self._bare()
+        model.body_mass[:] = model.body_inertia[:] = 0.0
+        _moved_apart(model, self.last)
+        empty, forces = self._inverse(model, q, v, a), []
+        model.body_mass[self.last] = 1.0
         for point in POINT_MASSES:
-            model = self._bare()
-            _add_point(model, self.last, np.array(point.com))
+            model.body_ipos[self.last] = point.com
             forces.append(self._inverse(model, q, v, a) - empty)
         return np.moveaxis(np.tensordot(per_number(), np.stack(forces), 1), 0, -1)
 
@@ -273,26 +276,6 @@ def _require_joints(
 
 def _lacking(name: str, names: Iterable[str]) -> str:
     return f"the model has no joint {name!r}; it has {', '.join(names)}"
-
-
-def _add_point(model: mujoco.MjModel, body: int, place: Array) -> None:
-    """Put 1 kg at a place (3,) of a body's frame."""
-    mass, com = float(model.body_mass[body]), model.body_ipos[body].copy()
-    turn = np.empty(9)
-    mujoco.mju_quat2Mat(turn, model.body_iquat[body])
-    R = turn.reshape(3, 3)
-    about = R @ np.diag(model.body_inertia[body]) @ R.T
-    total = mass + 1.0
-    centre = (mass * com + place) / total
-    for m, c in ((mass, com - centre), (1.0, place - centre)):
-        about = about + m * (c @ c * np.eye(3) - np.outer(c, c))
-    value, axes = np.linalg.eigh(about)
-    axes = axes * np.sign(np.linalg.det(axes))
-    quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, axes.ravel())
-    model.body_mass[body], model.body_ipos[body] = total, centre
-    model.body_inertia[body], model.body_iquat[body] = value, quaternion
-    _moved_apart(model, body)
 
 
 def _moved_apart(model: mujoco.MjModel, body: int) -> None:

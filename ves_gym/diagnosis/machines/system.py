@@ -54,7 +54,7 @@ from ves_gym.diagnosis.machines.presliding import Presliding, remembered_frictio
 from ves_gym.diagnosis.machines.rates import low_passed
 from ves_gym.diagnosis.machines.ringing import loop_rings
 from ves_gym.diagnosis.machines.servo import commanded_torque_weight, servo_gap
-from ves_gym.diagnosis.machines.tolerances import StatedErrors, with_known
+from ves_gym.diagnosis.machines.tolerances import LEAST, StatedErrors, with_known
 from ves_gym.diagnosis.machines.torque_balance import (
     in_torque_logged,
     through_gears,
@@ -74,10 +74,6 @@ from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import BaseEffect, Effect, TorqueEffect, joint_torque
 from ves_gym.system.system import System
 
-# Of a channel's own movement: no description is better. A vehicle is never quite six
-# coordinates, and what the computer takes in and gives out is known to the last digit.
-_FLOOR = {"admittance": 8e-3}
-_LEAST = 1e-3
 # Of what a platform that swings within each period does to joints: not known.
 _SWUNG = 0.3
 _OF_THE_SERVO = (*COMMANDED, "q", "tau", "controller")  # what its port needs
@@ -177,7 +173,8 @@ class SystemMachine:
         signal = next(p.signal for p in self.ports if p.name == port)
         size = np.asarray(run["w" if signal == "wg" else signal].std(axis=-2))
         kinds = np.array_split(size, max(1, len(size) // 3))  # forces and moments apart
-        share = _FLOOR.get(port, _LEAST)
+        # what a computer takes in and gives out is exact, but no vehicle is six coordinates
+        share = 8e-3 if port == "admittance" else LEAST
         least = share * np.concatenate([np.full(len(k), max(k.max(), 1e-12)) for k in kinds])
         if port in ("joint", "velocity"):
             between = self._between(run)
@@ -412,16 +409,11 @@ class SystemMachine:
 
         def read() -> Array:
             between = self._between(run)
-            if platform != self._platform:
+            if platform != _platform_of(self.system.loop_parameters):
                 between = between.on(run, system)
             return between.reading(cutoff)
 
         return near[key] if key in near else cached(run.memory, "swing", key, read)
-
-    @cached_property
-    def _platform(self) -> tuple[float, float]:
-        """How much faster, and more damped, the platform described is than stated."""
-        return _platform_of(self.system.loop_parameters)
 
     def _load(self, run: Run, system: System) -> Load:
         """Torque that the motors must give (..., T, n), and wrench of the arm (..., T, 6)."""

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 
 from ves_gym._util.params import ParameterError, require_positive, unit
 from ves_gym._util.suggest import did_you_mean
+from ves_gym.diagnosis.data.measured_run import MEASURED
 from ves_gym.diagnosis.machines.base import Nuisance
 from ves_gym.diagnosis.machines.clocks import ClockTolerance
 
 SCHEMA = "ves-tolerances/1"
-_MEASURED = ("q", "v", "tau", "y", "yd", "w")  # signals of a run log
 LEAST = 1e-3  # of a channel's own movement: no description is better
 
 
@@ -51,9 +51,9 @@ class StatedErrors:
             raise ParameterError(f"schema must be {SCHEMA!r}, got {self.schema!r}")
         require_positive(self, "scale")
         for name, std in self.noise.items():
-            if name not in _MEASURED or not std > 0:
+            if name not in MEASURED or not std > 0:
                 raise ParameterError(
-                    f"noise: expected one of {', '.join(_MEASURED)} and a number > 0, got"
+                    f"noise: expected one of {', '.join(MEASURED)} and a number > 0, got"
                     f" {name} = {std}"
                 )
 

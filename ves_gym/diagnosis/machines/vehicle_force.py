@@ -10,6 +10,7 @@ import scipy
 
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.machines.recursions import stepped
 from ves_gym.mechanics.spatial import body_wrench, matvec, rate_matrix
 from ves_gym.mechanics.vehicle import BaseModel, InternalModes
 
@@ -138,8 +139,6 @@ def _states(modes: InternalModes, yd: Array, ydd: Array, dt: float) -> Array:
     step, at, _, direct, _ = scipy.signal.cont2discrete(
         (_free(modes), B, np.eye(2 * m), np.zeros((2 * m, m))), dt, method="foh"
     )
-    value, vector = np.linalg.eig(step)  # each state of its own is a filter of first order
-    driven = drive @ np.linalg.solve(vector, at).T
-    for i, pole in enumerate(value):
-        driven[..., i] = scipy.signal.lfilter([0.0, 1.0], [1.0, -pole], driven[..., i], axis=-1)
-    return np.asarray(((driven @ vector.T).real + drive @ direct.T)[..., ::finer, :])
+    pushes = (drive @ at.T).reshape(-1, drive.shape[-2], 2 * m)
+    moved = stepped(step, pushes, 0 * pushes[:, 0]).reshape(*drive.shape[:-1], 2 * m)
+    return np.asarray((moved + drive @ direct.T)[..., ::finer, :])
