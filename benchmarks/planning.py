@@ -1,7 +1,7 @@
 """Planning time by the number of joints: processor time of each planner on reach100.
 
 On the arms that come with the package, bent beam, motor drive, the third of the durations that
-the suite asks of each. `python -m benchmarks.planning` prints the table of docs/planners.md.
+the suite asks of each. `python -m benchmarks.planning` prints the table of docs/results.md.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -66,8 +67,8 @@ MIDDLE = """
 ## Rarer things
 
 Under the package that they belong to: `vg.simulation.weigh_poses(...)`, or
-`from ves_gym.simulation import weigh_poses`. What is not named here may change between
-versions.
+`from ves_gym.simulation import weigh_poses`; `help(vg.simulation.weigh_poses)` describes it.
+What is not named here may change between versions.
 """
 
 
@@ -95,11 +96,12 @@ def page() -> str:
         rows = [row(name, getattr(vg, name)) for name in names.split()]
         parts.append("\n".join([f"## {title}\n", "| name | |", "|---|---|", *rows, ""]))
     parts.append(MIDDLE.strip("\n") + "\n")
-    rows = []
     for room in ROOMS:
-        module = importlib.import_module(f"ves_gym.{room}")
-        rows += [row(f"{room}.{name}", getattr(module, name)) for name in module.__all__]
-    parts.append("\n".join(["| name | |", "|---|---|", *rows, ""]))
+        names = ", ".join(
+            f"`{name}`" for name in importlib.import_module(f"ves_gym.{room}").__all__
+        )
+        parts.append(textwrap.fill(f"- `{room}`: {names}", 96, subsequent_indent="  "))
+    parts.append("")
     return "\n".join(parts)
 
 

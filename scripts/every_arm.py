@@ -1,4 +1,4 @@
-"""Every planner and every command on every arm that comes with the package, into docs/arms.md.
+"""Every planner and every command on every arm that comes with the package: docs/results.md.
 
     python scripts/every_arm.py [--arms ur5e,iiwa14] [--only planners]
 
@@ -28,7 +28,7 @@ from ves_gym.planners.registry import PLANNERS
 from ves_gym.planners.suites import reach100, reach_durations
 from ves_gym.system.system import System
 
-PAGE = Path(__file__).parents[1] / "docs" / "arms.md"
+PAGE = Path(__file__).parents[1] / "docs" / "results.md"
 WORK = Path("out/every-arm")
 CELLS = Path("out/every-arm.json")
 START, END = "<!-- every arm -->", "<!-- end -->"

@@ -1,4 +1,4 @@
-"""Train the policies of the package, release them, and write docs/training.md from them.
+"""Train the policies of the package, release them, and write docs/results.md from them.
 
 `python scripts/training.py RUNS [NAME ...]` takes the runs in RUNS (all configurations, or
 those named): learning curves to docs/training, the best policy of each to the package, its
@@ -311,9 +311,9 @@ def _summary(config: TrainConfig) -> dict[str, Any]:
 
 
 def page() -> str:
-    """Text of docs/training.md."""
+    """Text of docs/results.md."""
     done = [c for c in configs() if (PLACE / f"{c.name}.json").exists()]
-    head, tail = (DOCS / "training.md").read_text("utf-8").split("<!-- tables -->")[::2]
+    head, tail = (DOCS / "results.md").read_text("utf-8").split("<!-- tables -->")[::2]
     tables = "\n\n".join((_runs(done), _figures(done)))
     text = f"{head}<!-- tables -->\n{tables}\n<!-- tables -->{tail}"
     head, tail = text.split("<!-- rewards -->")[::2]
@@ -419,7 +419,7 @@ def main(words: Sequence[str]) -> None:
         measure(config)
         animate(config)
     draw_curves([c for c in configs() if (PLACE / f"{c.name}.json").exists()])
-    write_text(DOCS / "training.md", page())
+    write_text(DOCS / "results.md", page())
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ description stay in FOLDER, so that
 
     ves-gym diagnose FOLDER/logs --system FOLDER/measured.toml --band 0.25
 
-finds the same. Why the verdict is what it is: docs/diagnosis.md, `by_hand.py`.
+finds the same. Why the verdict is what it is: docs/results.md, `by_hand.py`.
 """
 
 import argparse

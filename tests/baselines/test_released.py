@@ -78,4 +78,4 @@ def test_a_policy_beats_doing_nothing_and_chance(config):
 
 def test_the_page_is_up_to_date():
     """Else: `python scripts/training.py`."""
-    assert (ROOT / "docs" / "training.md").read_text("utf-8") == training.page()
+    assert (ROOT / "docs" / "results.md").read_text("utf-8") == training.page()

@@ -6,7 +6,7 @@ it, and predicted against simulated `E_mean` over every planner's motions.
 
 The fast tests take the first queries of 4 s, the slow ones all hundred of each. Promised and
 missed: half the straight line's energy at T = 1 s, where 0.63 is reached. Half of it is in
-slow modes (0.3 to 0.5 Hz), which in one second see the ends of a motion (docs/planners.md).
+slow modes (0.3 to 0.5 Hz), which in one second see the ends of a motion (docs/results.md).
 That 0.63 is where the optimum lies: two sets of 24 starts agree within 1.3 % on each of the
 hundred queries, 32 starts with detours of up to 1.8 rad find 0.3 % at best, and without any
 limit of speed or torque the median on the first 24 queries is still 0.60.
