@@ -18,7 +18,6 @@ from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.limits import limit_ratios
 from ves_gym.mechanics.motion import Motion, quintic
 
-_DRAWN = 6  # motions for each that is chosen
 _MARGIN = 0.9  # of every limit
 _TEMPI = (0.2, 0.45, 0.8)  # of the speed limit, in turn along a motion
 _REST = (0.15, 0.5)  # s between two moves
@@ -27,11 +26,9 @@ _BRISK, _BRISK_SPANS = (0.9,), (0.15, 0.6)  # tempo and spans of moves that brin
 _PUSH, _BRISK_PUSH = 0.6, 0.9  # of the joint's largest acceleration
 _CONTROLS, _BRISK_CONTROLS = 8, 16  # of a motion, per second
 _REACH = 0.6  # of the joint's range that way-points are drawn from
-_SAMPLES = 101  # of a motion where its information is computed
 _STICTION = 0.05  # rad/s over which the column of Coulomb friction changes sign
 _HARMONICS, _LOWEST = 6, (0.08, 0.35)  # of a Fourier series, and its lowest frequency [Hz]
 _FADE = 1.0  # s in which it begins and ends
-_LEAST = 1e-6  # of the mean information, so that numbers without any do no harm
 
 
 def excitation_motions(
@@ -55,11 +52,11 @@ def excitation_motions(
     if not 2.0 <= duration <= 600.0:
         raise ParameterError(f"duration must be from 2 to 600 s, got {duration!r}")
     rng = np.random.default_rng(integer(seed, "seed"))
-    drawn = [drawn_motion(arm, duration, rng) for _ in range(_DRAWN * n)]
+    drawn = [drawn_motion(arm, duration, rng) for _ in range(6 * n)]
     rows = [_information_rows(arm, motion) for motion in drawn]
     size = np.sqrt(np.mean([np.mean(y**2, axis=0) for y in rows], axis=0))
     rows = [y[:, size > 0] / size[size > 0] for y in rows]
-    total = _LEAST * np.eye(rows[0].shape[1])
+    total = 1e-6 * np.eye(rows[0].shape[1])
     chosen: list[Motion] = []
     remaining = list(range(len(drawn)))
     for _ in range(n):
@@ -152,7 +149,7 @@ def _moves(arm: Arm, j: int, t: Array, rng: np.random.Generator, brisk: bool = F
 
 def _information_rows(arm: Arm, motion: Motion) -> Array:
     """Torque per number, in parts of the torque limits: (samples x joints, numbers)."""
-    s = motion.at(np.linspace(0.0, motion.duration, _SAMPLES))
+    s = motion.at(np.linspace(0.0, motion.duration, 101))
     inertial = inertia_regressor(arm, s.q, s.v, s.a)[:, 6:]
     eye = np.eye(arm.n)
     friction = [eye * x[:, None, :] for x in (np.tanh(s.v / _STICTION), s.v, np.ones_like(s.v))]

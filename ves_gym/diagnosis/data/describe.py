@@ -14,6 +14,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from scipy.constants import degree
 
 from ves_gym._util.mujoco_loader import read_model
 from ves_gym._util.params import Array, ParameterError
@@ -48,13 +49,12 @@ _WAY = 0.2  # s over which ways and rates are compared: noise of either counts l
 _OTHER = 0.1  # share of the way that a rate may not explain: a late one leaves 0.02
 _UNEVEN = 0.05  # of a step
 _FORWARD = 0.95  # share of steps that run forward: less is no clock
-_DEGREES, _TURN = np.pi / 180, 2 * np.pi
 _UNITS = {  # by quantity: a unit's name without spaces and marks, and SI units in it
     "clock": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9},
-    "position": {"rad": 1.0, "mrad": 1e-3, "deg": _DEGREES, "°": _DEGREES, "rev": _TURN,
+    "position": {"rad": 1.0, "mrad": 1e-3, "deg": degree, "°": degree, "rev": 2 * np.pi,
                  "m": 1.0, "cm": 1e-2, "mm": 1e-3},
-    "velocity": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEGREES, "°/s": _DEGREES,
-                 "rpm": _TURN / 60, "1/min": _TURN / 60, "m/s": 1.0, "mm/s": 1e-3},
+    "velocity": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": degree, "°/s": degree,
+                 "rpm": np.pi / 30, "1/min": np.pi / 30, "m/s": 1.0, "mm/s": 1e-3},
     "force": {"nm": 1.0, "mnm": 1e-3, "knm": 1e3, "n": 1.0, "kn": 1e3, "a": 1.0, "ma": 1.0},
 }  # fmt: skip
 # those that may end a name without brackets
@@ -410,7 +410,7 @@ def _position_gain(position: Array, guess: _Guess, kind: str) -> tuple[float, st
         return _UNITS["position"][unit], f"{remark} {unit}"
     if kind == "hinge" and far > _TURNS:
         asked = "degrees? else take gain away, or 1 / gear ratio for angles of a motor"
-        return _DEGREES, f"{remark}: {asked}"
+        return degree, f"{remark}: {asked}"
     if kind == "slide" and far > 5.0:
         return 1e-3, f"{remark}: mm? else take gain away"
     return 1.0, remark
@@ -424,7 +424,7 @@ def _rate_gain(position: Array, logged: Array, step: float, guess: _Guess) -> tu
     if unit := guess.units.get("velocity"):
         return _UNITS["velocity"][unit], f"{unit}; {remark}"
     size = abs(ratio) if abs(ratio) > 1e-4 else 1.0  # of what stands nothing is told
-    return min((1.0, _DEGREES, 1e-3), key=lambda s: abs(np.log(size / s))), remark
+    return min((1.0, degree, 1e-3), key=lambda s: abs(np.log(size / s))), remark
 
 
 def _doubts(columns: Mapping[str, Array], guess: _Guess, kind: str, step: float) -> list[str]:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import scipy
+from scipy.constants import degree, g
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.diagnosis.data.measured_run import Run, require_steady
@@ -54,19 +55,18 @@ _RECORDED = (  # signals that one recorder reads, and their name
     (("w", "weight"), "w"),
 )
 _OF_A_BODY = ("w", "wg", "weight", "y")  # three channels along axes, three about them
-_DEGREES, _STANDARD = np.pi / 180, 9.80665
-_ANGLE = ((_DEGREES, "degrees, not rad"), (1 / _DEGREES, "rad twice converted from degrees"))
+_ANGLE = ((degree, "degrees, not rad"), (1 / degree, "rad twice converted from degrees"))
 _LENGTH = ((1e-3, "millimetres, not m"), (1e3, "kilometres, not m"))
 _FORCE = (
     (1e-3, "mN, not N"),
     (1e3, "kN, not N"),
-    (_STANDARD, "kgf, not N"),
+    (g, "kgf, not N"),
 )
 _TORQUE = (
     (1e-3, "N mm, not N m"),
     (1e-2, "N cm, not N m"),
     (1e3, "kN m, not N m"),
-    (_STANDARD, "kgf m, not N m"),
+    (g, "kgf m, not N m"),
 )
 _JOINT = ("q", "v", "q_cmd", "v_cmd", "tau")
 _TOGETHER = (  # signals that one cable or one file mixes up together, and their name
@@ -190,7 +190,7 @@ class _Look:
         """Size (c,) of what noise as logged makes of a residual."""
         copy = self.run.with_noise(np.random.default_rng(0), 1, port.exact)
         noisy, plain = (self._residual(port, self.machine, k) for k in (copy, self.run))
-        return np.linalg.norm(self.run.window.spectrum(noisy[0] - plain)[1:], axis=0)
+        return _size(self.run, noisy[0] - plain)
 
     def _residual(self, port: Port, machine: Machine, run: Run) -> Array:
         return machine.residuals(run, [machine.nominal], [port.name])[port.name][0]
@@ -200,10 +200,8 @@ class _Look:
 
         It is 0 where a channel does not tell anything.
         """
-        residual, signal = (
-            np.linalg.norm(run.window.spectrum(x)[1:], axis=0)
-            for x in (self._residual(port, machine, run), _logged(run, port.signal))
-        )
+        residual = _size(run, self._residual(port, machine, run))
+        signal = _size(run, _logged(run, port.signal))
         noise = _NOISY * self._noise[port.name]
         beyond = np.sqrt(np.maximum(residual**2 - noise**2, 0.0))
         size = np.where(np.isfinite(beyond), beyond, np.inf) / np.maximum(signal, 1e-300)
@@ -215,21 +213,14 @@ class _Look:
 
     def dead(self) -> Question | None:
         """Return the channel that stands still to the last digit where it must move."""
-        run, left = (
-            self.run,
-            {p.name: self._residual(p, self.machine, self.run) for p in self.ports},
-        )
+        run = self.run
         for port in self.ports:
+            size = _size(run, self._residual(port, self.machine, run))
+            moved = _size(run, _logged(run, port.signal)).max()
+            least = np.maximum(_MOVING * moved, _NOISY * self._noise[port.name])
             for signal in {port.signal} | ({"q"} if port.name == "velocity" else set()):
-                x, residual = _logged(run, signal), left[port.name]
-                size, moved = (
-                    np.linalg.norm(run.window.spectrum(k)[1:], axis=0)
-                    for k in (residual, _logged(run, port.signal))
-                )
-                still = np.ptp(x, axis=0) <= 1e-12 * np.abs(x).max()
-                still &= size > np.maximum(
-                    _MOVING * moved.max(), _NOISY * self._noise[port.name]
-                )
+                x = _logged(run, signal)
+                still = (np.ptp(x, axis=0) <= 1e-12 * np.abs(x).max()) & (size > least)
                 for i in np.flatnonzero(still):
                     channel = port.channels[i]
                     axis = channel if signal in _OF_A_BODY else str(i + 1)
@@ -308,11 +299,16 @@ def _put_off(keys: tuple[str, ...], lag: int) -> Change:
     return lambda run: {k: x[early if k in keys else late] for k, x in run.signals.items()}
 
 
+def _size(run: Run, x: Array) -> Array:
+    """Return (c,) size of signals (T, c) in the band, their level left out."""
+    return np.linalg.norm(run.window.spectrum(x)[1:], axis=0)
+
+
 def _tells(run: Run, signal: str) -> Array:
     """Return (c,) True for channels of a signal, as logged, that stand out of their noise, and
     do not hardly move beside their kind."""
     x = _logged(run, signal)
-    size = np.linalg.norm(run.window.spectrum(x)[1:], axis=0)
+    size = _size(run, x)
     out = np.ones(len(size), bool)
     if signal in run.noise:  # white, as large as all of it: more than what is in the band
         out &= size > _HEARD * run.noise[signal].std * np.sqrt(len(run.window.frequencies))

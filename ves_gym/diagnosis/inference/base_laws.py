@@ -16,7 +16,6 @@ from ves_gym.system.candidate import Number, placed
 from ves_gym.system.system import System
 
 Fields = dict[str, tuple[float, ...]]
-_MORE = (0.0, 1e4)  # in hundredths of the base's own
 _SLOW = 0.5  # Hz, of what stands for the own spring of a base that has none
 
 
@@ -44,6 +43,6 @@ def base_regressions(system: System) -> list[Candidate]:
         def fields(x: Array, i: int = i, name: str = name, size: Array = size) -> Fields:
             return {name: tuple((np.eye(6)[i] * size * x[0]).tolist())}
 
-        candidate = placed(BaseUnknown, axis, [Number(name, "1", _MORE, (1.0,))], fields)
+        candidate = placed(BaseUnknown, axis, [Number(name, "1", (0.0, 1e4), (1.0,))], fields)
         out.append(replace(candidate, ports=("base", "wrench")))  # as the library's are
     return out

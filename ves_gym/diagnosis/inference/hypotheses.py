@@ -15,9 +15,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
+import scipy
 
-from ves_gym._util.params import Array
 from ves_gym.diagnosis.constants import TEMPERATURE
 from ves_gym.diagnosis.inference.constancy import changes
 from ves_gym.diagnosis.inference.fit import Fit, fit_residual
@@ -109,9 +108,7 @@ def _predicted(last: WhitenedResiduals, f: Fit) -> float:
 
 def _weighted(rows: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Return hypotheses with their probabilities, the most probable first."""
-    totals = np.array([r.total for r in rows])
-    weight: Array = np.exp(-(totals - totals.min()) / 2)
-    weight /= weight.sum()
+    weight = scipy.special.softmax([-r.total / 2 for r in rows])
     out = [replace(r, probability=float(p)) for r, p in zip(rows, weight, strict=True)]
     return sorted(out, key=lambda r: r.total)
 

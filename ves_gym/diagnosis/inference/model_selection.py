@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.constants import CHANCE, TEMPERATURE
@@ -223,8 +224,7 @@ def _alternatives(
 def _rivals(fits: list[Fit], i: int, library: int) -> tuple[Rival, ...]:
     """Return the candidates for place i, most probable first."""
     costs = np.array([cost(f, library) for f in fits])
-    weight = np.exp(-(costs - costs.min()) / 2)
-    weight /= weight.sum()
+    weight = scipy.special.softmax(-costs / 2)
     return tuple(
         Rival(f.candidates[i], f.values[i], float(c), float(w))
         for f, c, w in zip(fits, costs, weight, strict=True)

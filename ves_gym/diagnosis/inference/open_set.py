@@ -140,8 +140,8 @@ class OpenSet:
                 np.ones(p), np.repeat(sizes, self._widths), np.ones(f.tangents.shape[1])
             ]
             at = np.flatnonzero(scale)
-            fixed = _fixed(at, p + m + len(f.forms))
-            solution = solve(_taken(scaled(inner, scale), at), fixed, *_room(f))
+            prior = int((at < p + m + len(f.forms)).sum())  # columns of a unit prior
+            solution = solve(_taken(scaled(inner, scale), at), prior, *_room(f))
             out = self._fitted(f, sizes, scale, at, solution)
             laws = zip(np.flatnonzero(sizes), out.values[len(f.candidates) :], strict=True)
             single = ((int(k), x, self.candidates[k]) for k, x in laws)
@@ -170,7 +170,7 @@ class OpenSet:
         likely = laplace(
             solution.deviance,
             solution.covariance,
-            solution.x[: _fixed(at, p + m + b)],
+            solution.x[: int((at < p + m + b).sum())],
             f.candidates,
             values,
             uncertain,
@@ -230,8 +230,3 @@ def _taken(inner: InnerProducts, at: Index) -> InnerProducts:
         noise_xz=None if inner.noise_xz is None else inner.noise_xz[:, at],
         noise_xx=None if inner.noise_xx is None else inner.noise_xx[square],
     )
-
-
-def _fixed(at: Index, most: int) -> int:
-    """Return how many of the columns have a unit prior: those before `most`."""
-    return int(np.count_nonzero(at < most))

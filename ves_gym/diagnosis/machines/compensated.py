@@ -31,8 +31,6 @@ from ves_gym.simulation.blocks.sensing import PayloadCompensation
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.system import System
 
-_CLOSE, _SETTLED = 1e-12, 1e-9  # m, rad; N, N m: a trajectory that is its own linearisation
-_PASSES = 30  # at most, until it is
 _STIFF = 4.0  # of w^2 dt lag: from there on a command says nothing about its own wrench
 
 
@@ -136,12 +134,13 @@ def reference(run: Run, taken: ControllerSignals, described: System) -> Trajecto
         state[..., :6] = y
         state[..., size : size + 6] = np.gradient(y, described.control_dt, axis=1)
         path = Trajectory(state, np.empty(0), np.empty(0), np.zeros_like(y))
-        for _ in range(_PASSES):
+        for _ in range(30):
             before = path
             path = _inverse(run, first, described, described, before)
             path = _loaded(run, first, [path], [described], described)[0]
             moved = np.abs(path.state - before.state)[..., :6].max()
-            if moved < _CLOSE and np.abs(path.payload - before.payload).max() < _SETTLED:
+            # m, rad; N, N m: it is its own linearisation
+            if moved < 1e-12 and np.abs(path.payload - before.payload).max() < 1e-9:
                 break
         memory["controller"] = path
     return memory["controller"]

@@ -24,7 +24,6 @@ _NO_TURN = 3.0  # standard deviations of noise about which a torque moves no tee
 _TELLS = 10.0  # the same from which a torque logged tells what a link takes
 _CROSSES = 0.6  # of the band: what of the motion leads a link across its gap
 _CREEPS = 20.0  # N m s/rad with which noise allows to tell when a narrow gap is crossed at once
-_TINY = 1e-30  # of a power [(N m)^2]
 _OFF = 0.5  # of the gap found, by which an angle in flight is off
 _CLEARLY = 5.0  # times its noise, as power, from which a balance shows a flight
 _WIDE, _NARROW = 3.0, 1e-3  # standard deviations of an angle; weight that is not worth a flight
@@ -72,7 +71,10 @@ def _between_teeth(arm: Arm, i: int, torque: Array, taken: Array, run: Run) -> A
     slow = _low(torque, run, top)
     noise = 0.0
     if "tau" in run:
-        noise = max(float(_noise_through(arm, run, top)[i]), 1e-12)
+        rotors = arm.column("rotor_inertia")
+        key = tuple(rotors.tolist()), top
+        noises = cached(run.memory, "windings", key, lambda: winding_noise(run, rotors, top))
+        noise = max(float(noises[i]), 1e-12)
     sure = _beyond(slow, _NO_TURN * noise)
     thick = max(gear.damping, _CREEPS)
     at_once = deflection(sure * slow, stiffness, thick, half, run.dt)
@@ -120,7 +122,7 @@ def backlash_reaction(
         noise = noisy[j] * of_torque[:, j] + w4 * of_motion
         even = off**2 * f[-1] / run.band * (f <= run.band)  # as far as the band
         information = (mean[6 + j, 6 + j] - rotor) ** 2 * w4 * even
-        share = 1 / (1 + (_CLEARLY * noise / np.maximum(information, _TINY)) ** 2)
+        share = 1 / (1 + (_CLEARLY * noise / np.maximum(information, 1e-30)) ** 2)
         column = inertias[:, :, 6 + j]
         sooner = filtered(torque_gap[..., j], share) / (column[:, 6 + j] - rotor)  # rad/s^2
         reaction = sooner[..., None] * column
@@ -171,12 +173,3 @@ def _inertias(arm: Arm, run: Run) -> Array:
         return inertia(arm, run["q"].reshape(-1, run.length, arm.n)[0])
 
     return cached(run.memory, "inertias", key, computed)
-
-
-def _noise_through(arm: Arm, run: Run, top: float) -> Array:
-    """Noise of the torques through gears up to `top` Hz (n,) [N m], computed once per arm."""
-    rotors = arm.column("rotor_inertia")
-    key = tuple(rotors.tolist()), top
-    return cached(
-        run.memory, "noise through gears", key, lambda: winding_noise(run, rotors, top)
-    )

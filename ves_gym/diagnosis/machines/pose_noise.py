@@ -18,12 +18,13 @@ is more exact than the force sensor its weights are zero.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
+from typing import Any
 
 import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym._util.signals import noise_power
-from ves_gym.diagnosis.data.measured_run import Run, forget
+from ves_gym.diagnosis.data.measured_run import Run, cached
 from ves_gym.diagnosis.machines.arm_load import bodies_of
 from ves_gym.diagnosis.machines.vehicle_force import dynamic_stiffness
 from ves_gym.mechanics.arm import Arm
@@ -56,8 +57,7 @@ class PoseNoise:
         self._low = np.sin(np.pi / 2 * fade)[:, None, None] ** 2
         self._pose = noise_power(run.noise["y"], f, run.dt)  # (K, 6)
         self._wrench = noise_power(run.noise["w"], f, run.dt) + floor**2
-        self._arms: dict[Hashable, tuple[Array, Array, Array]] = {}
-        self._bases: dict[Hashable, Array] = {}
+        self._memory: dict[Any, Any] = {}
 
     def in_torque(self, arm: Arm, wrench: Array) -> Array:
         """Return what the pose's noise does to the torque that a motion takes (..., T, n).
@@ -78,23 +78,22 @@ class PoseNoise:
             base: as it is thought to be.
             force: (..., T, 6) residual at port `base` of this base.
         """
-        if key not in self._bases:
-            forget(self._bases)
-            self._bases[key] = self._of_base(base)
-        return matvec(self._of_arm(arm)[0], self._filtered(self._bases[key], force))
+        weights = cached(self._memory, "bases", key, lambda: self._of_base(base))
+        return matvec(self._of_arm(arm)[0], self._filtered(weights, force))
 
     def _of_arm(self, arm: Arm) -> tuple[Array, Array, Array]:
         """Wrench per acceleration (T, 6, 6), torque per wrench (T, n, 6), weights (K, 6, 6)."""
-        key = bodies_of(arm)  # rotors and gears are in no block that is taken here
-        if key not in self._arms:
+
+        def make() -> tuple[Array, Array, Array]:
             H = inertia(arm, self._q)
             mass, push = H[:, :6, :6] @ self._turn, np.swapaxes(H[:, :6, 6:], -1, -2)
             middle = mass.mean(axis=0)  # e = n_w - w^2 mass n_y
             visible = np.einsum("k,ij,kj,lj->kil", self._w**4, middle, self._pose, middle)
             weights = self._low * visible @ np.linalg.inv(visible + _diagonal(self._wrench))
-            forget(self._arms)
-            self._arms[key] = mass, push @ np.linalg.inv(H[:, :6, :6]), weights
-        return self._arms[key]
+            return mass, push @ np.linalg.inv(H[:, :6, :6]), weights
+
+        # rotors and gears are in no block that is taken here
+        return cached(self._memory, "arms", bodies_of(arm), make)
 
     def _of_base(self, base: BaseModel) -> Array:
         """Weights (K, 6, 6) that make accelerations of r = turn^T n_w - G n_y."""

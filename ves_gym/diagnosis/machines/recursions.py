@@ -12,7 +12,6 @@ from ves_gym._util.params import Array
 from ves_gym.engine.kernel.compiled_function import CompiledFunction
 
 _PARTS = 8  # of the time between samples, in which a link crosses its gap
-_POLISH = 2  # steps of Newton's method after the closed form of a cubic
 
 
 @lru_cache
@@ -78,7 +77,7 @@ def _wound(x: Array, u: Array, p: Array) -> tuple[Array, Array]:
     z = 3 * size / (linear * scale)
     third = np.log(z + np.sqrt(z * z + 1)) / 3
     x = scale / 2 * (np.exp(third) - np.exp(-third))
-    for _ in range(_POLISH):  # the logarithm of about 1 has no digits of a small angle
+    for _ in range(2):  # the logarithm of about 1 has no digits of a small angle
         square = (x / hard) ** 2
         x = x - (k * x * (1 + square) + c * x - size) / (k * (1 + 3 * square) + c)
     x = np.where(push < 0.0, -x, x)

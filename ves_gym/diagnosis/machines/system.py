@@ -31,7 +31,6 @@ from ves_gym.diagnosis.machines.arm_load import (
     bodies_of,
     motion_load,
     weight_torque,
-    with_last,
 )
 from ves_gym.diagnosis.machines.base import WRENCH, Nuisance, Port
 from ves_gym.diagnosis.machines.between_samples import (
@@ -66,7 +65,6 @@ from ves_gym.diagnosis.machines.vehicle_force import InnerStart, inner_sizes, ve
 from ves_gym.effects import BaseExtraMode, JointMemory
 from ves_gym.effects.joint_drive import Hardened
 from ves_gym.mechanics.arm import Arm
-from ves_gym.mechanics.body_numbers import numbers_of_body
 from ves_gym.mechanics.gravity import gravity_vector, gravity_wrench
 from ves_gym.mechanics.spatial import AXES
 from ves_gym.mechanics.vehicle import InternalModes
@@ -78,7 +76,6 @@ from ves_gym.system.system import System
 _SWUNG = 0.3
 _OF_THE_SERVO = (*COMMANDED, "q", "tau", "controller")  # what its port needs
 _AT_REST = TorqueEffect, JointMemory  # frictions among them: they turn with noise
-_MOTIONS = 3  # remembered, each of another delay of the joints' sensors
 
 
 @dataclass(frozen=True)
@@ -443,23 +440,13 @@ class SystemMachine:
         return float(delays.measurement[0]), command_delay, _hardening(system), geared
 
     def _load_of(self, run: Run, system: System, arm: Arm) -> Load:
-        key = (arm, *self._told_load(run, system, arm))
-        return cached(run.memory, "loads", key, lambda: self._new_load(run, system, arm))
+        old, *_, geared = how = self._told_load(run, system, arm)
 
-    def _new_load(self, run: Run, system: System, arm: Arm) -> Load:
-        age, *_, geared = self._told_load(run, system, arm)
-        motion = cached(
-            run.memory, "motions", age, lambda: self._motion(run, age), most=_MOTIONS
-        )
-        described, last = (a.links[-1].inertial for a in (self.system.actual.arm, arm))
-        if geared:
-            return self._load_of_geared(run, system, arm, motion)
-        if last == described:
-            return motion.load(arm)
-        # forces are linear in a body's numbers
-        plain = self._load_of(run, system, with_last(arm, described))
-        beyond = motion.load_of_last(arm, numbers_of_body(last) - numbers_of_body(described))
-        return plain[0] + beyond[0], plain[1] + beyond[1]
+        def load() -> Load:
+            moved = cached(run.memory, "motions", old, lambda: self._motion(run, old), most=3)
+            return self._load_of_geared(run, system, arm, moved) if geared else moved.load(arm)
+
+        return cached(run.memory, "loads", (arm, *how), load)
 
     def _motion(self, run: Run, old: float) -> MeasuredMotion:
         """Return the motion of a run whose joint measurements are this old [s]."""

@@ -15,11 +15,7 @@ from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia
 from ves_gym.system.effect import Effect, TorqueEffect, joint_torque
 
-_PUSH = 1e-6  # relative, of a difference
-_TRIED = 4  # random states in which a law is asked about the torque
-_NO_LIMIT = 1e9  # N m
 _LEAST = 0.3  # of an error in the torque that a balance shows, where a gear and its link ring
-_POSES = 20  # of a run, for its mean inertia
 
 
 @lru_cache(maxsize=1024)
@@ -28,8 +24,8 @@ def scales(effect: Effect) -> bool:
     if not isinstance(effect, TorqueEffect):
         return False
     widths = [np.size(x) for x in vars(effect).values() if np.size(x) > 1]
-    q, v, tau = np.random.default_rng(0).normal(size=(3, _TRIED, min(widths, default=1)))
-    most = np.full(q.shape[-1], _NO_LIMIT)
+    q, v, tau = np.random.default_rng(0).normal(size=(3, 4, min(widths, default=1)))
+    most = np.full(q.shape[-1], 1e9)
     weak, strong = (joint_torque([effect], q, v, k * tau, most) for k in (1.0, 2.0))
     return bool((weak != strong).any())
 
@@ -52,7 +48,7 @@ def torque_residual(
     balance = tau + added - needed
     if not any(map(scales, effects)):
         return balance
-    push = _PUSH * np.maximum(np.abs(tau), 1.0)
+    push = 1e-6 * np.maximum(np.abs(tau), 1.0)
     return np.asarray(balance / (1 + (laws(tau + push) - added) / push))
 
 
@@ -81,7 +77,7 @@ def windings(arm: Arm, run: Run) -> list[Winding]:
     ]
     if not geared:
         return []
-    angles = run["q"].reshape(-1, *run["q"].shape[-2:])[0, :: max(run.length // _POSES, 1)]
+    angles = run["q"].reshape(-1, *run["q"].shape[-2:])[0, :: max(run.length // 20, 1)]
     inertias = inertia(arm, angles).mean(axis=0)
     f = np.asarray(np.fft.rfftfreq(2 * run.length, run.dt), float)
     w = 2 * np.pi * f

@@ -92,17 +92,6 @@ def inner_sizes(run: Run, modes: InternalModes) -> Array:
     return np.asarray(np.sqrt(np.mean(states.reshape(-1, *states.shape[-2:])[0] ** 2, axis=0)))
 
 
-def _driven(modes: InternalModes, run: Run) -> Array:
-    """States (..., T, 2 m) of internal modes on a base that moves as measured, from rest.
-
-    What is guessed at where a run begins would ring on through it: it is faded in.
-    """
-    _, yd, ydd = run.base
-    begun = np.clip(np.arange(run.length) / max(_FADES * run.window.skip, 1), 0.0, 1.0)
-    begun = np.sin(np.pi / 2 * begun)[:, None] ** 2
-    return _states(modes, yd * begun, ydd * begun, run.dt)
-
-
 def force_of_states(modes: InternalModes, states: Array, yd: Array) -> Array:
     """Return the force (..., T, 6) of m internal modes on a base of rates yd (..., T, 6).
 
@@ -122,14 +111,19 @@ def _free(modes: InternalModes) -> Array:
     )
 
 
-def _states(modes: InternalModes, yd: Array, ydd: Array, dt: float) -> Array:
+def _driven(modes: InternalModes, run: Run) -> Array:
     """States (..., T, 2 m) of internal modes on a base that moves as measured, from rest.
 
+    What is guessed at where a run begins would ring on through it: it is faded in.
     Their way against the base, e = u - P^T Y, is driven by it and comes to lie in a few states
     that decay by themselves. Lines between points of a spline through the samples are so short
     that they take nothing away (of a tone they take (w dt)^2 / 12).
     """
-    m, P, C = modes.m, modes.coupling, modes.damping
+    m, P, C, dt = modes.m, modes.coupling, modes.damping, run.dt
+    begun = np.clip(np.arange(run.length) / max(_FADES * run.window.skip, 1), 0.0, 1.0)
+    begun = np.sin(np.pi / 2 * begun)[:, None] ** 2
+    _, *rates = run.base
+    yd, ydd = (x * begun for x in rates)
     drive = -(ydd @ P) - yd @ (C[6:, :6] + C[6:, 6:] @ P.T).T
     finer, T = math.ceil(dt / _LINE), yd.shape[-2]
     if finer > 1:
