@@ -16,8 +16,7 @@ from ves_gym.diagnosis.inference.candidates import library
 from ves_gym.diagnosis.inference.fit import fit
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 from ves_gym.diagnosis.machines.gear_deflection import deflections
-from ves_gym.diagnosis.machines.rates import low_passed
-from ves_gym.diagnosis.machines.servo import commanded_torque_weight, servo_gap
+from ves_gym.diagnosis.machines.servo import commanded_torque_weight, low_passed, servo_gap
 from ves_gym.diagnosis.machines.system import SystemMachine
 from ves_gym.diagnosis.machines.tolerances import StatedErrors
 from ves_gym.diagnosis.machines.torque_balance import winding_noise, windings

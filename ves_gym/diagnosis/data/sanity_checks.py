@@ -29,7 +29,6 @@ _BADLY = {"servo": 0.15}  # where nothing but a controller known to all is betwe
 _FAR = 0.2  # of it: what is left where a mistake is found
 _GOOD = 0.3  # of a channel's movement: more is no agreement
 _BETTER = {"admittance": 0.1}  # a computer's law on what it logs: it is right, or another is
-_SHIFTED = 0.1  # of a channel's movement: what a late recorder leaves of slow motion
 _SPOILED = 1.2  # of a residual: others may not get worse
 _NOISY = 2.0  # times noise drawn once, which scatters: what is below is no residual
 _MOVING = 0.1  # of the largest movement of its kind
@@ -247,7 +246,7 @@ class _Look:
     def judged(self, mistake: _Mistake) -> tuple[float, Question] | None:
         """Return how much better a run is without a mistake, and the question, if it is."""
         badly = {} if mistake.late else _BADLY
-        least = _SHIFTED if mistake.late else _BAD
+        least = _MOVING if mistake.late else _BAD  # what late slow motion leaves
         bad = {k: x > badly.get(k, least) for k, x in self.logged.items()}
         keys = mistake.signals
         touched = [

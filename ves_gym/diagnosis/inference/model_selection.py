@@ -8,7 +8,7 @@ place.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,7 +17,6 @@ import scipy
 from ves_gym._util.params import Array
 from ves_gym.diagnosis.constants import CHANCE, TEMPERATURE
 from ves_gym.diagnosis.inference.candidates import Candidate
-from ves_gym.diagnosis.inference.causes import single_parts
 from ves_gym.diagnosis.inference.fit import Fit, fit
 from ves_gym.diagnosis.inference.null_law import NullLaw, null_law
 from ves_gym.diagnosis.inference.signatures import Signatures
@@ -104,7 +103,7 @@ def select(
         current = best
         for i in range(at):  # what came in before may now be another
             current = _alternatives(residuals, signatures, current, i, _OTHERS)[0]
-    current = single_parts(residuals, signatures.candidates, current, most)
+    current = _single_parts(residuals, signatures.candidates, current, most)
     for i in reversed(range(len(current.candidates))):  # or none at all
         reduced = without(residuals, current, i)
         if len(reduced.candidates) and cost(reduced, library) < cost(current, library):
@@ -121,6 +120,40 @@ def without(residuals: WhitenedResiduals, full: Fit, i: int) -> Fit:
     return fit(
         residuals, [full.candidates[j] for j in remaining], [full.values[j] for j in remaining]
     )
+
+
+def _single_parts(
+    residuals: WhitenedResiduals,
+    library: Sequence[Candidate],
+    current: Fit,
+    most: int | None = None,
+) -> Fit:
+    """Return a fit with causes replaced by their parts where that is the shorter description.
+
+    Friction of a whole arm takes in whatever two of its joints have, and comes first because it
+    explains more than either; it is the shorter one only where most of its parts are there.
+    """
+    by_name = {(c.kind, c.slot): c for c in library}
+    for i, cause in enumerate(current.candidates):
+        there = [k for k in np.flatnonzero(current.clear(i)) if cause.parts]
+        parts = [by_name[cause.parts[k]] for k in there if cause.parts[k] in by_name]
+        names = len(current.candidates) - 1 + len(parts)
+        if not parts or len(parts) < len(there) or (most is not None and names > most):
+            continue
+        single = fit(
+            residuals,
+            (*current.candidates[:i], *parts, *current.candidates[i + 1 :]),
+            (
+                *current.values[:i],
+                *(current.values[i][[k]] for k in there),
+                *current.values[i + 1 :],
+            ),
+        )
+        if cost(single, len(library)) < cost(current, len(library)) and all(
+            single.is_told(i + j) for j in range(len(parts))
+        ):
+            return _single_parts(residuals, library, single, most)
+    return current
 
 
 def _candidate_fits(

@@ -9,6 +9,7 @@ stands beside that of its names alone, by the same evidence.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -16,7 +17,6 @@ import numpy as np
 
 from ves_gym._util.params import Array, Index
 from ves_gym.diagnosis.constants import OPEN, OPEN_JOINTS, SIZES
-from ves_gym.diagnosis.inference.base_laws import base_regressions
 from ves_gym.diagnosis.inference.candidates import Candidate
 from ves_gym.diagnosis.inference.evidence import laplace
 from ves_gym.diagnosis.inference.fit import Fit, columns_of, evaluate_residuals
@@ -29,6 +29,7 @@ from ves_gym.diagnosis.inference.variance_groups import (
     solve,
 )
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
+from ves_gym.effects.base import BaseUnknown
 from ves_gym.effects.joint_unnamed import (
     KNOTS,
     LEVELS,
@@ -38,8 +39,12 @@ from ves_gym.effects.joint_unnamed import (
     JointUnknown,
     monomials,
 )
+from ves_gym.mechanics.spatial import AXES
+from ves_gym.mechanics.vehicle import Satellite
 from ves_gym.system.candidate import Number, at_joint, placed
+from ves_gym.system.system import System
 
+Fields = dict[str, tuple[float, ...]]
 _ROUNDS, _MOST = 2, 5  # sizes of weights and of groups, in turn
 _WIDER = 1.05  # of the angles seen
 _FAR = (-50.0, 50.0)  # of a weight
@@ -66,7 +71,7 @@ def regressions(residuals: WhitenedResiduals) -> list[Candidate]:
     out = []
     for joint in range(n):
 
-        def fields(x: Array, joint: int = joint) -> dict[str, tuple[float, ...]]:
+        def fields(x: Array, joint: int = joint) -> Fields:
             weights = {
                 name: at_joint(joint, n, w)
                 for name, w in zip(WEIGHTS, x[: len(WEIGHTS)], strict=True)
@@ -90,21 +95,50 @@ def regressions(residuals: WhitenedResiduals) -> list[Candidate]:
 def _memory(joint: int, n: int) -> Candidate:
     """Friction of a joint that depends on how it has moved."""
 
-    def fields(x: Array) -> dict[str, tuple[float, ...]]:
+    def fields(x: Array) -> Fields:
         return {name: at_joint(joint, n, w) for name, w in zip(LEVELS, x, strict=True)}
 
     numbers = [Number(name, "N m", _OF_FRICTION, (1.0,)) for name in LEVELS]
     return placed(JointMemory, f"joint {joint + 1}", numbers, fields)
 
 
-def _curve(joint: int, n: int, curve: str, at: dict[str, tuple[float, ...]]) -> Candidate:
+def _curve(joint: int, n: int, curve: str, at: Fields) -> Candidate:
     """One of the curves of a joint."""
 
-    def fields(x: Array) -> dict[str, tuple[float, ...]]:
+    def fields(x: Array) -> Fields:
         return {**at, curve: tuple(w for height in x for w in at_joint(joint, n, height))}
 
     numbers = [Number(f"{curve} {k + 1}", "N m", _FAR, (1.0,)) for k in range(KNOTS[curve])]
     return placed(JointCurves, f"joint {joint + 1}", numbers, fields)
+
+
+def base_regressions(system: System) -> list[Candidate]:
+    """Return springs and dampers more, one along each coordinate of the base.
+
+    Weights are hundredths of the base's own stiffness, and of what damps it critically.
+
+    Args:
+        system: as described.
+
+    Returns:
+        Twelve; none of a satellite, which nothing holds.
+    """
+    if isinstance(system.vehicle, Satellite):
+        return []
+    base = system.base
+    mass = np.diag(base.M)
+    springs = np.maximum(np.diag(base.K), mass * (2 * np.pi * 0.5) ** 2) / 100
+    critical = 2 * np.sqrt(springs * mass / 100)
+    sizes = {"stiffness": springs, "damping": critical}
+    out = []
+    for (name, size), (i, axis) in itertools.product(sizes.items(), enumerate(AXES)):
+
+        def fields(x: Array, i: int = i, name: str = name, size: Array = size) -> Fields:
+            return {name: tuple((np.eye(6)[i] * size * x[0]).tolist())}
+
+        candidate = placed(BaseUnknown, axis, [Number(name, "1", (0.0, 1e4), (1.0,))], fields)
+        out.append(replace(candidate, ports=("base", "wrench")))  # as the library's are
+    return out
 
 
 class OpenSet:

@@ -31,13 +31,13 @@ from ves_gym.diagnosis.machines.joint_library import (
     joint_candidates,
     payload_candidate,
 )
-from ves_gym.diagnosis.machines.rates import low_passed
 from ves_gym.diagnosis.machines.rigid_bodies import (
     BodyChange,
     MjcfBodies,
     RigidBodies,
     visible_parameters,
 )
+from ves_gym.diagnosis.machines.servo import low_passed
 from ves_gym.diagnosis.machines.tolerances import LEAST, Tolerance, with_known
 from ves_gym.diagnosis.machines.torque_balance import scales, torque_residual
 from ves_gym.effects import (

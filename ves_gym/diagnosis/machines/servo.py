@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 
 from ves_gym._util.params import Array
 from ves_gym._util.signals import differentiated, noise_power
 from ves_gym.diagnosis.data.measured_run import Run
-from ves_gym.diagnosis.machines.rates import low_passed
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inverse_dynamics
 from ves_gym.system.system import System
@@ -68,3 +68,25 @@ def commanded_torque_weight(run: Run) -> Array:
     logged = noise_power(run.noise["tau"], f, run.dt)[inside].mean(axis=0)
     total = of_commands + logged
     return np.asarray(np.where(total > 0, logged / np.where(total > 0, total, 1.0), 0.0))
+
+
+def low_passed(rate: Array, lag: Array, dt: float, begins: Array | None = None) -> Array:
+    """Return rates through a first-order low-pass each, straight from sample to sample.
+
+    Args:
+        rate: (..., T, n) [rad/s].
+        lag: (n,) time constants [s]; 0: none.
+        dt: s between samples.
+        begins: (..., n) what comes out at the first sample; None: the first rate, held before.
+
+    Returns:
+        (..., T, n).
+    """
+    out = rate.copy()
+    for i in np.flatnonzero(lag):
+        low = ([1.0], [float(lag[i]), 1.0])
+        b, a, _ = scipy.signal.cont2discrete(low, dt, method="foh")
+        b, first = np.ravel(b), rate[..., :1, i]
+        start = (first if begins is None else begins[..., None, i]) - b[0] * first
+        out[..., i] = scipy.signal.lfilter(b, a, rate[..., i], axis=-1, zi=start)[0]
+    return out

@@ -50,9 +50,8 @@ from ves_gym.diagnosis.machines.nuisance_priors import GAIN, system_nuisances
 from ves_gym.diagnosis.machines.platform import followed, platform_gap
 from ves_gym.diagnosis.machines.pose_noise import PoseNoise, pose_noise
 from ves_gym.diagnosis.machines.presliding import Presliding, remembered_friction
-from ves_gym.diagnosis.machines.rates import low_passed
 from ves_gym.diagnosis.machines.ringing import loop_rings
-from ves_gym.diagnosis.machines.servo import commanded_torque_weight, servo_gap
+from ves_gym.diagnosis.machines.servo import commanded_torque_weight, low_passed, servo_gap
 from ves_gym.diagnosis.machines.tolerances import LEAST, StatedErrors, with_known
 from ves_gym.diagnosis.machines.torque_balance import (
     in_torque_logged,
