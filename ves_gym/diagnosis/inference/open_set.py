@@ -10,8 +10,9 @@ stands beside that of its names alone, by the same evidence.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -63,53 +64,39 @@ def regressions(residuals: WhitenedResiduals) -> list[Candidate]:
     n, low, high = q.shape[1], q.min(axis=0), q.max(axis=0)
     middle = (low + high) / 2
     reach = np.maximum(_WIDER * (high - low) / 2, 1e-2)
-    products = monomials(n)
-    numbers = [Number(name, JointUnknown.unit_of(name), _FAR, (1.0,)) for name in WEIGHTS]
-    for factors in products:
-        name = " ".join(f"x{i + 1}" for i in factors)
-        numbers.append(Number(name, JointUnknown.unit_of("surface"), _FAR, (1.0,)))
-    out = []
-    for joint in range(n):
-
-        def fields(x: Array, joint: int = joint) -> Fields:
-            weights = {
-                name: at_joint(joint, n, w)
-                for name, w in zip(WEIGHTS, x[: len(WEIGHTS)], strict=True)
-            }
-            surface = [w for value in x[len(WEIGHTS) :] for w in at_joint(joint, n, value)]
-            return {
-                "middle": tuple(middle),
-                "reach": tuple(reach),
-                "surface": tuple(surface),
-                **weights,
-            }
-
-        out.append(placed(JointUnknown, f"joint {joint + 1}", numbers, fields))
-    out += [_memory(joint, n) for joint in range(n)]
-    v = np.concatenate([np.abs(run.joints.v) for run in residuals.runs])
-    fastest = np.maximum(_WIDER * v.max(axis=0), 1e-2)
-    at = {"middle": tuple(middle), "reach": tuple(reach), "fastest": tuple(fastest)}
-    return out + [_curve(joint, n, name, at) for joint in range(n) for name in KNOTS]
-
-
-def _memory(joint: int, n: int) -> Candidate:
-    """Friction of a joint that depends on how it has moved."""
-
-    def fields(x: Array) -> Fields:
-        return {name: at_joint(joint, n, w) for name, w in zip(LEVELS, x, strict=True)}
-
+    at = {"middle": tuple(middle), "reach": tuple(reach)}
+    names = [*WEIGHTS, *("".join(f" x{i + 1}" for i in k)[1:] for k in monomials(n))]
+    widths = {**dict.fromkeys(WEIGHTS, 1), "surface": len(names) - len(WEIGHTS)}
+    units = [JointUnknown.unit_of(k if k in WEIGHTS else "surface") for k in names]
+    numbers = [Number(k, u, _FAR, (1.0,)) for k, u in zip(names, units, strict=True)]
+    out = [_of_joint(JointUnknown, joint, n, numbers, widths, at) for joint in range(n)]
     numbers = [Number(name, "N m", _OF_FRICTION, (1.0,)) for name in LEVELS]
-    return placed(JointMemory, f"joint {joint + 1}", numbers, fields)
+    widths = dict.fromkeys(LEVELS, 1)
+    out += [_of_joint(JointMemory, joint, n, numbers, widths, {}) for joint in range(n)]
+    v = np.concatenate([np.abs(run.joints.v) for run in residuals.runs])
+    at = {**at, "fastest": tuple(np.maximum(_WIDER * v.max(axis=0), 1e-2))}
+    for joint, (curve, knots) in itertools.product(range(n), KNOTS.items()):
+        numbers = [Number(f"{curve} {k + 1}", "N m", _FAR, (1.0,)) for k in range(knots)]
+        out.append(_of_joint(JointCurves, joint, n, numbers, {curve: knots}, at))
+    return out
 
 
-def _curve(joint: int, n: int, curve: str, at: Fields) -> Candidate:
-    """One of the curves of a joint."""
+def _of_joint(
+    cls: type[Any],
+    joint: int,
+    n: int,
+    numbers: Sequence[Number],
+    widths: Mapping[str, int],
+    known: Fields,
+) -> Candidate:
+    """A law of one of n joints: how many of the numbers each field has, and other fields."""
 
     def fields(x: Array) -> Fields:
-        return {**at, curve: tuple(w for height in x for w in at_joint(joint, n, height))}
+        parts = np.split(x, np.cumsum(list(widths.values()))[:-1])
+        spread = (tuple(w for value in k for w in at_joint(joint, n, value)) for k in parts)
+        return {**known, **dict(zip(widths, spread, strict=True))}
 
-    numbers = [Number(f"{curve} {k + 1}", "N m", _FAR, (1.0,)) for k in range(KNOTS[curve])]
-    return placed(JointCurves, f"joint {joint + 1}", numbers, fields)
+    return placed(cls, f"joint {joint + 1}", numbers, fields)
 
 
 def base_regressions(system: System) -> list[Candidate]:
