@@ -268,8 +268,10 @@ def released(id: str) -> dict[str, Path]:
 def _json(path: str | os.PathLike[str]) -> Path:
     path = Path(path)
     if path.suffix != ".json":
+        names = [f"{k.parent.name}/{k.stem}" for k in sorted(RELEASED.glob("*/*.json"))]
         raise ParameterError(
-            f"{path}: a policy is a .json file with a .safetensors file beside it, got"
+            f"{path}: a policy is one of {', '.join(names)}, or a .json file with a"
+            " .safetensors file beside it, got"
             f" {path.suffix!r}; pickles are not read (but see baselines.from_sb3)"
         )
     return path

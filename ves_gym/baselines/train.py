@@ -92,7 +92,9 @@ def _require_ready(folders: Sequence[Path], resume: bool, tensorboard: Folder | 
             raise ParameterError(f"tensorboard must be a folder, got the file {tensorboard}")
     for folder in folders:
         if (folder / CHECKPOINT).exists() and not resume:
-            raise ParameterError(f"{folder} holds a run already: resume it, or choose another")
+            raise ParameterError(
+                f"{folder} holds a run already: --resume (resume=True), or choose another"
+            )
 
 
 class _Run:

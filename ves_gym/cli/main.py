@@ -105,9 +105,11 @@ class _Parser(argparse.ArgumentParser):
     ) -> tuple[argparse.Namespace, list[str]]:
         """Parse; an unknown option of a command is refused beside the closest known one."""
         out, extra = super().parse_known_args(args, namespace)
-        unknown = next((k.partition("=")[0] for k in extra if k.startswith("--")), None)
-        if unknown is not None:
+        if extra:
+            unknown = next((k.partition("=")[0] for k in extra if k.startswith("--")), "")
             hint = did_you_mean(unknown, self._option_string_actions)
+            if all(k.lstrip("-.")[:1].isdigit() for k in extra):
+                hint = "; the numbers of one option are written with commas, as 0,30,-20"
             self.error(f"unrecognized arguments: {' '.join(extra)}{hint}")
         return out, extra
 

@@ -399,6 +399,7 @@ class StructureSummary:
     """The vehicle of a model, and its natural frequencies [Hz]; `vehicle_of` makes it."""
 
     vehicle: FlexibleBase
+    arm: str  # its name
     freedoms: int  # of the model
     alone: Array
     loaded: Array  # with the arm on it, in the middle of its range
@@ -428,7 +429,7 @@ class StructureSummary:
         for k in range(min(len(self.alone), _LISTED)):
             last = f"{fixed[k]:.4g}" if k < len(fixed) else ""
             rows.append([str(k + 1), f"{self.alone[k]:.4g}", f"{self.loaded[k]:.4g}", last])
-        head = ("mode", "alone", "with the arm", "interface held")
+        head = ("mode", "alone", f"with {self.arm}", "interface held")
         return (
             f"{self.vehicle.source}: {self.freedoms} freedoms, {reduced.M[0, 0]:.4g} kg felt at"
             f" the interface; {reduced.m} internal modes kept\n"
@@ -458,6 +459,8 @@ def vehicle_of(
         raise ParameterError(
             "the files hold no damping: --damping must give a ratio, like 0.01"
         )
+    if damping is not None and not 0 <= damping < 1:
+        raise ParameterError(f"damping must be a ratio, 0.02 for 2 %, got {damping:g}")
     low, high = arm.column("q_min"), arm.column("q_max")
     poses = np.random.default_rng(0).uniform(low, high, (_POSES, arm.n))
     poses[0] = (low + high) / 2
@@ -476,7 +479,7 @@ def vehicle_of(
         source=structure.source,
     )
     alone, loaded = (frequencies(base.reduction(), H) for H in (np.zeros((6, 6)), stood[0]))
-    return StructureSummary(base, int(structure.stiffness.shape[0]), alone, loaded)
+    return StructureSummary(base, arm.name, int(structure.stiffness.shape[0]), alone, loaded)
 
 
 def modes_needed(

@@ -403,6 +403,7 @@ def get_vehicle(name: str | os.PathLike[str]) -> Vehicle:
     if text.endswith((".toml", ".json")):
         return vehicle_from_plain(read_table(text), text)
     raise ParameterError(
-        f"vehicle must be one of {', '.join(VEHICLES)}, or a .toml or .json file, got {text!r}"
+        f"vehicle must be one of {', '.join(VEHICLES)}, or a .toml or .json file (of a"
+        f" finite-element model `ves-gym structure` writes one), got {text!r}"
         f"{did_you_mean(text, VEHICLES)}"
     )
