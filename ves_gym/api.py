@@ -547,7 +547,7 @@ def calibrate(
         What was found beside what is described; `calibration` is what `--calibration` takes.
 
     Raises:
-        ParameterError: a log without readings, or poses that do not tell the parameters.
+        ParameterError: a log without readings, or poses that do not determine the parameters.
     """
     from ves_gym.simulation.calibration_summary import calibrated
 
@@ -643,7 +643,7 @@ def export(
         what: a log, logs by name (.rrd), or a system (.fmu).
         path: of the file.
         servo: .fmu: gains that its parameters begin with.
-        magnify: .rrd: factor on the base's motion as it is seen.
+        magnify: .rrd: magnification of the drawn motion of the base.
 
     Returns:
         The path.

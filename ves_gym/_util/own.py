@@ -1,4 +1,4 @@
-"""What a user adds: modules imported before anything is asked for by name, and names filed."""
+"""What a user adds: modules imported before names are looked up, and registered names."""
 
 from __future__ import annotations
 

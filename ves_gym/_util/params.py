@@ -51,7 +51,7 @@ class ParameterError(ValueError):
 def unit(symbol: str, **options: Any) -> Any:
     """Dataclass field that carries its unit, e.g. `mass: float = unit("kg")`.
 
-    `default=` gives the default value; every other option is kept as metadata.
+    `default=` gives the default value; every other option is stored as metadata.
     """
     default = options.pop("default", dataclasses.MISSING)
     return dataclasses.field(default=default, metadata={"unit": symbol, **options})

@@ -1,6 +1,6 @@
 """Columns of measured data in the files people have: text, MATLAB, HDF5, Parquet, ROS, folders.
 
-Nothing is lost in silence: what was understood of a file beside its plain columns is in
+Nothing is lost unreported: what was understood of a file beside its plain columns is in
 `FileColumns.notes`.
 """
 
@@ -140,7 +140,7 @@ def _torn(
     rows: Sequence[tuple[int, str]],
     mark: str,
 ) -> list[str]:
-    """What is to be told of comments between the numbers, and of a last one cut short."""
+    """Return notes on comments between the numbers, and on a last one cut short."""
     numbered = {k for k, _ in rows}
     between = [k for k, _ in lines if k > rows[0][0] and k not in numbered]
     count = len(between)

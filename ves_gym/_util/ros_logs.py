@@ -202,7 +202,7 @@ class _Table:
 
 
 def columns_of(arrays: dict[str, Any], clock: str) -> tuple[dict[str, Array], list[str]]:
-    """Return columns on the clock of one topic, and what is to be told of them.
+    """Return columns on the clock of one topic, and notes on them.
 
     What has another clock is interpolated to the stamps of the first. Where several topics have
     one joint, `clock` is "TOPIC:t" or "t" of the one that is chosen.

@@ -102,7 +102,7 @@ def differentiated_with_rates(
     integrated rate with the share w^2 / (w^2 + a^2), a^2 = S_v / S_x (Wiener): what rates and
     differences disagree by, e, is noise alone, and comes in as x - i w / (w^2 + a^2) e, with
     its derivatives. Otherwise as `differentiated`. `crossover` (c,) is a [rad/s], from where
-    rates tell more; infinite: they are not used.
+    rates are more exact; infinite: they are not used.
     """
     plain = differentiated(x, dt, band, ahead)
     rate, change, _ = differentiated(rates, dt, band, ahead)
@@ -132,7 +132,7 @@ def rate_crossover(
     of_rates: SensorNoiseModel,
     window: SpectralWindow,
 ) -> Array:
-    """Return (c,) from where measured rates (T, c) tell more of a signal than its differences
+    """Return (c,) from where measured rates (T, c) are more exact than a signal's differences
     [rad/s].
 
     Infinite where the two disagree by more than their noise: the rates are late, smoothed or of

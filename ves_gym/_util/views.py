@@ -1,7 +1,7 @@
 """`Viewable`: a result that draws itself and shows itself in a notebook.
 
-How each class looks is said in one file (`report/views.py`), which is loaded when the first
-picture is asked for: the class knows nothing of matplotlib, and its room imports nothing above
+How each class looks is defined in one file (`report/views.py`), which is loaded when the first
+picture is drawn: the class knows nothing of matplotlib, and its room imports nothing above
 itself.
 """
 

@@ -1,4 +1,4 @@
-"""A plan followed on a machine that is not as described: estimated, or told (`Oracle`).
+"""A plan followed on a machine that is not as described: estimated, or known (`Oracle`).
 
 The arm's equation is linear in what is unknown of it (Slotine and Li, Int. J. Robotics Research
 6(3), 1987; Siciliano et al., Robotics, 2009, 7.2.1): with a payload of mass m at the tool and
@@ -201,11 +201,11 @@ class Adaptive(Follow):
 
 
 class Oracle(Follow):
-    """Follows `direct`'s plan for the machine as it was drawn, of which it is told everything.
+    """Follows `direct`'s plan for the machine as it was drawn, which it knows completely.
 
     A bound for whoever has to find the machine out, and a teacher. Torque of payload, friction
     and other torque effects along the plan is supplied as `Adaptive` does it. What a laboratory
-    adds (platform, sensors) it is not told.
+    adds (platform, sensors) it does not know.
     """
 
     _shift: Array  # (n, 2, joints) what is added to the plan, and its rate

@@ -34,7 +34,7 @@ Lineup = list[tuple[str, Sequence[Controller]]]  # label, a controller or a poli
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ControllerComparison(Viewable):
-    """Evaluations on the same episodes; iterates over them, in the order that was asked for."""
+    """Evaluations on the same episodes; iterates over them, in the order of the request."""
 
     evaluations: tuple[Evaluation, ...]
 

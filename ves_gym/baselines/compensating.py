@@ -17,7 +17,7 @@ _WAY = 0.5  # share of an episode that the motion takes
 class Compensating(Resolved):
     """`Resolved`, about a motion of all arms that leaves the base the least energy.
 
-    Planner `direct` is asked for it: the last arm is to end where its tool is on the target,
+    Planner `direct` finds it: the last arm is to end where its tool is on the target,
     base at rest, the others anywhere. What the base does all the same the last arm takes back.
     Where the planner finds no answer, the others stay where they are.
     """

@@ -36,7 +36,7 @@ class TrainConfig:
     [first, last], go from one to the other by equal factors over the first 0.6 of the training
     and are left alone when it is judged. `hyperparameters` are the fields of
     `ppo.Settings`; the learning rate falls linearly to `final_rate` of itself. Where the
-    network or the noise start is said by `layers`, `activation` and `log_std`.
+    network or the noise start follows from `layers`, `activation` and `log_std`.
 
     With `imitate`, the policy first learns what a built-in controller does (`imitation` are
     the fields of `learner.ImitationConfig`); its decisions count as steps. Algorithm DAgger

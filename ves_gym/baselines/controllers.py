@@ -32,7 +32,7 @@ _TORQUE_FOLLOW = 12.0  # 1/s: slower, for its torque is held over a control peri
 class Controller(Protocol):
     """Agent on a vector environment. Every array has the leading axis env.num_envs.
 
-    One that needs settings of the environment has a method `settings(spec)` that tells
+    One that needs settings of the environment has a method `settings(spec)` that returns
     `evaluate` which, by the specification of the registered id.
     """
 

@@ -245,7 +245,7 @@ class Learner:
                 self.ppo.update(rollout, rate)
 
     def _meet_curriculum(self) -> None:
-        """Go on in the environment that is asked for now, where it is another one."""
+        """Go on in the environment of the present settings, where it is another one."""
         k, old, settings = self.config, self.decisions.env, self.config.settings_at(self.steps)
         if settings != self._given:
             self._given = settings

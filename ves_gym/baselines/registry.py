@@ -54,7 +54,7 @@ _ROWS: dict[str, tuple[Any, ...]] = {
                ("robust", "robust", _SEED)),
     "adaptive": (_REST, "identifies payload and friction on the way, and plans anew",
                  "adaptive:Adaptive", (_SEED,)),
-    "oracle": (_REST, "follows a plan for the machine as drawn: told it, so a bound",
+    "oracle": (_REST, "follows a plan for the machine as drawn, which it knows: a bound",
                "adaptive:Oracle", (_SEED,)),
     "mppi": (_REST, "samples futures on a model as it moves (MPPI)", "mppi:Mppi", (_SEED,)),
     "lqr": (_DAMP[1:], "applies the exact optimum (LQR)", "controllers:Optimal"),

@@ -67,7 +67,7 @@ class Resolved:
 
     The joints follow a plan for a base at rest: for task track the one that the Jacobian
     gives along the path, for berthing_contact too: before the client's funnel, then along its
-    axis a little beyond its end, where it is seen, until the latch has closed; for reach and
+    axis a little beyond its observed end, until the latch has closed; for reach and
     free_flyer the straight quintic to the nearest joint angles that bring the tool to the
     target, for payload_transfer two of them, to the payload and to the berth. In every period
     the plan is corrected by what the Jacobian says of the distance between path and tool, on
@@ -297,7 +297,7 @@ class ResolvedPose:
     Systems 10(2), 1969). Where joints are left over, of all corrections the one that reacts
     least on the base is taken: the least squares are weighted by the momentum that joint
     rates give the base. Servos are soft (a few Hz) beside a base that sways, so what the joints
-    lag behind is asked for again, `_FIRM` times.
+    lag behind is commanded again, `_FIRM` times.
     """
 
     name = "resolved-pose"

@@ -66,7 +66,7 @@ def train(
     """Train one policy, see `train_seeds`; the rows of its learning curve.
 
     Raises:
-        ParameterError: a run is already there and `resume` is not said, or it is another
+        ParameterError: a run is already there without `resume`, or it is another
             configuration's; hyper-parameters that the algorithm does not know.
         MissingPackageError: a package is not installed.
     """

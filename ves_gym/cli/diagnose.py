@@ -244,26 +244,26 @@ TABLE = {
         *arm_flags("that of the system or the logs"),
         EFFECT,
         Flag("--machine", "FILE", text,
-             "a machine in MJCF or URDF, or of one's own: mapping file that says which columns"
-             " of the data are what",
+             "mapping file of a machine in MJCF or URDF, or of your own machine: the meaning"
+             " of every column of the data",
              to="mapping"),
         Flag("--describe",
-             help="write a commented mapping file for one's own data (mapping.toml in --out):"
+             help="write a commented mapping file for your data (mapping.toml in --out):"
              " columns guessed by name, unit and range, and what is missing"),
         Flag("--tolerances", "FILE", text,
              "sizes of tolerances and noise of a System, where they are not the usual ones"),
         Flag("--model", "FILE", path, "with --describe: the robot in URDF or MJCF"),
-        Flag("--columns", "NAMES", names, "with --describe: what the columns are, by place,"
-             " like t,q_1,v_1,tau_1, where the file does not say"),
-        Flag("--topic", "NAME", text, "with --describe: the topic of a ROS log that is meant"
-             " where several have the same joints"),
+        Flag("--columns", "NAMES", names, "with --describe: names of the columns, in order,"
+             " like t,q_1,v_1,tau_1, where the file has none"),
+        Flag("--topic", "NAME", text, "with --describe: topic of a ROS log, where several"
+             " have the same joints"),
         Flag("--final", "N", integer(),
              "logs to hold back and open once, at the end: the last N (default: those that say"
              " `held_back`, else the last third)"),
-        Flag("--without", "KIND", text, "leave out of the library", many=True),
+        Flag("--without", "KIND", text, "kind of effect to leave out", many=True),
         Flag("--band", "HZ", number("Hz"), "compare up to (default 12, or the mapping's)"),
         Flag("--most", "N", integer(1),
-             "effects to name at most (default: as many as the evidence bears)"),
+             "largest number of effects to name (default: as many as the evidence supports)"),
         Flag("--no-free-run", help="skip the simulation of the whole loop"),
         Flag("--as-logged", help="ask no questions about units, signs and exchanged channels"),
         Flag("--no-experiment",

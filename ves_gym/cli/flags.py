@@ -1,7 +1,7 @@
 """The table that a command is: per option its name, its unit and the parameter that takes it.
 
 People write degrees and lists with commas; verbs take radians, tuples and numbers. Everything
-between the two is here, and what a command is told and answers.
+between the two is here, and what a command receives and prints.
 """
 
 from __future__ import annotations
@@ -223,12 +223,11 @@ def joints(value: str, place: Place) -> Array:
 
 
 def radians_note(value: str, name: str) -> str | None:
-    """Return what is said of an option's angles, given in degrees, that may be meant in
-    radians.
+    """Return the note on an option's angles in degrees that may be meant in radians.
 
-    They may if none is beyond a whole turn in radians and one has decimals: the unit is said.
-    It is asked if one of them has two decimals or more and is, to half of its last, a multiple
-    of 15 degrees: 1.57, 0.785, -2.36.
+    They may if none is beyond a whole turn in radians and one has decimals; a note says so.
+    It is a question if one of them has two decimals or more and is, to half of its last, a
+    multiple of 15 degrees: 1.57, 0.785, -2.36.
     """
     parts = value.split(",")
     if max(map(abs, floats(value))) > 2 * math.pi:
@@ -288,7 +287,7 @@ DURATION = Flag("--duration", "S", number("s", above=0), "of the motion [s] (2)"
 
 @dataclass(frozen=True, kw_only=True)
 class Context:
-    """What every command is told beside its own options."""
+    """Options common to every command, and what it prints."""
 
     progress: Any
     out: Path | None = None

@@ -26,7 +26,7 @@ def make(
     training: Sequence[tuple[str, str]] = (),
     **how: Any,
 ) -> Answer:
-    """Answer a problem and write the entry; a first try of a tenth of the questions: ves-gym
+    """Answer a problem and write the entry; a tenth of the queries, for a first try: ves-gym
     leaderboard run paths bent-2s-quick direct.
     """
     from ves_gym.leaderboard.problems import get_problem
@@ -49,9 +49,8 @@ def make(
 
 
 def check(at: Context, entry: str, *, board: Path | None = None, **how: Any) -> Answer:
-    """Check an entry, exit status 1: refused; believes nothing of it that can be computed, and
-    runs nothing that is in it: a built-in method or a policy answers again, what was recorded
-    of another is simulated again.
+    """Check an entry (exit status 1: refused): a built-in method or a policy answers again,
+    the recording of any other is simulated again; no code of an entry runs.
     """
     from ves_gym.leaderboard.entry import Refused
     from ves_gym.leaderboard.verify import add, verify_entry

@@ -247,7 +247,7 @@ TABLE = {
         Flag("--seeds", "0,1", integers, "default the configuration's; --seed adds to each"),
         replace(WORKERS, help="seeds at once"),
         Flag("--resume", help="go on from the checkpoints"),
-        Flag("--tensorboard", "DIR", text, "show the curves as they grow there"),
+        Flag("--tensorboard", "DIR", text, "write the curves there during training"),
         *ARMS,
         EFFECT,
     )),
@@ -260,7 +260,7 @@ TABLE = {
              " of a released policy (`ves-gym list policies`), or `released` for all of them;"
              " repeatable", many=True),
         Flag("--episodes", "N", integer(), "default 100"),
-        Flag("--n-envs", "N", integer(1), "at once; changes no result"),
+        Flag("--n-envs", "N", integer(1), "environments in lockstep; changes no result"),
         Flag("--nominal", help="without randomisation"),
         *ARMS,
         EFFECT,

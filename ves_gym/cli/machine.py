@@ -69,9 +69,9 @@ def arm_flags(default: str) -> tuple[Flag, ...]:
         Flag("--massless", "LINK", help="a link with a shape and no mass of its own weighs"
              " nothing; repeatable", many=True),
         Flag("--rotor", "JOINT=INERTIA", read(_pair, "JOINT=INERTIA, like wrist=0.01"),
-             "of a rotor about its joint [kg m^2]; repeatable", many=True),
-        Flag("--repair", help="take the nearest of inertias and ranges that nothing has, and"
-             " say which"),
+             "inertia of a rotor about its joint [kg m^2]; repeatable", many=True),
+        Flag("--repair", help="replace impossible inertias and ranges by the nearest possible,"
+             " and list them"),
         Flag("--no-collision", help="leave the file's shapes out"),
         Flag("--no-check", help="take numbers that look like g, mm or kg mm^2"),
         Flag("--allow-outside", help="read meshes outside the file's folder and package"),
@@ -180,8 +180,8 @@ def _platform(text: str) -> PoseServo | LegServo:
 MACHINE = (
     *grouped(
         "system",
-        Flag("--case", "FILE", read(load_case), "a case, as other commands write it: its system"
-             " and whatever else of it the command takes"),
+        Flag("--case", "FILE", read(load_case), "a case that another command wrote: its system"
+             " and what else the command uses"),
         Flag("--system", "S", read(get_system),
              f"{', '.join(SYSTEMS)}, or a System in TOML or JSON"),
         *arm_flags("puma560"),
@@ -193,7 +193,7 @@ MACHINE = (
         Flag("--physics-dt", "S", number("s"), "physics step [s]"),
         Flag("--control-dt", "S", number("s"), "control period [s]"),
         EFFECT,
-        Flag("--degrees", help="joint angles are in degrees, however small (ask nothing)"),
+        Flag("--degrees", help="joint angles are in degrees, however small (no question)"),
         Flag("--radians", help="joint angles are given in radians"),
     ),
     *grouped(

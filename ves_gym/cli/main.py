@@ -36,18 +36,18 @@ COMMANDS = {  # name -> its module, loaded when it is asked for, and what it doe
     "dataset": ("learning", "episodes as Minari data sets: made from recipes and replayed"),
     "policy": ("learning", "policies as ONNX for other engines, and their model cards"),
     "leaderboard": ("leaderboard", "entries that anybody can repeat, checked, and the board"),
-    "sweep": ("sweeps", "many units of work, here or on a cluster; goes on where it stopped"),
-    "matrix": ("sweeps", "methods x machines x tasks x seeds: a page with intervals; goes on"),
+    "sweep": ("sweeps", "many units of work, here or on a cluster; resumes where it stopped"),
+    "matrix": ("sweeps", "methods x machines x tasks x seeds: a page with intervals; resumes"),
     "search": ("sweeps", "the settings of a sweep that do best, found with Optuna"),
     "merge": ("sweeps", "one table of the results of sweeps"),
     "pped": ("checks", "joint gains that take vibration out of the base (thesis 4.3)"),
     "diagnose": ("diagnose", "where logs and description disagree, and what is missing"),
     "calibrate": ("checks", "gravity parameters and sensor matrix from a log of poses"),
     "structure": ("checks", "a vehicle file from M and K of a finite-element model"),
-    "emulation-check": ("checks", "is an emulation stable, and how true, before it runs"),
+    "emulation-check": ("checks", "stability and fidelity of an emulation, before it runs"),
     "list": ("list", "what exists: vehicles, planners, suites, effects"),
     "doctor": ("doctor", "what is broken on this machine"),
-    "completion": ("doctor", "what makes a shell complete these commands"),
+    "completion": ("doctor", "the script that completes these commands in a shell"),
     "view": ("watch", "watch a run log: window, GIF, MP4, or rerun"),
     "export": ("export", "a run as MCAP, a machine as an FMU, for the tools of others"),
     "teleop": ("watch", "drive the arm from the keyboard while the base reacts"),
@@ -120,7 +120,7 @@ def examples() -> list[str]:
 
 
 def build_parser(*asked: str) -> argparse.ArgumentParser:
-    """The parser; only modules of the commands that are asked for are imported."""
+    """Return the parser; only modules of the requested commands are imported."""
     parser = _Parser(
         prog="ves-gym",
         description="A PUMA 560 on a long flexible beam in micro-gravity, judged by the"

@@ -282,7 +282,7 @@ TABLE = {
              many=True),
         DURATION,
         Flag("--planner", "P", text,
-             f"whose path is there to compare with: {', '.join(PLANNERS)}, or none (direct)"),
+             f"whose path is shown for comparison: {', '.join(PLANNERS)}, or none (direct)"),
         Flag("--open", "FILE", text,
              "show it in the page, repeatable: a run log or episode (.parquet, .csv), a case,"
              " diagnosis.json", to="show", many=True),

@@ -216,8 +216,8 @@ def _weigh(case: Case, poses: int, files: list[Path]) -> Answer:
 TABLE = {
     "simulate": (simulate, (
         *grouped(
-            "motion (default: in 2 s to 60,40,-30 deg; of other than three joints, within half"
-            " of the arm's limits)",
+            "motion (default: in 2 s to 60,40,-30 deg; for arms of other than three joints,"
+            " within half of the limits)",
             START,
             GOAL,
             Flag("--via", "A,B,C", joints, "way-point; repeatable", many=True),
@@ -228,10 +228,10 @@ TABLE = {
         GAINS,
         Flag("--no-feedforward", help="no feed-forward joint torque"),
         Flag("--record-dt", "S", number("s", above=0),
-             "between records (default physics step; mode emulated: control period)"),
+             "time between records (default physics step; mode emulated: control period)"),
         Flag("--grasp", "S", number("s"), "close the latch on the system's payload at this"
              " time; repeatable", many=True),
-        Flag("--release", "S", number("s"), "open it", many=True),
+        Flag("--release", "S", number("s"), "open it at this time; repeatable", many=True),
         Flag("--log", "FILE",
              help="the run log, .csv or .parquet, from --out if given (out/simulate/run.csv)"),
         FORMAT,

@@ -1,7 +1,7 @@
 """Configurations in which the arm damps its base best (thesis 4.3).
 
 The thesis finds such configurations by the coupling map. Its modes one by one, as in Q_T,
-do tell them; the size of raw Q does not (tests/claims/test_pped.py).
+do show them; the size of raw Q does not (tests/claims/test_pped.py).
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def best_configurations(
     """Return configurations in which the arm damps a release from y best, best first.
 
     The coupling ranks random configurations; gains are tuned for the first of them that
-    lie apart. Only the joint limits are kept: nothing looks for collisions.
+    lie apart. Only joint limits are respected: collisions are not checked.
 
     Args:
         system: arm and vehicle.

@@ -27,10 +27,10 @@ from ves_gym.system.system import System
 
 @register_effect("joint/drive_gain")
 class JointDriveGain(TorqueEffect):
-    """Motors give (1 + `error`) times the torque they are told to.
+    """Motors give (1 + `error`) times the commanded torque.
 
     An error of torque constant, gear ratio or current calibration (derived here). The log
-    shows the torque told.
+    shows the commanded torque.
     """
 
     needs_motor = True
@@ -45,7 +45,7 @@ class JointDriveGain(TorqueEffect):
 class JointTorqueLimit(TorqueEffect):
     """Motors give at most (1 - `fraction`) of their stated limit (a current limit).
 
-    The log shows the torque told (derived here).
+    The log shows the commanded torque (derived here).
     """
 
     needs_motor = True
@@ -318,7 +318,7 @@ class JointMeasurementDelay(DelayEffect):
 class JointVelocityLag(DelayEffect):
     """Servo and log see joint rates through a first-order low-pass; angles are as they are.
 
-    How drives tell a rate from an encoder: differences, smoothed. Several effects add their
+    How drives derive a rate from an encoder: differences, smoothed. Several effects add their
     time constants (derived here).
     """
 

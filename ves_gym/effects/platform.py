@@ -86,7 +86,7 @@ class PlatformStroke(LaboratoryEffect):
 
     @classmethod
     def candidates(cls, scope: Scope) -> Iterator[Candidate]:
-        """Travel, from what the legs are told to go at most."""
+        """Travel, from the largest commanded length of the legs."""
         starts = tuple(1 - scope.stretch * (1 - part) for part in SHORT.tolist())
         travel = replace(number_of(cls, "travel"), starts=starts)
         yield placed(cls, "", [travel], lambda x: {"travel": float(x[0])})

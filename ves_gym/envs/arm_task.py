@@ -175,7 +175,7 @@ class ArmTask(Task):
 def gap(distance: Array, near: float, far: float) -> Array:
     """Return what is missing to a place: a logarithm of a distance (...,), one at `far`.
 
-    Halving a distance is worth the same from `far` down to `near`, what the task tells apart.
+    Halving a distance is worth the same from `far` down to `near`, what the task resolves.
     """
     return np.log(1.0 + distance / near) / float(np.log(1.0 + far / near))
 
@@ -191,7 +191,7 @@ def wide(values: Vector, arm: Arm) -> Array:
 
 
 def usual_of(task: Task, *names: str) -> bool:
-    """Return whether settings, where a task has them, are those that nothing was said of."""
+    """Return whether settings, where a task has them, are the defaults."""
     defaults = {field.name: field.default for field in fields(task)}
     return all(getattr(task, k) == defaults[k] for k in names if k in defaults)
 

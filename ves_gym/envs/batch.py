@@ -270,7 +270,7 @@ class Batch:
             self.recorder.begin(ids)
 
     def _begin(self, ids: Index, rows: dict[str, Array], uniform: Array) -> None:
-        """Put simulations (k,) where episodes begin, and look at them there.
+        """Put simulations (k,) where episodes begin, and observe them there.
 
         Args:
             ids: which.
@@ -407,7 +407,7 @@ class Batch:
         """One control period with checked actions.
 
         Args:
-            over: (n,) simulations that wait for their next episode; nothing is told of them.
+            over: (n,) simulations that wait for their next episode; they are not reported.
 
         Returns:
             reward (n,), terminated (n,), truncated (n,), and what is known of the step.
@@ -466,7 +466,7 @@ class Batch:
         return reward, ended, np.zeros(self.n, bool), info
 
     def account(self, stopped: Mask | None, over: Mask | None) -> dict[str, Any]:
-        """Entries of an info that tell of the simulations rather than of the task.
+        """Return entries of an info that describe the simulations rather than the task.
 
         Args:
             stopped: (n,) in the laboratory.

@@ -135,7 +135,7 @@ class BerthingContact(ArmTask):
         """See `Task`.
 
         Goal: where the fixture is met (3) [m], the client's attitude (4), velocity (3) [m/s]
-        and mass [kg], and by how much the fixture is seen beside where it is (3) [m].
+        and mass [kg], and the error of the observed fixture (3) [m].
         """
         drawn, arm = u[:, -self.more :], self.system.arm
         q, met = self._places(u, options.get("q"))

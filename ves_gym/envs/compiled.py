@@ -179,7 +179,7 @@ def functions(shape: Shape, probe: bytes | None = None) -> dict[str, CompiledFun
     Args:
         shape: of its rows.
         probe: numbers that its formulas give: whatever text they come from, other numbers are
-            other code. Without them the graphs themselves tell.
+            other code. Without them the graphs themselves decide.
 
     Raises:
         FormulaError: when the first is compiled, with file and line of what cannot be followed.

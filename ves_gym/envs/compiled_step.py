@@ -239,7 +239,7 @@ class CompiledStep:
         return [self._functions["lab_modes"].piece(*pair, z, zd, *model, self._modes)]
 
     def _probe(self, s: Scene) -> tuple[tuple[str, ...], bytes]:
-        """Names of the reward's terms, and numbers that tell tasks' formulas apart."""
+        """Return names of the reward's terms, and numbers that distinguish tasks' formulas."""
         task, dt, rng = self.task, self.system.control_dt, np.random.default_rng(0)
         shapes = {f.name: getattr(s, f.name).shape[1:] for f in dataclasses.fields(s)}
         # two simulations with any numbers
@@ -336,7 +336,7 @@ class CompiledStep:
             actions: (n, width), checked.
             over: (n,) simulations that wait for their next episode.
             goals: (n, g) of the episodes.
-            decay: makes what closes episodes; asked where there is one to close.
+            decay: makes what closes episodes; called where there is one to close.
         """
         sim, backend, loop = self.sim, self.backend, self.sim.emulation_loop
         if self._alone:
@@ -409,7 +409,7 @@ class CompiledStep:
             fill(self._flight[:, : steps.shape[1]], steps)
 
     def _store_parts(self) -> None:
-        """Tell payloads, wheels and jets of the period."""
+        """Store payloads, wheels and jets of the period."""
         if self._acts is not None:
             memory = unlane(self._acting, self.n)
             self._acts.take(*(memory[:, k] for k in self.shape.actuators.values()))
@@ -419,7 +419,7 @@ class CompiledStep:
     def _grasp(
         self, ids: Index, rows: Array, flags: npt.NDArray[np.bool_]
     ) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Close latches, and look at these simulations again."""
+        """Close latches, and observe these simulations again."""
         assert self._cargo is not None
         ids = ids[self._cargo.closes(ids)]  # where rounding decides, as it does there
         if len(ids):
@@ -475,7 +475,7 @@ class CompiledStep:
 
         Args:
             block, lane: (k,) where the simulations are.
-            decay: what tells them.
+            decay: what gives them.
         """
         at, n, order = self.shape.reference, self.shape.joints, self.shape.coordinates
         x = self.backend.rows_of_state()[0][block, :, lane]

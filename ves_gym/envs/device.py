@@ -334,7 +334,7 @@ class DeviceRows:
 
     @property
     def outputs_now(self) -> Any:
-        """(told, n) of the last period."""
+        """Return the outputs (k, n) of the last period."""
         return self._views["outputs"]
 
     def look_up(self, table: Any, rows: Any) -> None:

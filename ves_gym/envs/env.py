@@ -77,7 +77,7 @@ class Episodic:
         return Batch(self.task, self.num_envs, **self._engine)
 
     def _told(self, info: dict[str, Any]) -> dict[str, Any]:
-        """An info with what critics may know, where that was asked for."""
+        """Return an info with what critics may know, where `privileged` is set."""
         return info | {"privileged": self.batch.privileged()} if self._tells else info
 
     def _observed(self, rows: npt.NDArray[np.float32]) -> Any:

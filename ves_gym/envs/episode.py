@@ -176,7 +176,7 @@ def judge(
     less cost is more return, any solved episode returns more than any that is not, and no end
     before the deadline is worth more than going on. Before, it has been paid what it would be
     if it ended now, but that what was missing at first is taken off evenly over the episode: a
-    potential, which tells a learner at once what a step is worth and leaves what is best as it
+    potential, which shows a learner at once what a step is worth and leaves what is best as it
     was (Ng, Harada & Russell 1999). Of goal variants, whose reward is that of their goals, a
     period costs what `costs` says, and a failure as much as reaching nothing.
 

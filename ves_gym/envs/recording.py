@@ -81,7 +81,7 @@ class Recorder:
         self._first -= gone
 
     def step(self, diverged: Mask) -> dict[str, Any]:
-        """Keep the state after a step; what `info` tells of those that diverged in it."""
+        """Store the state after a step; return the entries of `info` on those that diverged."""
         self._rows.append(self._record())
         if self.folder is None or not diverged.any():
             return {}

@@ -111,8 +111,8 @@ UNLIMITED = WrapperSpec(
 class DeadlineSpec(EnvSpec):
     """Specification of environments that end their episodes by themselves.
 
-    JSON does not tell a `Deadline` from a limit of the caller's; it is written as null, and
-    what is made from it has its deadline all the same.
+    JSON does not distinguish a `Deadline` from a limit of the caller's. It is written as null,
+    and what is made from it has its deadline all the same.
     """
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -137,7 +137,7 @@ class DeadlineSpec(EnvSpec):
 
 
 def with_deadline(spec: EnvSpec, steps: int) -> DeadlineSpec:
-    """Return a specification that tells the deadline of the settings in it.
+    """Return a specification with the deadline of the settings in it.
 
     Args:
         spec: of an environment that ends its episodes by itself.

@@ -1,4 +1,4 @@
-"""What an environment tells: its spaces and goals, rewards by objective, costs.
+"""What an environment returns: its spaces and goals, rewards by objective, costs.
 
 The vector of objectives follows MO-Gymnasium: `reward_space` has its shape, `step` returns an
 array. The costs follow Safety-Gymnasium: `info["cost_NAME"]` is 1 in every period in which a
@@ -83,8 +83,8 @@ class GoalFunctions:  # Gymnasium-Robotics' `GoalEnv`
     Every function takes `achieved_goal` and `desired_goal` (..., g) in the units of the
     observation and `info`, that of the step or any sequence (...,) of them, and returns (...,).
     With the goals and the info of a step they return what the step did. No goal ends an
-    episode: its deadline and its failures do, of which only the info tells; an info that
-    tells nothing is that of a step in the middle of an episode.
+    episode: its deadline and its failures do, which only the info shows; an info that
+    shows none is that of a step in the middle of an episode.
     """
 
     def __init__(self, task: Task) -> None:
@@ -93,7 +93,7 @@ class GoalFunctions:  # Gymnasium-Robotics' `GoalEnv`
     def compute_reward(
         self, achieved_goal: npt.ArrayLike, desired_goal: npt.ArrayLike, info: Any
     ) -> Any:
-        """Return the reward of goals, and of the failure that the info tells of."""
+        """Return the reward of goals, and of the failure in the info."""
         reward = self.task.goal_reward(np.asarray(achieved_goal), np.asarray(desired_goal))
         failure = self._each(info, reward, _failure)
         return reward + failure if failure.any() else reward
@@ -148,7 +148,7 @@ class CostBounds:
 
 
 class Signals:
-    """Steps of a batch with reward and costs in the form that was asked for.
+    """Steps of a batch with reward and costs in the requested form.
 
     Args:
         reward: "scalar", or "vector" for the objectives.

@@ -89,7 +89,7 @@ class Scene:
         goal: (n, g) of the task.
         memory: (n, `Task.memory`) what the task remembers, zero at an episode's start.
         table_values: (n, k) of `Task.lookup` at this instant.
-        tau: (n, joints) torque or drive command last asked for.
+        tau: (n, joints) torque or drive command last sent.
         payload: (n, k) `latch.LatchTarget` of the payload in rows; k = 0 where none takes part.
         contact: (n, 7) wrench of contact on the tool, inertial axes [N, N m], and what its
             springs store [J]; (n, 0) of systems without.
@@ -290,12 +290,12 @@ class Task(ABC):
 
         Args:
             sim: as the period left it.
-            ended: (n,) episodes that end; the mask of what is told of them alone.
+            ended: (n,) episodes that end; the mask of what is reported of them alone.
         """
         return {}
 
     def remember(self, s: Scene, dt: float) -> None:  # noqa: B027
-        """Bring `s.memory` up to date, once per period and before `costs` is asked."""
+        """Bring `s.memory` up to date, once per period, before `costs`."""
 
     @abstractmethod
     def costs(self, s: Scene, dt: float, last: Mask) -> dict[str, Array]:

@@ -47,7 +47,7 @@ class MatrixMethod:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskRow:
-    """A task and the methods for it; energies are told over those of the first method."""
+    """A task and the methods for it; energies are relative to those of the first method."""
 
     env: str  # name without Emulated and version, such as PumaReach
     methods: tuple[MatrixMethod, ...]

@@ -214,7 +214,7 @@ def _batch(
     base: Path,
     pool: Any,
 ) -> None:
-    """Run some trials side by side, then tell how they ended, in order."""
+    """Run some trials side by side, then report their values, in order."""
     units: dict[int, list[Unit]] = {}
     wrong: dict[int, str] = {}
     for trial in trials:

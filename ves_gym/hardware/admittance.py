@@ -1,4 +1,4 @@
-"""Admittance: from the wrench on the vehicle to the motion the platform is told to make.
+"""Admittance: from the wrench on the vehicle to the motion commanded to the platform.
 
 The vehicle is X' = g(X, W) with X = (Y, Y') (thesis eq. 2.2). A linear vehicle is sampled
 exactly, X+ = Phi X + Gamma W (eq. 2.4 to 2.6); any other g is integrated by Runge-Kutta.

@@ -276,7 +276,7 @@ class Leg:
         return out
 
     def _filtered(self, x: Array, value: Array) -> Array:
-        """Thesis eq. 5.1, its sums kept in x (transposed direct form II)."""
+        """Thesis eq. 5.1, its sums stored in x (transposed direct form II)."""
         memory = x[PLANT : self.last]
         out: Array = self.b[0] * value + memory[0]
         memory[:-1] = memory[1:]

@@ -111,7 +111,7 @@ def _group(entries: Sequence[Entry]) -> Plain:
 
 
 def _of(entry: Entry) -> Plain:
-    """What the page tells of one entry."""
+    """Return what the page shows of one entry."""
     results = entry.results
     groups, episodes = results["score"].shape
     by_group = [float(k) for k in iqm(results["score"])]

@@ -47,8 +47,8 @@ def enter(problem: Problem, method: Any, seeds: Sequence[int]) -> Entered:
     Args:
         problem: that it is to answer.
         method: name of a built-in planner, controller or tuner, or of a released policy; files
-            or folders of policies; or a planner, controller or function of one's own.
-        seeds: of the method, 0, 1, ... in order, one per group; of policies not asked for.
+            or folders of policies; or your planner, controller or function.
+        seeds: of the method, 0, 1, ... in order, one per group; not used for policies.
     """
     if list(seeds) != list(range(len(seeds))) or not 1 <= len(seeds) <= MOST_GROUPS:
         raise ParameterError(
@@ -171,7 +171,7 @@ def _policies(id: str, words: Sequence[str]) -> Entered:
 
 
 def _training_seeds(policies: Sequence[Policy]) -> tuple[int, ...]:
-    """The seeds that the policies tell of, or their numbers."""
+    """Return the seeds that the policies name, or their numbers."""
     numbers = [p.about.get("seed") for p in policies]
     seeds = [k for k in numbers if isinstance(k, int) and k >= 0]
     return tuple(seeds) if len(set(seeds)) == len(policies) else tuple(range(len(policies)))

@@ -1,4 +1,4 @@
-"""The problems of the leaderboard, by track: what is asked, how often, and who may answer.
+"""The problems of the leaderboard, by track: queries, their number, and who may answer.
 
 Seeds of the questions are public and fixed, or official, from a maintainer's salt.
 """

@@ -89,9 +89,9 @@ def make_entry(
         name: on the board; default the method's.
         author: on the board.
         seeds: of the method, 0, 1, ... in order: one group of results each. Policies: one per
-            file, as told by them.
+            file, as they state it.
         salt: of the official seeds; None for the public ones.
-        training: what it took to make the method, plain data; default what policies tell.
+        training: what it took to make the method, plain data; default what policies state.
         code: address of the method's source; default its module.
         workers: processes that plan.
         progress: called with the stage and the fraction done.

@@ -46,7 +46,7 @@ def coupled_joints(
 def _ties(
     tree: Tree, root: str, loose: set[str], locked: Mapping[str, float]
 ) -> dict[str, Tie]:
-    """Ties beyond the root by their followers; refuse those that cannot be kept.
+    """Ties beyond the root by their followers; refuse those that cannot be satisfied.
 
     A follower off the chain of what is not there stands still.
     """

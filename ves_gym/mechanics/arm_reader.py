@@ -153,7 +153,7 @@ def _refuse_unweighed(names: Sequence[str]) -> None:
 
 
 def _locked(tree: Tree, choice: ChainChoice) -> dict[str, float]:
-    """The joints that are asked to stand still, and where [rad, m]."""
+    """Return the joints that are to stand still, and where [rad, m]."""
     every = {joint.name: joint for joints in tree.joints.values() for joint in joints}
     out = {}
     for name, value in choice.locked.items():

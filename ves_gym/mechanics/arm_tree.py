@@ -156,7 +156,7 @@ class Tree(ABC):
         closes over joints that move."""
 
     def rest(self, joint: str) -> float:
-        """Return where a joint stands still of which nothing is said."""
+        """Return where a joint stands still by default."""
         return 0.0
 
     @abstractmethod

@@ -21,7 +21,7 @@ _SMALL = 1e-4  # rad: below it two terms of a sine's series are exact to roundin
 
 
 def product(p: npt.ArrayLike, q: npt.ArrayLike) -> Array:
-    """Return Hamilton's product p q (..., 4): the attitude q, seen from where p is seen
+    """Return Hamilton's product p q (..., 4): the attitude q, in the frame in which p is given
     from."""
     a, b = numbers(p), numbers(q)
     pw, px, py, pz = (a[..., k] for k in range(4))

@@ -80,7 +80,7 @@ def is_body(numbers: npt.ArrayLike) -> bool:
 def nearest_body(
     numbers: npt.ArrayLike, precision: npt.ArrayLike, combinations: Array
 ) -> Array:
-    """Return what is seen of the body whose numbers are the most probable.
+    """Return the identifiable numbers of the most probable body.
 
     Of (k,) estimated numbers, combinations (k, 10) of `PARAMETERS`, and the inverse (k, k) of
     their covariance: (k,) numbers that a body has, its radius of gyration 1 mm along each axis

@@ -374,7 +374,7 @@ class FlexibleBase(Saved):
         return max(k.section.of(k.material).diameter for k in self.structure.members)
 
     def reduction(self) -> Reduction:
-        """Return interface and the internal modes that are kept."""
+        """Return interface and the retained internal modes."""
         return _reduction(self)
 
     def base_model(self) -> BaseModel:

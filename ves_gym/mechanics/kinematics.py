@@ -215,7 +215,7 @@ class ToolPose:
 
     @property
     def size(self) -> int:
-        """Number of coordinates that are asked for: 3 or 6."""
+        """Number of the goal's coordinates: 3 or 6."""
         return 3 if self.angles is None else 6
 
 

@@ -214,7 +214,7 @@ def limit_ratios(arm: Arm, motion: Motion, samples: int = _SAMPLES) -> dict[str,
 
 
 def default_goal(arm: Arm, start: Array, duration: float) -> Array:
-    """Return where the quintic law takes an arm from `start` that has been told no goal (n,)
+    """Return where the quintic law takes an arm from `start` without a goal (n,)
     [rad].
 
     Each joint goes a third of its room, 60 deg at most, to the side where there is more; all of
@@ -233,7 +233,7 @@ def default_goal(arm: Arm, start: Array, duration: float) -> Array:
 
 
 def usual_goal(arm: Arm, start: Array, duration: float) -> Array:
-    """Return where a motion goes that has been told no goal (n,) [rad].
+    """Return where a motion goes without a goal (n,) [rad].
 
     The thesis's arm goes to 60, 40, -30 deg, and so does another of three joints that turn and
     reach it; others as `default_goal` says.

@@ -125,7 +125,7 @@ class Motion:
         """Return the least-squares motion through positions (N, n) [rad] at evenly spaced
         times.
 
-        The ends are kept exactly, with zero velocity and acceleration; `first` (3, n) are the
+        The ends are met exactly, with zero velocity and acceleration; `first` (3, n) are the
         first control points of joints that move at the start (`leading_points`).
         """
         q = _points(samples, "samples", least=2)

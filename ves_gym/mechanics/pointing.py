@@ -79,7 +79,7 @@ def allocated(jets: tuple[Jet, ...], wrench: Array) -> Array:
     origin, or come nearest to it.
 
     Least squares with forces >= 0. A wrench beyond the jets' thrust is made smaller as a whole,
-    its direction kept.
+    its direction preserved.
     """
     most = np.array([jet.thrust for jet in jets])
     pairs = opposites(jets)
@@ -148,13 +148,13 @@ def pulses(
     """Return the impulses that k jets give in a control period dt [s]: none, or no less than a
     pulse.
 
-    What is asked for adds up until it makes a pulse. One that takes longer than a period goes
-    on in the next ones, whatever is asked for then.
+    The demand adds up until it makes a pulse. One that takes longer than a period goes
+    on in the next ones, whatever the demand is then.
 
     Args:
-        owed: (n, k) impulse asked for and not given yet [N s].
+        owed: (n, k) impulse demanded and not yet delivered [N s].
         remaining: (n, k) impulse that pulses under way have still to give [N s].
-        force: (n, k) mean force asked for [N].
+        force: (n, k) mean demanded force [N].
 
     Returns:
         Impulses of this period, then `owed` and `remaining` after it; (n, k) [N s].
@@ -222,7 +222,7 @@ class AttitudeControl:
 
     @property
     def rate(self) -> float:
-        """Spin that is asked for per angle of error, kp / kd [1/s]."""
+        """Demanded spin per angle of error, kp / kd [1/s]."""
         return math.pi * self.bandwidth / self.damping_ratio
 
     def moment(
@@ -295,7 +295,7 @@ def within_limits(
 ) -> Array:
     """Return motor torques within torque and momentum limits.
 
-    Of torque (n, k) asked for on the rotors [N m], held over dt [s] at their speed (n, k)
+    Of torque (n, k) demanded on the rotors [N m], held over dt [s] at their speed (n, k)
     against the satellite [rad/s]. A motor never takes its wheel beyond `speed_max` within the
     period; beyond it (the body may turn under the wheel) it brakes only.
     """

@@ -96,7 +96,7 @@ _FASTEST = 600.0  # 1/s of a decaying joint: rk4 at 1.25 ms is stable up to 2200
 
 @lru_cache(maxsize=64)
 def own_gains(arm: Arm, vehicle: Vehicle) -> JointServo:
-    """Return the gains of a joint servo that nothing is said of.
+    """Return the default gains of a joint servo.
 
     The thesis's high gains for three joints of an arm without a bandwidth. Else kp = J w^2 and
     kd = 2 zeta J w with w = 2 pi times the bandwidth and zeta = 0.7: J is the largest inertia

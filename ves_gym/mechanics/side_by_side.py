@@ -82,7 +82,7 @@ def side_by_side(arms: Sequence[Arm]) -> Arm:
 
 
 def _links(arms: Sequence[Arm], names: Sequence[str]) -> tuple[Link, ...]:
-    """Links of all; joints of one name are told apart by their arm's."""
+    """Links of all; joints of one name are distinguished by their arm's."""
     counts = Counter(link.name for arm in arms for link in arm.links if link.name)
     return tuple(
         replace(link, name=f"{name}/{link.name}")

@@ -132,7 +132,7 @@ def read_structure(
             otherwise its six freedoms, counted from 0, in order x, y, z, phi_x, phi_y, phi_z.
         units: of the matrices, one of `UNITS`; length, mass (or force) and time.
         rigid_modes: motions without strain that the structure must have: 0 clamped, 6 free.
-        held: freedoms that do not move, counted from 0, where the files kept a clamp.
+        held: freedoms that do not move, counted from 0, where the files contain a clamp.
         names: of the matrices in the files, {"M": ..., "K": ..., "D": ...}, where they are
             none of `NAMES`.
 
@@ -432,7 +432,7 @@ class StructureSummary:
         head = ("mode", "alone", f"with {self.arm}", "interface held")
         return (
             f"{self.vehicle.source}: {self.freedoms} freedoms, {reduced.M[0, 0]:.4g} kg felt at"
-            f" the interface; {reduced.m} internal modes kept\n"
+            f" the interface; {reduced.m} internal modes retained\n"
             + table(head, rows, title="natural frequencies [Hz]", left=())
         )
 

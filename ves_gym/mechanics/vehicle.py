@@ -171,11 +171,11 @@ def act(
     remaining: Array,
     used: Array,
 ) -> tuple[Array, ...]:
-    """Return what wheels and jets of a satellite do in a control period dt [s], as asked.
+    """Return what wheels and jets of a satellite do in a control period dt [s].
 
     Args:
-        wrench: (n, 6) asked of the jets in platform axes [N, N m].
-        torque: (n, w) asked of the wheels' motors [N m], at speed (n, w) at the start [rad/s].
+        wrench: (n, 6) demanded of the jets in platform axes [N, N m].
+        torque: (n, w) demanded of the wheels' motors [N m], at initial speed (n, w) [rad/s].
         owed, remaining: (n, k) see `pointing.pulses` [N s].
         used: (n, 1) propellant so far [kg].
 

@@ -75,7 +75,7 @@ def run_benchmark(
 
     Raises:
         MissingPackageError: a planner is a search with OMPL, which is not installed.
-        ParameterError: an unknown planner, or a query that no planner may be asked.
+        ParameterError: an unknown planner, or a query that no planner may answer.
     """
     begin = time.perf_counter()
     names = list(dict.fromkeys([BASELINE, *(planners or suite.planners)]))

@@ -120,8 +120,8 @@ class _BoundedProblem(MotionProblem):
     def look_again(self, x: Array, aim: float) -> bool:
         """Take inertia and the tool's place along a motion, and say what nodes miss of bounds.
 
-        True if the finer prediction finds every bound kept; `aim`: the share of them that is
-        aimed at from now on.
+        True if the finer prediction satisfies every bound; `aim`: the share of them that is
+        aimed at from then on.
         """
         motion = self.motion(x)
         weight = self.query.weight if "E_weighted" in self.shares else UNFILTERED

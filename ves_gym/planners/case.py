@@ -1,4 +1,4 @@
-"""`Query` and `Case`: one machine, what is asked of it or what it does, and its log's name.
+"""`Query` and `Case`: one machine, its query or its motion, and its log's name.
 
 A case is one TOML file. Every verb takes and writes it, so that a motion that was planned for
 one machine is played on that one.

@@ -73,7 +73,7 @@ class ComparisonRow:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Viewable):
-    """Planners on one query; iterates over its rows, in the order that was asked for."""
+    """Planners on one query; iterates over its rows, in the order of the request."""
 
     name: str  # of the query
     duration: float  # of the motions [s]

@@ -1,6 +1,6 @@
 """The verdict on a motion as the arm plays it, beside that on the motion as it is commanded.
 
-`first_violation` looks at a reference. The arm follows it on a servo, over a base that moves,
+`first_violation` judges a reference. The arm follows it on a servo, over a base that moves,
 and between the instants at which a reference is sampled a motion can do what it likes. So an
 answer that counts is simulated, and the joints, as they moved at every record, must keep the
 limits of the query, arrive, and touch nothing.

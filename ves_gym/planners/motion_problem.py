@@ -4,7 +4,7 @@ With the base mass frozen at the middle of the straight line, E_mean = 1/2 u^T W
 in the samples u of the joint momentum H_bm(q) q' (`MeanEnergy`); from rest g and c are zero.
 The decision is the inner control points of a B-spline: way-points and their timing at once.
 Position, speed and acceleration limits are linear in them, on the control polygon, so they
-hold at every instant; motor torque and the distance from obstacles are kept at sampled times.
+hold at every instant; limits of torque and distances from obstacles hold at sampled times.
 """
 
 from __future__ import annotations

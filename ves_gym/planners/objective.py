@@ -2,7 +2,7 @@
 
 With the inertia frozen at one configuration, or taken along one motion, the base is linear and
 E_mean a quadratic form in the joint momentum u (`MeanEnergy`). Accelerations of the base are
-linear in u, and a bound on their norm is kept by `Lagrangian`.
+linear in u, and a bound on their norm is enforced by `Lagrangian`.
 """
 
 from __future__ import annotations

@@ -241,7 +241,7 @@ class _Search:
         return work / self.request.planner.evaluations
 
     def stop_if_overrun(self) -> None:
-        """Leave a planner that looks at its termination condition too seldom."""
+        """Leave a planner that checks its termination condition too seldom."""
         if self.used > _OVERRUN + 1000 / self.request.planner.evaluations:
             raise _BudgetSpent
 

@@ -75,7 +75,7 @@ class Plan(Viewable):
 
     @property
     def case(self) -> Case:
-        """What was asked and what was found, to be saved, played and asked again."""
+        """Query and motion, to be saved, played and repeated."""
         q, motion = self.query, self.found and self.found.motion
         return Case(system=q.system, query=q, motion=motion, servo=q.servo, seed=self.seed)
 

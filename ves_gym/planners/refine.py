@@ -150,7 +150,7 @@ def _best(
 def _require_duration(problem: MotionProblem, looks: Sequence[Minimum], share: float) -> None:
     """Raise NoPlan where motions found so far say that there is too little time for any.
 
-    From rest on a base at rest, without obstacles; of others nothing is said. `share`: of the
+    From rest on a base at rest, without obstacles; other queries pass. `share`: of the
     duration that the shortest motion found must take for that.
     """
     query = problem.query

@@ -1,4 +1,4 @@
-"""Planners by name, each imported when it is first asked for."""
+"""Planners by name, each imported on first use."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ DEFAULT = "calm"
 
 
 class _Planners(UserDict[str, Any]):
-    """Planners by name, those of `_HOMES` made when first asked for."""
+    """Planners by name, those of `_HOMES` made on first use."""
 
     def __getitem__(self, name: str) -> Planner:
         planner = self.data[name]

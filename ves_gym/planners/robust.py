@@ -85,7 +85,7 @@ class Robust:
         )
 
     def find(self, query: Query, seed: int) -> tuple[Motion, dict[str, Any]]:
-        """Minimise the objective over the scenarios, the price on the described machine kept.
+        """Minimise the objective over the scenarios, with the price on the described machine.
 
         `info` has the energies [J] of the nominal optimum, of the answer, and of motions made
         for each machine alone (`known`), on the machine as described and in every scenario.
@@ -112,7 +112,7 @@ class Robust:
     def _least(
         self, problem: ScenarioProblem, x0: Array, before: Array, informed: Array
     ) -> Array:
-        """Return the best decision whose price is kept, x0 where there is none better.
+        """Return the best decision within the price, x0 where there is none better.
 
         Where the torque of every arm cannot be kept at the price, that of the described one is.
 
@@ -139,7 +139,7 @@ class Robust:
         return best
 
     def _tried(self, problem: ScenarioProblem, x0: Array) -> Iterator[Array]:
-        """Optima with a multiplier on the price, until it is just kept.
+        """Optima with a multiplier on the price, until it is just satisfied.
 
         Were the energies quadratic between x0 and the optimum without a price, then on the way,
         by the share s of it, price - 1 would go with s^2 and the multiplier with (1 - s) / s:

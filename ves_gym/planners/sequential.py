@@ -142,7 +142,7 @@ def _minimise(problem: MotionProblem, x0: Array, iterations: int, tolerance: flo
         merit = trial.energy / scale + price * max(trial.excess, 0.0)
         point = trial
         if abs(actual) <= tolerance * merit:
-            message = "converged" if point.excess <= _ACCEPTED else "limits cannot be kept"
+            message = "converged" if point.excess <= _ACCEPTED else "limits cannot be satisfied"
             break
     return Minimum(point.x, point.energy, point.excess, done, evaluations, message)
 

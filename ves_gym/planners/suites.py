@@ -52,7 +52,7 @@ OBSTACLE_SUFFIX = ", obstacles"  # after the name of a vehicle
 
 @dataclass(frozen=True, kw_only=True)
 class Suite:
-    """Queries by vehicle name, and the planners that answer them unless others are asked.
+    """Queries by vehicle name, and the planners that answer them by default.
 
     A query's system is what the motions are played on; planning is for `System.ideal()`, or
     for the system `described` under the query's vehicle name.
@@ -109,7 +109,7 @@ def part_of(
 
     Args:
         suite: the whole.
-        durations: that are asked for [s]; None: all.
+        durations: to answer [s]; None: all.
         first, skip: how many of each vehicle and duration (None: all), after leaving out some.
 
     Raises:

@@ -18,7 +18,7 @@ def notes(query: Query, motion: Motion | None) -> tuple[str, ...]:
     """Return a sentence for everything that the plan left out, none where it left out nothing.
 
     Args:
-        query: what was asked.
+        query: the query.
         motion: the answer, for what it asks of a pointing law; None: none.
     """
     system = query.system

@@ -53,7 +53,7 @@ class LiveSettings:
 class Live:
     """A picture of one system, brought up to date by samples.
 
-    A sample is plain data: `episode` (a key that tells one from the next), `t` [s], `y` (6),
+    A sample is plain data: `episode` (a key per episode), `t` [s], `y` (6),
     `q` (n), `u` (m) flexures and internal modes or None, `E` and `strain` [J], `w` (6) the
     wrench on the base or None, `marker` (k, 3) points in space or None, `text` lines; `payload`
     (7) where there is one: its place and quaternion; `row` of the simulation where there are

@@ -113,7 +113,7 @@ def attempt(code: str, timeout: float, backend: str | None = None) -> tuple[bool
 
 @cache
 def probe(backend: str) -> Probe:
-    """Try to draw with a backend; asked again, the same outcome without another try."""
+    """Try to draw with a backend; a second call returns the same outcome without a try."""
     works, words = attempt(_TRY, _PATIENCE, backend)
     library, _ = _LIBRARIES.get(backend, ("", ""))
     if not works and library and ctypes.util.find_library(library) is None:

@@ -1,6 +1,6 @@
 """Runs as a recording for rerun's viewer: arms on their bases, and every column over time.
 
-What is seen is placed in float32, as rerun stores poses and points; the columns beside it are
+What is drawn is placed in float32, as rerun stores poses and points; the columns beside it are
 the log's own float64. Time is in whole nanoseconds.
 """
 
@@ -48,7 +48,7 @@ def write_rerun(
 
     Entities of a run lie under its name: `base` (pose), `base/link_1` ... (poses in the base's
     axes), `beam` or `legs`, `tool` (its way), `energy` [J], and a group of series per quantity
-    of the log. The base's motion is seen magnified; series are as they are.
+    of the log. The base's motion is magnified; series are as they are.
     """
     path, magnify = Path(path), View(magnify=magnify).magnify
     if path.suffix != ".rrd":
@@ -70,7 +70,7 @@ def write_rerun(
 
 
 class RecordingScene:
-    """What of a run is seen: arrays (N, ...) on the log's clock, the base's motion
+    """What of a run is drawn: arrays (N, ...) on the log's clock, the base's motion
     magnified."""
 
     def __init__(self, log: RunLog, magnify: float = 1.0) -> None:

@@ -82,7 +82,7 @@ class Studio:
                 zero, and a goal within the arm's limits.
             via: way-points (n,) of the drawn path [rad]; None: one calm detour.
             duration: of the motion [s].
-            planner: whose path is there to compare with; None for none.
+            planner: whose path is shown for comparison; None for none.
             show: files to open, as `ves-gym studio --open` takes them, or logs, plans, motions.
             height: of the frame in a notebook [px].
             seed: of a planner that searches.

@@ -1,4 +1,4 @@
-"""What jets and wheels of a satellite do in each control period, asked or by its pointing."""
+"""What jets and wheels of a satellite do in each control period: commands or a pointing law."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ves_gym.simulation.state import State
 
 
 class BaseActuators(Part):
-    """Wheels and jets of n simulations: what they are told, within what they can do.
+    """Wheels and jets of n simulations: their commands, within what they can do.
 
     They are set at the start of a control period and held through it: `torque` (n, w) on the
     wheels' rotors, Coulomb friction included [N m], `wrench` (n, 6) of the jets in platform
@@ -59,7 +59,7 @@ class BaseActuators(Part):
         self._full = np.array([wheel.momentum_max for wheel in self.wheels])
 
     def set_state(self, state: Mapping[str, Array]) -> None:
-        """See `Part`. The engine is told."""
+        """See `Part`; set the engine's state too."""
         super().set_state(state)
         self._send(np.arange(self.n))
 
@@ -141,7 +141,7 @@ class BaseActuators(Part):
         self._command(moment, torque)
 
     def command(self, wrench: Array | None, torque: Array | None) -> None:
-        """Set what a control period that begins now is to have, as asked.
+        """Set the commands of the control period that begins now.
 
         Args:
             wrench: (n, 6) of the jets in platform axes [N, N m]; None: none.

@@ -296,7 +296,7 @@ class PayloadHandler(NotingPart):
         self.written = True
 
     def _describe(self) -> None:
-        """Tell the engine mass properties, and whether the bodies can be touched."""
+        """Set mass properties in the engine, and whether the bodies can be touched."""
         if self._contact is not None:
             ids, engine = np.arange(self.machines.n), self._contact.engine
             engine.set_body(ids, self.mass, self.com, self.inertia)
@@ -499,7 +499,7 @@ class PayloadHandler(NotingPart):
     def _of_systems(
         self, ids: Index, values: Callable[[System, Index], tuple[Array, ...]]
     ) -> list[Array]:
-        """Arrays (k, ...) of simulations, asked of those alike in arm and vehicle together.
+        """Return arrays (k, ...) of simulations, computed together for equal arms and vehicles.
 
         Args:
             ids: (k,) which.

@@ -301,7 +301,7 @@ class EmulationLoop(NotingPart):
 
         Args:
             reading: (n, 6) of the force sensor before the period [N, N m], to tell why
-                platforms are frozen of which no event tells; None: there are none.
+                platforms are frozen without an event; None: there are none.
         """
         if reading is not None:
             new = [i for i in np.flatnonzero(self.frozen).tolist() if not self.history[i]]

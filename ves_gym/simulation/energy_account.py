@@ -1,4 +1,4 @@
-"""Energy accounts of runs in lockstep, kept at every physics step whatever is recorded."""
+"""Energy accounts of runs in lockstep, updated at every physics step whatever is recorded."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class Calibration:
         finite(self.model.P, (len(self.names),), "Calibration.model.P")
 
     def wrench(self, w: npt.ArrayLike) -> Array:
-        """(..., 6) readings with matrix and zero put right [N, N m]."""
+        """Return (..., 6) readings corrected by matrix and zero [N, N m]."""
         out: Array = np.asarray(w, float) @ np.array(self.C).T + np.array(self.offset)
         return out
 
@@ -92,7 +92,7 @@ def calibration_poses(
     Args:
         seed: start of the low-discrepancy sequence.
         tilt: largest |phi_x|, |phi_y| [rad]; phi_z and the position stay zero.
-        margin: part of each joint's range kept clear of either limit.
+        margin: part of each joint's range left free at either limit.
 
     Returns:
         q (count, n) [rad] and y (count, 6) [m, rad].

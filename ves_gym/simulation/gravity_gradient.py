@@ -11,7 +11,7 @@ from ves_gym.simulation.machines import ControlPeriod, Machines, Part
 
 
 class GravityGradient(Part):
-    """Where the Earth is, told to the engine, whose equations know no time.
+    """Direction of the Earth, set in the engine, whose equations have no time.
 
     Held through a control period as at its middle: half a period off, the direction would be
     1e-5 rad off at 12.5 ms in a low orbit; so it is 1e-11.

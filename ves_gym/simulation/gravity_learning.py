@@ -49,7 +49,7 @@ class Learning:
                 f"repetition {i + 1}: base motion changed by {move:.3f} mm, {turn:.3f} mrad"
             )
         if self.aborted is not None:
-            lines.append(f"aborted: {self.aborted}; the last whole run is kept")
+            lines.append(f"aborted: {self.aborted}; the last complete run remains")
         return "\n".join(lines)
 
 
@@ -74,7 +74,7 @@ def learn_gravity(
         seed: of sensor noise and drift.
 
     Returns:
-        All iterations; those before an abort are kept, the reason is in `aborted`.
+        All iterations; those before an abort remain, the reason is in `aborted`.
 
     Raises:
         ParameterError: the system is not a micro-gravity emulation, slow < 1, or a number

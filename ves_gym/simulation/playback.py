@@ -59,7 +59,7 @@ def play_motions(
             record there holds the rates after it.
         seed: of sensor noise and drift.
         backend: engine, as `Simulator` takes it.
-        watch: look at joints and base between the records, too, until shortly after the
+        watch: check joints and base between the records, too, until shortly after the
             motion: at every physics step, in mode emulated every control period (`Watch`), and
             keep the energy account (`EnergyAccount`). Changes no record.
         progress: called with the fraction done.
@@ -190,7 +190,7 @@ def _fed_forward(
 ) -> Array:
     """Feed-forward torque (n, N, joints) of commands on the described base that they move.
 
-    The base is that of a simulation in which the joints are where they are told to be.
+    The base is that of a simulation in which the joints follow their command exactly.
 
     Args:
         system, servo: what is played.

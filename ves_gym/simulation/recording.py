@@ -44,7 +44,7 @@ class Watch:
     Args:
         arm: of all runs.
         n: runs.
-        until: time up to which it looks at the base [s].
+        until: time up to which the base is checked [s].
     """
 
     def __init__(self, arm: Arm, n: int, until: float) -> None:
@@ -85,7 +85,7 @@ class Watch:
         return Watched(self._before, *self._peaks[i], *self._squares[i])
 
     def _measure(self) -> None:
-        """Add all looks at once: one by one each would cost as much as a step of the engine."""
+        """Add all samples at once: singly each would cost as much as a step of the engine."""
         t, *motion = (np.array(part) for part in zip(*self._bases, strict=True))
         self._bases.clear()
         parts = mount_acceleration(self.arm, *motion)
@@ -194,7 +194,7 @@ class Recording:
         )
 
     def energy_residual(self, i: int) -> float | None:
-        """Return how far the energy account of run i is open; None where none was kept.
+        """Return how far the energy account of run i is open; None where there is none.
 
         Args:
             i: which run.
@@ -232,7 +232,7 @@ class Recording:
     def limit_check(self, i: int, *, v_max: Sequence[float] | None = None) -> LimitCheck:
         """Check the joints of run i as they moved, up to its safety stop if it had one.
 
-        A torque is what the drives are told, which the simulator keeps within their limits.
+        A torque is the drives' command, which the simulator clips to their limits.
 
         Args:
             i: number of the run.

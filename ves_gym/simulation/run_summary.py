@@ -60,7 +60,7 @@ class RunSummary:
 
     @property
     def trusted(self) -> bool:
-        """False where energy came from nowhere; True too where no account can tell."""
+        """False where energy came from nowhere; True too where there is no account."""
         return self._residual < TRUSTED
 
     @property
@@ -222,7 +222,7 @@ def summarise(
 
 
 def _reference_check(system: System, motion: Motion, log: RunLog) -> LimitCheck:
-    """Limits of what was asked: the torque that was sent ahead, where it is known."""
+    """Limits of the reference: the torque that was sent ahead, where it is known."""
     fed_forward = log.tau_ff is not None
     motor = system.drive == "motor"
     commanded = check_reference(

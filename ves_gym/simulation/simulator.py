@@ -468,7 +468,7 @@ class Simulator:
     def _asked(
         self, wrench: npt.ArrayLike | None, torque: npt.ArrayLike | None
     ) -> tuple[Array | None, Array | None]:
-        """What jets (n, 6) and wheels (n, w) are asked for, None of nothing."""
+        """Return commands of jets (n, 6) and wheels (n, w), None where there are none."""
         if wrench is None and torque is None:
             return None, None
         vehicle, wheels = self.system.vehicle, self.machines.wheels
@@ -666,7 +666,7 @@ class Simulator:
     def evaluate(self, command: npt.ArrayLike) -> tuple[Array, Array]:
         """Drive torque (n, joints) [N m] and base acceleration Y'' (n, 6) at this state.
 
-        The torque is what the drives are told by what has arrived there, the acceleration
+        The torque is the drives' command by what has arrived there, the acceleration
         what there really is.
         """
         sent = broadcast(command, "command", (self.n, self.joints))

@@ -124,7 +124,7 @@ def _refuse_contact(system: System, contact: Contact) -> None:
 class _Loop:
     """M x'' + D x' + K x = 0 at several configurations, (c, s, s) each.
 
-    x as `LinearMotion` has it, without what is held where it is told to be.
+    x as `LinearMotion` has it, without joints that follow exactly.
     """
 
     M: Array

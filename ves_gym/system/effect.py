@@ -209,7 +209,7 @@ class TorqueEffect(Effect):
 
         Parameters of the effect, and `tau_max`, are arrays (or symbols) here, whatever they
         were given as: () or (n,), and (simulations, 1) or (simulations, n) where simulations
-        have values of their own (`Simulator.assign`) and the law is seen to broadcast.
+        have values of their own (`Simulator.assign`) and the law broadcasts.
 
         Args:
             q, v: (..., n) joint angles [rad] and rates [rad/s].

@@ -37,7 +37,7 @@ class EffectRows:
         system: with every effect; what no row says is as it stands there.
         values: (k, *shape) by place of the effect in `system.effects` and name of the
             parameter.
-        at_once: `together` has been asked of such rows, and said yes.
+        at_once: `together` holds for such rows.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class EffectRows:
         return self._size
 
     def system(self, row: int) -> System:
-        """The system of one simulation, made when it is asked for."""
+        """The system of one simulation, made on first use."""
         if row not in self._systems:
             effects = list(self.template.effects)
             for i in self.places:

@@ -70,7 +70,7 @@ class Backend(Protocol):
         """Advance k physics steps under commands (n, k + 1, joints), linear over each."""
 
     def step_on_platform(self, commands: Array, base: Array, ids: Index | None) -> Array:
-        """Advance k physics steps on a platform that moves as told (mode emulated).
+        """Advance k physics steps on a platform that moves as commanded (mode emulated).
 
         Args:
             commands: (n, k + 1, joints), base: (n, k + 1, 6) acceleration Y'', both linear

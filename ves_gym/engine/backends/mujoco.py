@@ -133,7 +133,7 @@ def model_spec(
 
 
 def _changes(reference: mujoco.MjModel, model: mujoco.MjModel, which: str) -> dict[str, Any]:
-    """Fields of a model that differ from the own one's, all but gains and options."""
+    """Return fields that differ from this backend's model, all but gains and options."""
     out = {}
     for name in MODEL_FIELDS:
         if name.startswith("opt.") or name == "actuator_biasprm":
@@ -333,7 +333,7 @@ class MujocoBackend:
             self._applied[:, self._motors] = torque
 
     def _motor_torque(self, q: Array, v: Array) -> Array:
-        """(n, joints) what the motors are told now, within their limits [N m]."""
+        """Return (n, joints) the motors' commanded torques within their limits [N m]."""
         tau = self._command[:, self._drives] * self.model.actuator_gainprm[self._drives, 0]
         if self._bias is not None:
             tau += self._bias[:, self._drives, 1] * q + self._bias[:, self._drives, 2] * v

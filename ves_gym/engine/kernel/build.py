@@ -152,7 +152,7 @@ def _is_private(about: os.stat_result) -> bool:
 @lru_cache(maxsize=1)
 def _warn_of(folder: Path) -> None:
     warnings.warn(
-        f"compiled code is not kept: {folder} belongs to another user, or others can write to"
+        f"compiled code is not stored: {folder} belongs to another user, or others can write to"
         f" it; `chmod 700 {folder}`, or set VES_GYM_CACHE to a folder of your own",
         RuntimeWarning,
         stacklevel=2,
@@ -222,12 +222,12 @@ def _target() -> Any:
 
 
 def _mark(name: str, stored: bytes) -> bytes:
-    """What a file begins with: it tells damage, and a file that was made for another name."""
+    """Return a file's first bytes: they show damage, and a file made for another name."""
     return _MARK + hashlib.sha256(name.encode() + stored).digest()
 
 
 def _read(path: Path) -> bytes | None:
-    """Content of a file of one's own that is whole, None of any other."""
+    """Return the content of an intact file of this user, None of any other."""
     try:
         with path.open("rb") as file:
             if not _is_private(os.fstat(file.fileno())):

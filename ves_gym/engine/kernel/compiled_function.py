@@ -72,7 +72,7 @@ class CompiledFunction:
 
     @cached_property
     def graph(self) -> casadi.Function:
-        """The graph, traced when first asked for."""
+        """The graph, traced on first use."""
         return self._make()
 
     @cached_property

@@ -392,7 +392,7 @@ def symbolic_model(system: System) -> tuple[Model, tuple[str, ...], Traced]:
 def structure(system: System) -> str:
     """Describe what a system's compiled code depends on: all but the values of its numbers.
 
-    Effects of the package are told apart by their classes, those of a user by their formulas.
+    Effects of the package are distinguished by their classes, a user's by their formulas.
     """
     effects = [type(e) for e in system.effects if isinstance(e, TorqueEffect)]
     if all(is_ours(kind) for kind in effects):

@@ -33,7 +33,7 @@ _ROWS = 2  # simulations that a function is followed with: none may look at the 
 
 
 class Untraceable(TypeError):
-    """A function that cannot be followed; it is asked in NumPy."""
+    """A function that cannot be traced; it is called in NumPy."""
 
 
 class Term:
@@ -139,7 +139,7 @@ def per_row(
         Per result its columns, in the first row's symbols.
 
     Raises:
-        Untraceable: a result of another shape, or a row that looks at others.
+        Untraceable: a result of another shape, or a row that depends on others.
     """
     import casadi as ca
 

@@ -146,7 +146,7 @@ class CoupledAdmittance(_Admittance):
         return {"X": X, "coupled": coupled}, {"motion": ahead}
 
     def start(self, p: Values, u: Values) -> Stepped:
-        """Set the state back by what the platform is told ahead."""
+        """Set the state back by what is commanded to the platform ahead."""
         x, _ = super().start(p, u)
         X, coupled = x["X"], x["coupled"]
         moving = np.any(X, axis=1) | np.any(coupled, axis=1)
