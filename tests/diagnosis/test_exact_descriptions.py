@@ -223,9 +223,13 @@ def test_nothing_is_missing_in_any_of_twenty():
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="friction exceeds the floor of ports without noise")
-def test_nothing_is_missing_after_a_calm_plan_with_dry_friction():
-    """Answered "something is missing": excess 71, allowed 60 (docs/diagnosis.md)."""
+def test_a_calm_plan_tells_an_exact_description_from_one_without_its_friction():
+    """Inner modes of 12 Hz ring for a second of twelve when the joint breaks away and stops."""
     system = System(effects=(E.JointCoulomb(torque=(0.0, 0.0, 3.0)),))
     plan = vg.plan([0, 0, 0], np.deg2rad([40, 20, -20]), duration=2.0)
-    assert vg.diagnose(vg.simulate(plan.motion, system)).verdict == NOTHING
+    log = vg.simulate(plan.motion, system)
+    exact = vg.diagnose(log)
+    assert (exact.verdict, exact.remaining) == (NOTHING, 0.0)
+    found = vg.diagnose(log, System())
+    assert [f.candidate.name for f in found.explanations] == ["joint/coulomb at joint 3"]
+    assert found.explanations[0].values == pytest.approx([3.0], abs=0.01)

@@ -87,9 +87,9 @@ class InnerStart:
 
 
 def inner_sizes(run: Run, modes: InternalModes) -> Array:
-    """Return (2 m,) root mean squares of the internal modes' states in a run."""
+    """Return (2 m,) the largest states of internal modes in a run; it may rest for long."""
     states = _driven(modes, run)
-    return np.asarray(np.sqrt(np.mean(states.reshape(-1, *states.shape[-2:])[0] ** 2, axis=0)))
+    return np.asarray(np.abs(states.reshape(-1, *states.shape[-2:])[0]).max(axis=0))
 
 
 def force_of_states(modes: InternalModes, states: Array, yd: Array) -> Array:
