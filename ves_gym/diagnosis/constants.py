@@ -10,10 +10,9 @@ ALIKE = 6.0
 # Laws of a library are never quite a machine's, tolerances and noise not quite as told: the
 # likelihood is coarsened (`evidence.py`), and deviations grow by the root.
 TEMPERATURE = 2.0
-SPREAD = TEMPERATURE**0.5
 # The noise that a log states is known to a factor of two in amplitude: less is no finding.
 NOISE_POWER = 4.0
-# Evidence for power that no law explains, on the runs fitted and again on those held back.
+# Evidence against power that no law explains, on the runs held back where there are any.
 EXCESS = 60.0
 # Standard deviations at which an effect of its usual size must show, or two candidates are
 # apart: 5, as in physics.

@@ -17,16 +17,8 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, to_plain, write_result
 from ves_gym._util.views import Viewable
-from ves_gym.diagnosis.constants import (
-    ALIKE,
-    CLEAR,
-    EXCESS,
-    NOISE_POWER,
-    POWER,
-    SPREAD,
-    TEMPERATURE,
-)
-from ves_gym.diagnosis.data.measured_run import Run, with_shared_colour
+from ves_gym.diagnosis.constants import ALIKE, CLEAR, EXCESS, POWER, TEMPERATURE
+from ves_gym.diagnosis.data.measured_run import MEASURED, Run, with_shared_colour
 from ves_gym.diagnosis.data.quality import Fault, faults
 from ves_gym.diagnosis.inference.cache import AnswerCache, CachedResiduals
 from ves_gym.diagnosis.inference.candidates import Candidate
@@ -41,7 +33,7 @@ from ves_gym.diagnosis.inference.explanations import (
 from ves_gym.diagnosis.inference.fit import Fit, fit_residual
 from ves_gym.diagnosis.inference.held_back import Gap as Gap
 from ves_gym.diagnosis.inference.held_back import excess, gaps
-from ves_gym.diagnosis.inference.hypotheses import Hypothesis, beliefs, table
+from ves_gym.diagnosis.inference.hypotheses import Hypothesis, beliefs, table, with_excess
 from ves_gym.diagnosis.inference.model_selection import Rival, Selection, cost, select, without
 from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.slow_noise import slow_noise
@@ -116,7 +108,8 @@ class Diagnosis(Viewable):
     @property
     def unnamed(self) -> Fit | None:
         """The fit with laws that have no name, where the evidence asks for them."""
-        return self.table[0].fit if self.table and self.table[0].unnamed else None
+        first = self.table[0] if self.table else None
+        return first.fit if first and first.fit is not first.named else None
 
     def __repr__(self) -> str:
         return f"<Diagnosis: {self.sentence}>"
@@ -161,12 +154,9 @@ class Diagnosis(Viewable):
     @property
     def chance(self) -> float:
         """Chance that the best of all that was looked at gains as much from noise alone."""
-        first = self.selection.first
-        return (
-            1.0
-            if first is None
-            else self.selection.law.chance(first[1] / TEMPERATURE, first[0])
-        )
+        if (first := self.selection.first) is None:
+            return 1.0
+        return self.selection.law.chance(first[1] / TEMPERATURE, first[0])
 
     @property
     def off(self) -> tuple[ToleranceExcess, ...]:
@@ -175,6 +165,14 @@ class Diagnosis(Viewable):
             return ()
         chosen = self.selection.fit if self.explanations else self.selection.null
         return errors_told(chosen, self.residuals, self.tolerances)
+
+    @property
+    def noise_unknown(self) -> tuple[str, ...]:
+        """Measured signals of ports tested whose noise is estimated from what is compared."""
+        r = self.residuals
+        needed = {k for p in r.ports for k in set(p.needs) - set(p.exact)}
+        stated = set(MEASURED).intersection(*(run.meta.get("noise_std", {}) for run in r.runs))
+        return tuple(k for k in MEASURED if k in needed - stated)
 
     @property
     def sentence(self) -> str:
@@ -186,7 +184,14 @@ class Diagnosis(Viewable):
         names = " and ".join(_named(f) for f in self.explanations)
         why = "".join(f"; {f.sentence}" for f in self.faults)
         if self.verdict == NOTHING:
-            return "Nothing is missing: description and data agree within noise and tolerances."
+            text = "Nothing is missing: description and data agree within noise and tolerances."
+            if unknown := ", ".join(self.noise_unknown):
+                text += (
+                    f" The noise of {unknown} was estimated from these runs above the band,"
+                    " where vibration counts as noise: record at rest and state it under"
+                    " [noise] (mapping file, or --tolerances FILE)."
+                )
+            return text
         if self.verdict == WEAK:
             begin = "There is a disagreement" if self.explanations else "No disagreement"
             return (
@@ -209,7 +214,7 @@ def _named(explanation: Explanation) -> str:
     path = c.effect(explanation.values)
     if isinstance(path, SlowPath):
         return f"{c.name} (root mean square {path.size:.3g} {c.units[0]})"
-    certain = np.abs(explanation.values) > CLEAR / SPREAD * explanation.std
+    certain = TEMPERATURE**0.5 * np.abs(explanation.values) > CLEAR * explanation.std
     if not (c.sparse and certain.any()):  # of coordinates those that are not about zero
         certain = np.ones(c.k, bool)
     values = ", ".join(
@@ -295,13 +300,13 @@ def diagnose(
     explanations = tuple(
         _explanation(selection, i, residuals, rows) for i in range(len(selection.rivals))
     )
-    remaining = _excess(best.fit, residuals)
-    if last is not None:
-        # excess of the runs fitted that does not come again is noise
-        remaining = excess(last, fit_residual(last, best.fit, False))
+    # excess of the runs fitted that does not come again is noise
+    judging = residuals if last is None else last
+    remaining = excess(judging, fit_residual(judging, best.fit, last is None))
     faint = _faint(signatures, best.fit.size)
     faulty = tuple(f for f in faults(runs) if not _described(f, machine, runs))
-    verdict = _verdict(explanations, bool(best.unnamed) or remaining > EXCESS, faint)
+    rows = with_excess(rows, remaining)
+    verdict = _verdict(explanations, bool(rows[0].unnamed), faint)
     if faulty:
         verdict = _verdict_despite_faults(verdict, faulty, explanations, machine)
     shown = best.fit if verdict in (*NAMING_VERDICTS, UNKNOWN) else selection.null
@@ -357,10 +362,8 @@ def _named_within_tolerances(
 ) -> _Found:
     stated = _Found(select(residuals, signatures, most, report), residuals, signatures)
     scale = likeliest_scale(stated.selection.null, residuals)
-    jitters = (
-        any(run.jitter for run in residuals.runs)
-        and _excess(stated.selection.null, residuals) > EXCESS
-    )
+    unnamed = excess(residuals, fit_residual(residuals, stated.selection.null, True))
+    jitters = any(run.jitter for run in residuals.runs) and unnamed > EXCESS
     if not (stated.selection.fit.candidates or jitters) or scale == 1.0:
         return stated
     wide = residuals.with_tolerances(scale)
@@ -388,15 +391,8 @@ def _explanation(
     of_kind = sum(r.probability for r in rivals if r.candidate.kind == candidate.kind)
     there = sum(r.probability for r in rows if candidate.name in r.names)
     gained = without(residuals, fitted, i).deviance - fitted.deviance
-    return Explanation(
-        candidate, fitted.values[i], SPREAD * fitted.std[i], gained, of_kind * there, near
-    )
-
-
-def _excess(f: Fit, residuals: WhitenedResiduals) -> float:
-    """Return the evidence for power beyond any noise that was stated in what a fit leaves."""
-    n = np.array([g.n for g in residuals.groups], float)
-    return float((n * np.log(np.maximum(f.size / NOISE_POWER, 1.0))).sum())
+    std = TEMPERATURE**0.5 * fitted.std[i]
+    return Explanation(candidate, fitted.values[i], std, gained, of_kind * there, near)
 
 
 def _verdict(
@@ -459,11 +455,9 @@ def _to_plain(diagnosis: Diagnosis) -> dict[str, Any]:
     compared = ranking[:_COMPARED]
     names = [r.candidate.name for r in compared]
     alike = likeness(diagnosis.signatures, [r.index for r in compared])
+    likened = {"names": names, "matrix": alike.tolist(), "classes": classes(names, alike)}
     tried = experiments(
-        diagnosis.signatures,
-        diagnosis.selection,
-        ALIKE,
-        list(diagnosis.untestable),
+        diagnosis.signatures, diagnosis.selection, ALIKE, list(diagnosis.untestable)
     )
     effects = [_explanation_to_plain(f) for f in diagnosis.explanations]
     unknown = diagnosis.verdict == UNKNOWN
@@ -473,11 +467,7 @@ def _to_plain(diagnosis: Diagnosis) -> dict[str, Any]:
         "effects": [] if unknown else effects,
         "closest": effects if unknown else [],  # the best the library can do: no names
         "ranking": [_ranked_to_plain(r, diagnosis) for r in ranking],
-        "likeness": {
-            "names": names,
-            "matrix": alike.tolist(),
-            "classes": classes(names, alike),
-        },
+        "likeness": likened,
         "experiments": [{**dataclasses.asdict(e), "sentence": e.sentence} for e in tried],
         "where": _residual_map(diagnosis),
         "when": residual_over_time(

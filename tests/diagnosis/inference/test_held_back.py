@@ -100,11 +100,13 @@ def test_a_name_that_runs_held_back_contradict_is_withdrawn(made):
 def test_a_silence_that_runs_held_back_contradict_is_unknown(made):
     found = told([made["described", 1], made["rubbing", 2]])
     assert found.verdict == UNKNOWN, found.sentence
+    assert found.beliefs["none of these"] > 0.99
 
 
 def test_a_silence_that_holds_is_kept(made):
     found = told([made["described", 1], made["described", 2]])
     assert found.verdict == NOTHING, found.sentence
+    assert found.beliefs["nothing"] > 0.99
 
 
 def test_what_has_no_name_has_a_place_and_a_quantity(made):

@@ -83,8 +83,17 @@ def only_force(machine):
 
 
 def test_nothing_is_found_where_nothing_is_hidden(machine):
-    found = d.diagnose(machine, [moved(1, 6000)], candidates=only_force(machine))
-    assert found.verdict == d.NOTHING, found.sentence
+    t, signals = recorded(1, 6000)
+    noise = {"q": 1e-6, "v": 1e-6, "tau": [0.02, 0.05]}
+    told = []
+    for stated in ((), ("q", "v"), tuple(noise)):
+        meta = {"noise_std": {k: noise[k] for k in stated}}
+        run = run_of_signals(t, signals, "run 1", meta=meta)
+        found = d.diagnose(machine, [run], candidates=only_force(machine))
+        assert found.verdict == d.NOTHING, found.sentence
+        assert found.sentence.count("[noise]") == (found.noise_unknown != ())
+        told.append(found.noise_unknown)
+    assert told == [("q", "v", "tau"), ("tau",), ()]
 
 
 def test_friction_hidden_in_the_joints_is_named_in_their_units(machine):

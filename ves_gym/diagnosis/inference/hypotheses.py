@@ -1,8 +1,8 @@
 """The table of hypotheses from which a verdict is read.
 
 Rows are the names found, fewer and fewer of them down to none, each alone and with laws that
-have no name. A row's evidence is that of all runs: of those fitted (`evidence.py`), and of
-those held back given them,
+have no name, and the best with power that is no law's. A row's evidence is that of all runs: of
+those fitted (`evidence.py`), and of those held back given them,
 
     p(fitted, held back | M) = p(fitted | M) p(held back | fitted, M),
 
@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import scipy
 
-from ves_gym.diagnosis.constants import TEMPERATURE
+from ves_gym.diagnosis.constants import EXCESS, TEMPERATURE
 from ves_gym.diagnosis.inference.constancy import changes
 from ves_gym.diagnosis.inference.fit import Fit, fit_residual
 from ves_gym.diagnosis.inference.held_back import likeliness
@@ -26,6 +26,7 @@ from ves_gym.diagnosis.inference.open_set import OpenSet
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 
 NOTHING, NONE_OF_THESE = "nothing", "none of these"
+UNEXPLAINED = "power that no law explains"
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,16 +77,24 @@ def table(
     for f in fits:
         names = tuple(c.name for c in f.candidates)
         chosen = cost(f, library) - f.evidence
-        predicted = 0.0 if last is None else _predicted(last, f)
-        rows.append(Hypothesis(names, (), f, f, f.evidence + chosen, predicted))
         full = unnamed.fit(f)
-        if full is f:
-            continue
-        laws = tuple(c.name for c in full.candidates[len(names) :])
-        predicted = 0.0 if last is None else _predicted(last, full)
-        rows.append(Hypothesis(names, laws, f, full, full.evidence + chosen, predicted))
+        for k in (f,) if full is f else (f, full):
+            laws = tuple(c.name for c in k.candidates[len(names) :])
+            predicted = 0.0 if last is None else _predicted(last, k)
+            rows.append(Hypothesis(names, laws, f, k, k.evidence + chosen, predicted))
     best, *others = _weighted(rows)
     return [_of_constant_names(best, residuals), *others]
+
+
+def with_excess(rows: Sequence[Hypothesis], evidence: float) -> list[Hypothesis]:
+    """Return the rows of a table, and the first with power that no law explains beside it.
+
+    Args:
+        rows: the most probable first.
+        evidence: for power beyond any noise stated in what the first leaves [deviance].
+    """
+    fitted, unnamed = rows[0].fitted + EXCESS - evidence, (*rows[0].unnamed, UNEXPLAINED)
+    return _weighted([*rows, replace(rows[0], unnamed=unnamed, fitted=fitted)])
 
 
 def _of_constant_names(row: Hypothesis, residuals: WhitenedResiduals) -> Hypothesis:
