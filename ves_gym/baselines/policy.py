@@ -270,9 +270,9 @@ def _json(path: str | os.PathLike[str]) -> Path:
     if path.suffix != ".json":
         names = [f"{k.parent.name}/{k.stem}" for k in sorted(RELEASED.glob("*/*.json"))]
         raise ParameterError(
-            f"{path}: a policy is one of {', '.join(names)}, or a .json file with a"
-            " .safetensors file beside it, got"
-            f" {path.suffix!r}; pickles are not read (but see baselines.from_sb3)"
+            f"{path}: a policy is a .json file with a .safetensors file beside it, or one of"
+            f" {', '.join(names)}, got {path.suffix!r}; pickles are not read (but see"
+            " baselines.from_sb3)"
         )
     return path
 
