@@ -64,14 +64,14 @@ def checked(*structural: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         @functools.wraps(function)
         def door(*args: P.args, **kwargs: P.kwargs) -> R:
             try:
-                given = signature.bind(*args, **kwargs).arguments
+                arguments = signature.bind(*args, **kwargs).arguments
             except TypeError:  # Python says it better
                 return function(*args, **kwargs)
-            for name in (k for k in given if k in closed):
-                value, options = given[name], closed[name]
+            for name in (k for k in arguments if k in closed):
+                value, options = arguments[name], closed[name]
                 if not any(_is(value, kind) for kind in options):
-                    known = " or ".join(_PLAIN[k][1] if k in _PLAIN else k for k in options)
-                    raise ParameterError(f"{name} must be {known}, got {value!r}")
+                    expected = " or ".join(_PLAIN[k][1] if k in _PLAIN else k for k in options)
+                    raise ParameterError(f"{name} must be {expected}, got {value!r}")
             return function(*args, **kwargs)
 
         return door

@@ -44,6 +44,6 @@ def require_free(name: str, what: str, new: type, old: type | None) -> None:
 
     A script's or notebook's own class may be defined again, as when a cell is run twice.
     """
-    again = old is not None and new.__module__ == "__main__" == old.__module__
-    if old is not None and not (again and new.__qualname__ == old.__qualname__):
+    rerun = old is not None and new.__module__ == "__main__" == old.__module__
+    if old is not None and not (rerun and new.__qualname__ == old.__qualname__):
         raise ParameterError(f"{what} {name!r} is already registered by {old.__name__}")

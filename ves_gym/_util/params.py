@@ -84,8 +84,8 @@ def integer(value: Any, name: str, least: int = 0, most: int = 2**63 - 1) -> int
     """Return a number, NumPy's too, as an int; refuse what is not one from least to most."""
     good = isinstance(value, numbers.Integral) and not isinstance(value, bool)
     if not good or not least <= value <= most:
-        known = f">= {least}" if most == 2**63 - 1 else f"from {least} to {most}"
-        raise ParameterError(f"{name} must be a whole number {known}, got {value!r:.80}")
+        expected = f">= {least}" if most == 2**63 - 1 else f"from {least} to {most}"
+        raise ParameterError(f"{name} must be a whole number {expected}, got {value!r:.80}")
     return int(value)
 
 
@@ -137,9 +137,9 @@ def require_types(params: object, *names: str) -> None:
         kinds = tuple(k for k in kinds if k is not Ellipsis)
         items = value if several and isinstance(value, tuple) else (value,)
         if several > isinstance(value, tuple) or not all(isinstance(v, kinds) for v in items):
-            known = " or ".join("None" if k is type(None) else k.__name__ for k in kinds)
+            expected = " or ".join("None" if k is type(None) else k.__name__ for k in kinds)
             raise ParameterError(
-                f"{type(params).__name__}.{name} must be {'a tuple of ' * several}{known},"
+                f"{type(params).__name__}.{name} must be {'a tuple of ' * several}{expected},"
                 f" got {value!r}"
             )
 

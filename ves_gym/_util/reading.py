@@ -164,8 +164,8 @@ def _allow(memory: int | None, seconds: float = 0.0) -> None:
 
     for kind, used in ((resource.RLIMIT_AS, _bytes), (resource.RLIMIT_CPU, time.process_time)):
         _, hard = resource.getrlimit(kind)
-        more = memory if kind == resource.RLIMIT_AS else seconds
-        soft = hard if memory is None or more is None else math.ceil(used() + more)
+        limit = memory if kind == resource.RLIMIT_AS else seconds
+        soft = hard if memory is None or limit is None else math.ceil(used() + limit)
         resource.setrlimit(kind, (soft, hard))
 
 

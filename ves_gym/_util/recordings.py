@@ -125,11 +125,11 @@ def _table(data: bytes) -> FileColumns:
         notes.append(f"no line of names: columns are called column_1 to column_{width}")
     comma = mark != "," and any(re.search(r"\d,\d", c) for row in sample[heads:] for c in row)
     notes += _torn(text, lines, rows, mark)
-    values, kept = _numbers(rows, mark, comma, names)
-    lost = [name for name, keep in zip(names, kept, strict=True) if not keep]
+    values, mask = _numbers(rows, mark, comma, names)
+    lost = [name for name, numeric in zip(names, mask, strict=True) if not numeric]
     notes += [f"columns of words left out: {', '.join(lost)}"] if lost else []
     units = dict(zip(names, fitting[1], strict=True)) if len(fitting) > 1 else {}
-    named = [name for name, keep in zip(names, kept, strict=True) if keep]
+    named = [name for name, numeric in zip(names, mask, strict=True) if numeric]
     columns = _distinct(named, values, notes)
     return FileColumns(columns, units, (*notes, *_missing(columns)))
 
@@ -235,16 +235,16 @@ def _numbers(
                 f"row {k}: expected {len(names)} numbers, got {len(cells)}: {line[:80]!r}"
             )
         table.append(cells)
-    kept = [any(_is_cell(row[i]) for row in table[:_SAMPLE]) for i in range(len(names))]
-    for i in (i for i, keep in enumerate(kept) if not keep):
+    mask = [any(_is_cell(row[i]) for row in table[:_SAMPLE]) for i in range(len(names))]
+    for i in (i for i, numeric in enumerate(mask) if not numeric):
         try:  # dates, like 2026-01-01T12:00:00.01
             dates = np.array([row[i].removesuffix("Z") for row in table], "datetime64[ns]")
         except ValueError:
             continue
-        kept[i], seconds = True, (dates - dates[0]) / np.timedelta64(1, "s")
+        mask[i], seconds = True, (dates - dates[0]) / np.timedelta64(1, "s")
         for cells, second in zip(table, seconds, strict=True):
             cells[i] = f"{second:.9f}"
-    columns = [i for i, keep in enumerate(kept) if keep]
+    columns = [i for i, numeric in enumerate(mask) if numeric]
     out = np.full((len(table), len(columns)), np.nan)
     for (k, _), cells, row in zip(rows, table, out, strict=True):
         for j, i in enumerate(columns):
@@ -254,7 +254,7 @@ def _numbers(
                 cell = cells[i][:40]
                 raise ParameterError(f"row {k}: {names[i]} must be a number, got {cell!r}")
             row[j] = float(cells[i])
-    return out, kept
+    return out, mask
 
 
 def _distinct(names: Sequence[str], values: Array, notes: list[str]) -> dict[str, Array]:

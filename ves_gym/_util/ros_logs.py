@@ -175,9 +175,9 @@ def _require_whole(file: Path) -> None:
         raise ParameterError("is cut off (`mcap recover` keeps what there is)")
     if head.startswith(b"SQLite format 3"):  # its header has size and number of pages
         page, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
-        whole = (65536 if page == 1 else page) * pages
-        if size < whole:
-            raise ParameterError(f"is cut off: {size} of {whole} bytes")
+        expected = (65536 if page == 1 else page) * pages
+        if size < expected:
+            raise ParameterError(f"is cut off: {size} of {expected} bytes")
         journal = file.with_name(f"{file.name}-wal")
         if journal.exists() and journal.stat().st_size:
             raise ParameterError(
@@ -215,10 +215,10 @@ def columns_of(arrays: dict[str, Any], clock: str) -> tuple[dict[str, Array], li
     for table in sorted(tables, key=lambda table: not table.joints):
         if table is first:
             continue
-        again = [k for k in table.columns if k in columns]
+        repeated = [k for k in table.columns if k in columns]
         steps = np.diff(table.t)
-        if again:
-            notes.append(f"left out: {table.topic}, it has {again[0]} as {first.topic} has")
+        if repeated:
+            notes.append(f"left out: {table.topic}, it has {repeated[0]} as {first.topic} has")
         elif not len(steps) or (steps <= 0).any():
             notes.append(f"left out: {table.topic}, its clock does not run forward")
         else:
@@ -260,10 +260,10 @@ def _resampled(table: _Table, first: _Table, notes: list[str]) -> dict[str, Arra
     """Columns at the first table's stamps; a note says how well they are known."""
     if np.array_equal(table.t, first.t):
         return table.columns
-    own = np.stack([*table.columns.values()], axis=1)
-    values = interpolated(table.t, own, first.t)
+    stacked = np.stack([*table.columns.values()], axis=1)
+    values = interpolated(table.t, stacked, first.t)
     notes.append(
         f"{table.topic} is on another clock than {first.topic}: interpolated,"
-        f" {told_error(list(table.columns), table.t, own)}"
+        f" {told_error(list(table.columns), table.t, stacked)}"
     )
     return dict(zip(table.columns, values.T, strict=True))

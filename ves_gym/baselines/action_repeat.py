@@ -90,15 +90,15 @@ class ActionRepeat(gym.vector.VectorEnv[Any, Any, Any]):
             if ended.any():
                 endings.append(self._endings(ended, info))
                 done |= ended
-        told = self._told(endings, done) if endings else {}
+        final = self._final_info(endings, done) if endings else {}
         if endings:
             batch.reset(np.flatnonzero(done))
         observation = self.observe()
         self.stepping += time.perf_counter() - start
         scaled = (self.reward_scale * reward).astype(np.float32)
-        return observation, scaled, done, np.zeros(n, bool), told
+        return observation, scaled, done, np.zeros(n, bool), final
 
-    def _told(self, endings: list[Endings], done: Mask) -> dict[str, Any]:
+    def _final_info(self, endings: list[Endings], done: Mask) -> dict[str, Any]:
         final, e = self.observe(), self.env.batch.episodes
         return {
             "endings": endings,

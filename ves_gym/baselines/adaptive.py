@@ -223,13 +223,13 @@ class Oracle(Follow):
         for i in ids.tolist():
             q, v, a = self._plan[i].swapaxes(0, 1)
             tau, _ = inverse_dynamics(arm, q, v, a)
-            actual = _told(env, i)
+            actual = _drawn_system(env, i)
             needed, _ = inverse_dynamics(actual.arm, q, v, a)
             beside = joint_torque(actual.effects, q, v, tau, arm.column("tau_max"))
             self._missing[i] = needed - tau - beside
 
     def _query(self, env: VesVectorEnv, i: int) -> Query:
-        s, system = env.batch.scene, _told(env, i)
+        s, system = env.batch.scene, _drawn_system(env, i)
         goal = s.goal[i, : system.arm.n]
         return joint_query(env, s.q[i], goal, env.task.duration - _SETTLE, system=system)
 
@@ -241,7 +241,7 @@ class Oracle(Follow):
         return reference_action(env, env.task.control, target + shift)
 
 
-def _told(env: VesVectorEnv, i: int) -> System:
+def _drawn_system(env: VesVectorEnv, i: int) -> System:
     """The machine of simulation i in space: arm and base as they are, effects beside them."""
     return env.batch.sim.systems[i].ideal().actual
 

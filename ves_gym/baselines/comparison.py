@@ -229,8 +229,8 @@ def policy_files(text: str | os.PathLike[str], id: str, base: Path = Path()) -> 
         return files
     if path.suffix or path.exists():
         return [path]
-    if found := [file for file in named if file is not None]:
-        return found
+    if saved := [file for file in named if file is not None]:
+        return saved
     names = [*CONTROLLERS, *policies]
     raise ParameterError(
         f"controller must be a file or folder of policies, or one of {', '.join(names)} in"

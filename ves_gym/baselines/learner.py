@@ -199,7 +199,7 @@ class Learner:
     ) -> None:
         settings: Settings = from_plain(Settings, config.hyperparameters, "PPO")
         self.config, self.settings, self.steps = config, settings, 0
-        self._given, self._first = config.settings, episodes + seed
+        self._settings, self._first = config.settings, episodes + seed
         env.reset(seed=self._first)
         self.decisions = ActionRepeat(env, hold=config.hold, reward_scale=config.reward_scale)
         rng = np.random.default_rng(seed)
@@ -247,8 +247,8 @@ class Learner:
     def _meet_curriculum(self) -> None:
         """Go on in the environment of the present settings, where it is another one."""
         k, old, settings = self.config, self.decisions.env, self.config.settings_at(self.steps)
-        if settings != self._given:
-            self._given = settings
+        if settings != self._settings:
+            self._settings = settings
             env = make_vector(k.env, k.n_envs, old.autoreset_mode, threads=1, **settings)
             env.reset(seed=self._first)
             old.close()

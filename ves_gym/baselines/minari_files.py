@@ -181,7 +181,7 @@ def replay(path: str | os.PathLike[str]) -> Replay:
         env = _environment(about)
     steps, rewards, observations, ends = 0, 0.0, 0.0, True
     for episode in episodes:
-        rows, paid, over = _again(env, episode.seed, episode.actions)
+        rows, paid, over = _replay(env, episode.seed, episode.actions)
         before = flat(episode.observations)
         ended = episode.terminations | episode.truncations
         if not np.array_equal(over, ended) or len(rows) != len(before):
@@ -203,7 +203,7 @@ def _environment(about: dict[str, Any]) -> Any:
     return gym.make(spec, **settings)
 
 
-def _again(env: Any, seed: int, actions: Float32) -> tuple[Float32, Array, Array]:
+def _replay(env: Any, seed: int, actions: Float32) -> tuple[Float32, Array, Array]:
     """Observations, rewards and ends of an episode with given actions, until it is over."""
     observation, _ = env.reset(seed=seed)
     rows, rewards, over = [flat(observation)], [], []

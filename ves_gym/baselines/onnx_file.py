@@ -111,13 +111,13 @@ def to_onnx(policy: Policy) -> bytes:
     else:
         x = add("Clip", x, constant("least", -1.0), constant("most", 1.0))
     graph.nodes.append(helper.make_node("Cast", [x], ["action"], to=TensorProto.FLOAT))
-    taken, given = (
+    taken, outputs = (
         [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", size])]
         for name, size in (("observation", net.entries), ("action", net.sizes[-1]))
     )
     numbers = list(graph.numbers.values())
     model = helper.make_model(
-        helper.make_graph(graph.nodes, policy.name, taken, given, numbers),
+        helper.make_graph(graph.nodes, policy.name, taken, outputs, numbers),
         producer_name="ves_gym",
         opset_imports=[helper.make_opsetid("", OPSET)],
         ir_version=8,  # of the first release with this opset: any engine of today reads it

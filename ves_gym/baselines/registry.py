@@ -26,8 +26,8 @@ class ControllerEntry(NamedTuple):
         """Return the controller."""
         module, _, name = self.where.partition(":")
         cls = getattr(import_module(f"ves_gym.baselines.{module}"), name)
-        made: Controller = cls(*(seed if k is _SEED else k for k in self.arguments))
-        return made
+        controller: Controller = cls(*(seed if k is _SEED else k for k in self.arguments))
+        return controller
 
 
 _ALL, _REST, _DAMP = tuple(IDS), ("PumaRestToRest",), ("PumaDamp", "BeamLQR")

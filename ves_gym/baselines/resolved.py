@@ -187,8 +187,8 @@ class Resolved:
         ]
         out = np.stack(reference, axis=1)
         if isinstance(env.task, BerthingContact):  # with a load, taking back the sway drives it
-            held = LatchTarget.of(s.payload).carried > 0
-            out[held] = _slowly(s.ref[held], out[held], 0.0, dt)
+            latched = LatchTarget.of(s.payload).carried > 0
+            out[latched] = _slowly(s.ref[latched], out[latched], 0.0, dt)
         if isinstance(env.task, FreeFlyerReach):
             remaining = env.task.duration - env.batch.episodes.steps * dt
             calm = remaining <= env.task.hold + _CALM

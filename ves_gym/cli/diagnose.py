@@ -227,8 +227,8 @@ def _describe(
     recording = read_recording(data, f"{topic}:t" if topic else "")
     text = describe(recording, data, model, near, called)
     write_text(file, text)
-    said = {"#   - ": "missing", "#   * ": "understood"}
-    lines = [f"{said[k[:6]]}: {k[6:]}" for k in text.splitlines() if k[:6] in said]
+    sections = {"#   - ": "missing", "#   * ": "understood"}
+    lines = [f"{sections[k[:6]]}: {k[6:]}" for k in text.splitlines() if k[:6] in sections]
     then: list[list[str | Path]] = [["diagnose", data, "--machine", file]]
     return Answer(text="\n".join([*lines, str(file)]), then=then)
 

@@ -234,10 +234,10 @@ def radians_note(value: str, name: str) -> str | None:
         return None
     if not any(map(_is_round, parts)):
         decimals = any("." in part and float(part) for part in parts)
-        said = (
+        note = (
             f"{name} {value} is taken as degrees (--radians takes radians, --degrees says so)"
         )
-        return said if decimals else None
+        return note if decimals else None
     meant = ",".join(f"{_nearest(part):g}" for part in parts)
     return (
         f"{name} {value} looks like radians; angles are degrees: did you mean {meant}?"

@@ -77,7 +77,7 @@ def evaluate(
 # ------------------------------------------------------------------------------ policies
 
 
-def _each(at: Context, policy: tuple[str, ...], suffix: str) -> list[tuple[str, Path]]:
+def _destinations(at: Context, policy: tuple[str, ...], suffix: str) -> list[tuple[str, Path]]:
     """Policies, of those released all by default, and a file about each: PumaDamp-ppo.md."""
     from ves_gym.baselines.policy import RELEASED
 
@@ -98,7 +98,7 @@ def export(at: Context, policy: tuple[str, ...] = (), *, onnx: bool = False) -> 
     if not onnx:
         raise ParameterError("policy export needs --onnx, the one format that it writes")
     lines, rows = [], []
-    for name, path in _each(at, policy, ".onnx"):
+    for name, path in _destinations(at, policy, ".onnx"):
         gap = write_onnx(load_policy(name), path)
         lines.append(f"{path}: actions within {gap:.1g} of {name}")
         rows.append({"policy": name, "path": str(path), "difference": gap})
@@ -117,7 +117,7 @@ def card(
     from ves_gym.report.policy_card import evaluation_for_card, policy_card
 
     rows = []
-    for name, path in _each(at, policy, ".md"):
+    for name, path in _destinations(at, policy, ".md"):
         if figures is None:
             evaluation = evaluation_for_card(name, episodes, at.seed)
         else:

@@ -223,10 +223,10 @@ def case_from(options: Mapping[str, Any], mode: str, seed: int | None) -> Case:
         raise ParameterError("--case and --system both say what the machine is: leave one")
     system = _changed(options.get("system", case.system), options, mode)
     if {"arm", "vehicle"} & set(options) and not {"physics_dt", "platform"} & set(options):
-        given, system = system, with_stable_step(system)
-        if system != given:
+        original, system = system, with_stable_step(system)
+        if system != original:
             step = f"physics step {1e3 * system.physics_dt:.4g} ms"
-            say(f"{step}: what {given.arm.name} on its base needs", "note")
+            say(f"{step}: what {original.arm.name} on its base needs", "note")
     if case.query is not None or case.motion is not None:
         if system == case.system:
             return case if seed is None else replace(case, seed=seed)

@@ -57,7 +57,7 @@ DONE, NEGATIVE, BAD_INPUT = 0, 1, 2
 EXAMPLES = Path(__file__).with_name("examples.txt")  # scripts/examples.py ran them
 
 
-def _own(name: str, place: Place) -> str:
+def _registered_from(name: str, place: Place) -> str:
     import_own(name)
     return name
 
@@ -66,7 +66,7 @@ EVERY = (  # options of every command
     Flag("--json", "FILE", help="write the result as JSON; -: print it in place of the text"),
     Flag("--out", "DIR", path, "folder for files this command makes"),
     Flag("--seed", "N", integer(), "default 0"),
-    Flag("--import", "MODULE", _own,
+    Flag("--import", "MODULE", _registered_from,
          "a module or .py file of your own, first: what it registers then goes by its name;"
          " repeatable", many=True),
 )  # fmt: skip
@@ -222,8 +222,8 @@ def _print(answer: Answer, file: str | None) -> int:
     lines = [str(answer.text)] if str(answer.text) else []
     if answer.files:
         lines.append(f"written: {'  '.join(files)}")
-    own = [word for name in IMPORTED for word in ("--import", name)]
-    lines += [f"next: {shlex.join(['ves-gym', *map(str, k), *own])}" for k in answer.then]
+    imports = [word for name in IMPORTED for word in ("--import", name)]
+    lines += [f"next: {shlex.join(['ves-gym', *map(str, k), *imports])}" for k in answer.then]
     if file is not None and answer.plain is not None:
         plain = {**answer.plain, "files": files} if answer.files else answer.plain
         text = json.dumps(plain, indent=1, allow_nan=False)
@@ -295,9 +295,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         # parameters, limits, logs and runs that diverge: all say what is wrong
         sentence = str(error)
     except ImportError as error:
-        if not (known := explain(error)):
+        if not (explained := explain(error)):
             raise  # no optional package: ours to repair
-        sentence = known
+        sentence = explained
     say(on_one_line(sentence), "error")
     return BAD_INPUT
 

@@ -147,8 +147,8 @@ def studio(at: Context, *, planner: str = "direct", **how: Any) -> Answer:
     query = at.case.query
     if query is not None:
         how = {name: getattr(query, name) for name in ("start", "goal", "duration")} | how
-    shown = None if planner == "none" else planner
-    page = Studio(at.case.system, planner=shown, seed=at.case.seed, **how)
+    compared = None if planner == "none" else planner
+    page = Studio(at.case.system, planner=compared, seed=at.case.seed, **how)
     path = at.folder("out/studio")
     path = path if path.suffix == ".html" else path / "studio.html"
     page.save(path)
@@ -173,7 +173,7 @@ def _bounds(value: str, place: Place) -> list[str]:
             f"{place.name} must be like acceleration_peak=0.3,1,3, got {value!r}"
         )
     bounds = [parse_bounds(f"{name}={part}") for part in values.split(",")]
-    return ["refined", *(bounded(get_planner("calm"), each).name for each in bounds)]
+    return ["refined", *(bounded(get_planner("calm"), bound).name for bound in bounds)]
 
 
 _QUICK = 5

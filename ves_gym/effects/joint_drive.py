@@ -127,8 +127,8 @@ class JointRipple(TorqueEffect):
                 return float(x[2]) * scope.travel[joint] / (2 * np.pi)
 
             candidate = placed(cls, f"joint {joint + 1}", numbers, fields)
-            seen = periods if scope.travel else None
-            yield dataclasses.replace(candidate, periods=seen)
+            travelled = periods if scope.travel else None
+            yield dataclasses.replace(candidate, periods=travelled)
 
     def law(self: Any, q: Array, v: Array, tau: Array) -> Any:
         """amplitude sin(cycles q + phase)."""
@@ -181,14 +181,14 @@ class JointRotorInertia(ArmEffect):
 def _with_gears(arm: Arm, gears: Sequence[Gear | None]) -> Arm:
     """The arm with a gear more, in series, at each joint that has one."""
     links = list(arm.links)
-    for i, more in enumerate(gears):
-        if more is not None:
+    for i, added in enumerate(gears):
+        if added is not None:
             gear = links[i].gear
             if gear is not None:
                 parts = ("compliance", "damping", "gap")
-                sums = {name: getattr(gear, name) + getattr(more, name) for name in parts}
-                more = replace(gear, **sums)
-            links[i] = replace(links[i], gear=more)
+                sums = {name: getattr(gear, name) + getattr(added, name) for name in parts}
+                added = replace(gear, **sums)
+            links[i] = replace(links[i], gear=added)
     return replace(arm, links=tuple(links)) if any(gears) else arm
 
 

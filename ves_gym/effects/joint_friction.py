@@ -82,8 +82,8 @@ class Pressed(JointLoadFriction):
 
     def law(self: Any, q: Array, v: Array, tau: Array) -> Any:
         """-coefficient (|tau| + what presses) tanh(v / CREEP)."""
-        more = self.coefficient * _PRESSED * self.tau_max * np.tanh(v / CREEP)
-        return super().law(q, v, tau) - more
+        added = self.coefficient * _PRESSED * self.tau_max * np.tanh(v / CREEP)
+        return super().law(q, v, tau) - added
 
 
 _OF_FADE = 1e-2  # of fade_speed over which friction builds up from rest

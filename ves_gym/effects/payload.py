@@ -141,11 +141,11 @@ class PayloadBody(ArmEffect):
         for name, unit in zip(PARAMETERS, PARAMETER_UNITS, strict=True):
             usual, low, high = _RANGES[unit]
             numbers.append(Number(name, unit, (low, high), (usual,)))
-        whole = placed(cls, "", numbers, lambda x: {}, sparse=True)
+        candidate = placed(cls, "", numbers, lambda x: {}, sparse=True)
         every = np.eye(10)
         yield dataclasses.replace(
-            whole,
-            make=_made,
+            candidate,
+            make=_body,
             feasible=lambda x, precision: nearest_body(x, precision, every),
             least=4,  # mass and moment: less than that is a mass in a stated place
         )
@@ -181,7 +181,7 @@ class _PartOfBody(PayloadBody):
         return False
 
 
-def _made(x: Array) -> PayloadBody:
+def _body(x: Array) -> PayloadBody:
     """Return the body with these numbers (10,), or the difference that they make."""
     m, *numbers = (float(value) for value in x)
     cls = PayloadBody if m > 0 and is_body(x) else _PartOfBody

@@ -154,7 +154,7 @@ class Batch:
         follows = motor and control.level != "torque"
         vehicle = task.system.vehicle
         hold = control.servo_for(task.system) if follows else own_gains(arm, vehicle)
-        self._hold = np.asarray(hold.kp, float), np.asarray(hold.kd, float)
+        self._hold_gains = np.asarray(hold.kp, float), np.asarray(hold.kd, float)
         self._sizes = {
             "q": joints, "v": joints, "y": 6, "yd": 6, "y_seen": 6, "yd_seen": 6, "tool": 3,
             "tool_seen": 3, "energies": 2, "goal": goals, "memory": task.memory,
@@ -184,7 +184,7 @@ class Batch:
         scene = Scene(
             time=np.zeros(n), tail=np.zeros(n), propellant=np.zeros(n),
             ref=np.zeros((n, 3, self.system.arm.n)),
-            kp=np.tile(self._hold[0], (n, 1)), kd=np.tile(self._hold[1], (n, 1)),
+            kp=np.tile(self._hold_gains[0], (n, 1)), kd=np.tile(self._hold_gains[1], (n, 1)),
             **{name: np.zeros((n, size)) for name, size in self._sizes.items()},
         )  # fmt: skip
         episodes = Episodes(
@@ -283,7 +283,7 @@ class Batch:
         sim.reset(q=rows["q"], v=rows["v"], y=rows["y"], yd=rows["yd"], ids=ids)
         s.ref[ids] = np.stack([rows["q"], rows["v"], np.zeros_like(rows["q"])], axis=1)
         s.memory[ids], s.tail[ids] = 0.0, 0.0
-        s.kp[ids], s.kd[ids] = self._hold
+        s.kp[ids], s.kd[ids] = self._hold_gains
         for k in (e.steps, e.clipped, e.once, e.total, e.cost, e.missing, e.sums):
             k[ids] = 0
         if task.interacts:
@@ -358,7 +358,7 @@ class Batch:
         x = backend.states_of(np.zeros(k, np.intp), pose, rate)
         modes = self._compiled.modes
         hidden = None if modes is None else (x[:, modes[0]], x[:, modes[1]])
-        energies, tool, _ = self._seen(pose, rate, y, hidden)
+        energies, tool, _ = self._measures(pose, rate, y, hidden)
         s, e = self._blank(k)
         s.q, s.v, s.y, s.yd, s.y_seen, s.yd_seen, s.goal = q, v, y, yd, y, yd, goal
         s.tool, s.tool_seen, s.energies, e.peaks = tool, tool, energies, energies
@@ -536,7 +536,7 @@ class Batch:
         if modes is not None:
             modes = modes[0][rows], modes[1][rows]
         pose, rate = np.hstack([y, q]), np.hstack([yd, v])
-        energies, tool, tool_seen = self._seen(pose, rate, y_seen, modes)
+        energies, tool, tool_seen = self._measures(pose, rate, y_seen, modes)
         table_values = self.task.lookup(s.goal[rows], np.rint(time / self.dt).astype(np.intp))
         parts = {
             "time": time, "y": y, "yd": yd, "q": q, "v": v, "y_seen": y_seen,
@@ -559,7 +559,7 @@ class Batch:
             else:
                 getattr(s, name)[ids] = values
 
-    def _seen(
+    def _measures(
         self, z: Array, zd: Array, measured: Array, modes: tuple[Array, Array] | None
     ) -> list[Array]:
         """Energies of bases (k, 2) and places of tools (k, 3), at z and as measured.
@@ -575,7 +575,7 @@ class Batch:
     @cached_property
     def free_decay(self) -> FreeDecay:
         """Energies that the base keeps after the end."""
-        gains = None if self.task.control.level == "gains" else self._hold
+        gains = None if self.task.control.level == "gains" else self._hold_gains
         return FreeDecay(self._space, self.n, self.task.tail, gains)
 
     def tail(self, ids: Index, ref: Array, kp: Array, kd: Array) -> tuple[Array, Array]:

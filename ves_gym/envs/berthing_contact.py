@@ -239,9 +239,9 @@ class BerthingContact(ArmTask):
             np.where(t.carried[:, None] == 0, t.relative[:, :3], 0.0),
             s.contact[:, :3],
         )
-        seen = (matvec(to_base, part) for part in vectors)
-        held = np.where(t.carried[:, None] > 0, 1.0, 0.0), s.memory / self.hold
-        return (*self.sense(s), *seen, *held, self.left(s))
+        observed = (matvec(to_base, part) for part in vectors)
+        carried = np.where(t.carried[:, None] > 0, 1.0, 0.0), s.memory / self.hold
+        return (*self.sense(s), *observed, *carried, self.left(s))
 
     # -------------------------------------------------------------------- reward
 

@@ -114,8 +114,8 @@ def build_task(
     if control is not None:
         values["control"] = _control(control)
     else:
-        own: Any = defaults.control if defaults is not None else fields["control"].default
-        values["control"] = for_system(own, values["system"])
+        default: Any = defaults.control if defaults is not None else fields["control"].default
+        values["control"] = for_system(default, values["system"])
     if arm is not None or vehicle is not None:
         driven: Control = values["control"]
         driven.check(values["system"])

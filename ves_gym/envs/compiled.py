@@ -228,7 +228,7 @@ def _followed(task: Task, make: Callable[[], casadi.Function]) -> casadi.Functio
 
 def _graphs(shape: Shape) -> dict[str, Callable[[], casadi.Function]]:
     """What makes the graph of each piece: `keep`, `move`, `follow`, `close`, and wires."""
-    makers = {"keep": _keep, "move": _move, "follow": _follow, "close": _close}
+    makers = {"keep": _carry_over, "move": _move, "follow": _follow, "close": _close}
     out: dict[str, Callable[[], casadi.Function]]
     out = {name: partial(make, shape) for name, make in makers.items()}
     if shape.task.base_control is not None:
@@ -242,7 +242,7 @@ def _graphs(shape: Shape) -> dict[str, Callable[[], casadi.Function]]:
     return out
 
 
-def _keep(shape: Shape) -> casadi.Function:
+def _carry_over(shape: Shape) -> casadi.Function:
     import casadi as ca
 
     carried = ca.SX.sym("carry", width(shape.carry))
@@ -450,11 +450,11 @@ def _laboratory(shape: Shape, name: str) -> casadi.Function:
     }  # fmt: skip
     assert shape.signals is not None
     first, second = ([signals[k] for k in names] for names in shape.signals)
-    push, held = ca.SX.sym("push", 6 * count), shape.nodes == 1
+    push, constant = ca.SX.sym("push", 6 * count), shape.nodes == 1
     commands = ca.SX.sym("commands", shape.nodes * size)
     nodes = []
     for i in range(count):
-        at = 0 if held else i * size
+        at = 0 if constant else i * size
         nodes += [push[6 * i : 6 * i + 6], commands[at + 6 : at + size]]
     y, X, reading = ca.SX.sym("y", 6), ca.SX.sym("X", 12), ca.SX.sym("reading", 6)
     frozen, lost = ca.SX.sym("frozen"), ca.SX.sym("lost")

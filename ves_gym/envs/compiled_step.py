@@ -85,8 +85,8 @@ class CompiledStep:
         acts = acts or sim.joint_delays is not None or sim.gravity_gradient is not None
         floats = isinstance(sim.backend, KernelBackend) and sim.backend.floating
         acts = acts or (bool(floats) and not task.interacts)  # its payload is told in Python
-        known = sim.emulation_loop is None or signals_of(sim) is not None
-        return known and not acts and isinstance(sim.backend, KernelBackend) and compiles(task)
+        traced = sim.emulation_loop is None or signals_of(sim) is not None
+        return traced and not acts and isinstance(sim.backend, KernelBackend) and compiles(task)
 
     def __init__(self, sim: Simulator, task: Task, s: Scene) -> None:
         self.sim, self.task, self.system, self.n = sim, task, sim.system, sim.n
@@ -103,7 +103,7 @@ class CompiledStep:
         described = everywhere(parameters(space)[1])
         at, outputs = shape.reference, shape.outputs
         rows = lambda k: aligned(blocks, k, LANES)  # noqa: E731
-        self._carry, self._next = rows(width(shape.carry)), rows(width(shape.carry))
+        self._carry, self._ahead = rows(width(shape.carry)), rows(width(shape.carry))
         self._action, self._reference = rows(task.action_width), rows(width(at))
         self._goal, self._inputs = rows(goal), rows(width(shape.inputs))
         self._outputs, tau, extra = rows(width(outputs)), rows(n), rows(n)
@@ -122,7 +122,7 @@ class CompiledStep:
         measured = self._inputs[:, shape.inputs["y_seen"]] if self._emulated else z[:, :6]
         moved = z, zd, self._carry, self._goal, self._action, self._reference
         first = [
-            functions["keep"].piece(self._next, self._carry),
+            functions["keep"].piece(self._ahead, self._carry),
             functions["move"].piece(*moved),
         ]
         if shape.feedforward:
@@ -156,13 +156,13 @@ class CompiledStep:
             payload = self._scene_rows[:, shape.scene["payload"]]
             if backend.floating:
                 k = layout(*NUMBERS.items())
-                told = self._numbers[:, k["com"]], self._numbers[:, k["carried"]], self._bodies
-                moved = *backend.rows_of_payload(), *told, self._bodies
+                cargo = self._numbers[:, k["com"]], self._numbers[:, k["carried"]], self._bodies
+                moved = *backend.rows_of_payload(), *cargo, self._bodies
                 last.append(functions["afloat"].piece(*moved))
             inputs = x, self._bodies, self._numbers, payload
             last.append(functions["target"].piece(*inputs))
         last.append(
-            functions["close"].piece(*closed, self._scene_rows, self._outputs, self._next)
+            functions["close"].piece(*closed, self._scene_rows, self._outputs, self._ahead)
         )
         self._first, self._last, self._after = first, last, Program(last)
         if not self._emulated:
@@ -203,7 +203,7 @@ class CompiledStep:
         assert shape.signals is not None
         _, z, zd = backend.rows_of_state()
         first, second = ([code.rows(k) for k in names] for names in shape.signals)
-        seen = self._inputs[:, inputs["y_seen"].start : inputs["stopped"].stop]
+        observed = self._inputs[:, inputs["y_seen"].start : inputs["stopped"].stop]
         before = [
             *self._first,
             functions["lab_before"].piece(z, zd, backend.rows_of_gains(), *first),
@@ -217,7 +217,7 @@ class CompiledStep:
         after = [
             functions["lab_after"].piece(*read, *second, self._reading),
             *code.pieces("after"),
-            functions["lab_seen"].piece(*at, self._lost, seen),
+            functions["lab_seen"].piece(*at, self._lost, observed),
             *self._modes_piece(),
             *self._last,
         ]
@@ -267,7 +267,7 @@ class CompiledStep:
             s, e: of k simulations.
         """
         block, lane = ids // LANES, ids % LANES
-        self._next[block, :, lane] = carry_rows(self.shape, s, e)
+        self._ahead[block, :, lane] = carry_rows(self.shape, s, e)
         if self._goal.shape[1]:
             self._goal[block, :, lane] = s.goal
         self._note_diverged()
@@ -282,15 +282,15 @@ class CompiledStep:
         """
         block, lane, inputs = ids // LANES, ids % LANES, self.shape.inputs
         self.sim.begin_with(ids, rows)
-        self._next[block, :, lane] = rows["carry"]
+        self._ahead[block, :, lane] = rows["carry"]
         self._scene_rows[block, :, lane] = rows["scene"]
         if self._goal.shape[1]:
             self._goal[block, :, lane] = rows["goal"]
         if self.shape.table_values:
             self._inputs[block, inputs["table_values"], lane] = rows["table_values"]
         if self._emulated:
-            seen = slice(inputs["y_seen"].start, inputs["yd_seen"].stop)
-            self._inputs[block, seen, lane] = rows["seen"]
+            observed = slice(inputs["y_seen"].start, inputs["yd_seen"].stop)
+            self._inputs[block, observed, lane] = rows["seen"]
         if self._tailed is not None:
             self._inputs[block, inputs["tail"], lane] = 0.0
         if len(self._stopped):
@@ -300,7 +300,7 @@ class CompiledStep:
     def store(self, s: Scene, e: Episodes) -> None:
         """Bring scene and episodes up to date, but for the goals, which no step changes."""
         self.ahead = False
-        rows, at = unlane(self._next, self.n), self.shape.carry
+        rows, at = unlane(self._ahead, self.n), self.shape.carry
         k = {name: rows[:, columns] for name, columns in at.items()}
         s.ref, s.kp, s.kd, s.tau = k["ref"].reshape(self.n, 3, -1), k["kp"], k["kd"], k["tau"]
         s.memory = k["memory"]
@@ -360,14 +360,14 @@ class CompiledStep:
         rows = numbers(self._outputs, self.n)
         flags = rows[self._flags] != 0
         info: dict[str, Any] = {}
-        some = bool(np.count_nonzero(flags[5]))
-        if some and flags[4].any():
+        ending = bool(np.count_nonzero(flags[5]))
+        if ending and flags[4].any():
             sim.note_divergence()
             self._note_diverged()
         if loop is not None:
-            loop.ran_elsewhere(unlane(self._reading, self.n) if some else None)
+            loop.ran_elsewhere(unlane(self._reading, self.n) if ending else None)
             self.stopped = loop.frozen
-        if some:
+        if ending:
             if self._cargo is not None and flags[6].any():
                 rows, flags = self._grasp(np.flatnonzero(flags[6]), rows, flags)
             rows, flags, info = self._end(rows, flags, decay)
@@ -376,7 +376,7 @@ class CompiledStep:
         for key, at in self._terms:
             info[key] = rows[at]
         last, failed, info["success"], info["success_once"] = flags[:4]
-        info["clipped"] = self._next[:, self._clipped].astype(np.int64).reshape(-1)[: self.n]
+        info["clipped"] = self._ahead[:, self._clipped].astype(np.int64).reshape(-1)[: self.n]
         self.observation = rows[self._observed].T.astype(np.float32, order="C")
         return rows[self._reward], last | failed, np.zeros(self.n, bool), info
 
@@ -441,7 +441,7 @@ class CompiledStep:
         self._waiting = over is not None
 
     def _look_up(self, goals: Array) -> None:
-        step = self._next[:, self.shape.carry["steps"].start].reshape(-1)[: self.n]
+        step = self._ahead[:, self.shape.carry["steps"].start].reshape(-1)[: self.n]
         table_values = self.task.lookup(goals, step.astype(np.intp) + 1)
         fill(self._inputs[:, self.shape.inputs["table_values"]], table_values)
 
@@ -465,8 +465,8 @@ class CompiledStep:
             rows[:, ids] = self._outputs[block, :, lane].T
             flags = rows[self._flags] != 0
         first, last = shape.carry["energies"].start, shape.carry["steps"].stop
-        rest = numbers(self._next[:, first:last], self.n)
-        E, _, total, strained, peak, strain_peak, *_, steps = rest
+        state = numbers(self._ahead[:, first:last], self.n)
+        E, _, total, strained, peak, strain_peak, *_, steps = state
         mean = (total + tail) / (steps * self.system.control_dt + task.tail)
         return rows, flags, ended_energies(mean, E, peak, strain_peak, strained + strain, ended)
 
@@ -486,6 +486,6 @@ class CompiledStep:
             u, ud = np.split(self._modes[block, :, lane], 2, axis=1)
         else:
             u, ud = (x[:, k] for k in self.modes or (slice(0), slice(0)))
-        held = q if self.task.control.level == "torque" else reference[:, at["ref"]][:, :n]
-        state = np.concatenate([y, u, q - held, yd, ud, v], axis=1)
+        locked = q if self.task.control.level == "torque" else reference[:, at["ref"]][:, :n]
+        state = np.concatenate([y, u, q - locked, yd, ud, v], axis=1)
         return decay(q, state, reference[:, at["kp"]], reference[:, at["kd"]])

@@ -289,8 +289,8 @@ class DeviceRows:
         inputs = [*state, self.simulations.fault, system.substeps, system.physics_dt]
         advance = stepper(system).gpu_steps(self.real, record=False)
         out.append(launch(advance, self.n, inputs, self.device, record=True))
-        seen = [z, zd, x[:6], *(x[k] for k in self._modes), described, rows["scene_rows"]]
-        out.append(run(scene_function(space), *seen, shared=len(seen) - 2))
+        observed = [z, zd, x[:6], *(x[k] for k in self._modes), described, rows["scene_rows"]]
+        out.append(run(scene_function(space), *observed, shared=len(observed) - 2))
         close = z, zd, both, before, reference, tau, goal, rows["inputs"], rows["scene_rows"]
         out.append(run(functions["close"], *close, outputs, after))
         return out
@@ -375,8 +375,8 @@ class DeviceRows:
         tail = torch.zeros(self.n, dtype=torch.float64, device=self.torch_device)
         if task.tail:
             diverged = self.outputs_now[shape.outputs["diverged"]][0, ids] > 0
-            kept = torch.where(diverged, 0.0, self._tail(ids))
-            tail[ids] = kept
+            finite = torch.where(diverged, 0.0, self._tail(ids))
+            tail[ids] = finite
             column = self._views["inputs"][shape.inputs["tail"]]
             column[0] = tail
             self._programs[self._parity][-1].launch()  # the reward again

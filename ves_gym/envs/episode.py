@@ -233,9 +233,9 @@ def _payments(
 
 def _paid(task: Task, e: Episodes, steps: Index) -> Array:
     """(n,) what episodes have been paid after a number (n,) of periods, success apart."""
-    first, now = e.missing[:, 0], e.missing[:, 1]
+    first, present = e.missing[:, 0], e.missing[:, 1]
     going = 1.0 - steps / task.steps
-    return 1.0 / (1.0 + e.cost + now) - 1.0 + going * first / (1.0 + first)
+    return 1.0 / (1.0 + e.cost + present) - 1.0 + going * first / (1.0 + first)
 
 
 def _meaningless(value: Array, diverged: Mask) -> Mask:

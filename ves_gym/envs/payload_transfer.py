@@ -185,7 +185,7 @@ class PayloadTransfer(ArmTask):
         t = LatchTarget.of(s.payload)
         ways = t.fixture - s.tool_seen, s.goal[:, 3:6] - t.fixture
         carried = t.carried[:, None] > 0
-        _, closing = self._next(s)
+        _, closing = self._segment(s)
         return (
             *self.sense(s),
             *(matvec(to_base, k) for k in (*ways, np.where(carried, *ways[::-1]), closing)),
@@ -194,7 +194,7 @@ class PayloadTransfer(ArmTask):
             self.left(s),
         )
 
-    def _next(self, s: Scene) -> tuple[Array, Array]:
+    def _segment(self, s: Scene) -> tuple[Array, Array]:
         """Way (n, 3) [m] that is left to the fixture, then to the berth, and its rate [m/s]."""
         t = LatchTarget.of(s.payload)
         carried = t.carried[:, None] > 0
@@ -207,7 +207,7 @@ class PayloadTransfer(ArmTask):
         return self.energy_costs(s, dt, s.goal[:, 10])
 
     def missing(self, s: Scene) -> Array | None:
-        way, closing = self._next(s)
+        way, closing = self._segment(s)
         missing = gap(braked(way, closing, self.brake), self.tolerance, self.far)
         phase = np.where(LatchTarget.of(s.payload).carried > 0, missing, 1.0 + missing) / 2
         return np.where(s.memory[:, _BERTHED] > 0, 0.0, phase)

@@ -33,9 +33,9 @@ class Privileged:
         task, base = self.batch.task, self.batch.system.ideal().base
         M, _, K = (np.diag(k)[6:] for k in base.full())
         soft = np.sqrt(2 / np.where(K > 0, K, 2.0))  # a joule each
-        one, (sway, swaying) = np.ones(1), task.sway
+        ones, (sway, swaying) = np.ones(1), task.sway
         parts = [
-            Field("paid", "1", one, "return so far, and 1"),
+            Field("paid", "1", ones, "return so far, and 1"),
             Field("time_left", "s", np.array([task.duration]), "until the deadline"),
             Field("true_pose", "m, rad", sway, "pose of the base"),
             Field("true_rate", "m/s, rad/s", swaying, "rate of the base"),
@@ -44,7 +44,7 @@ class Privileged:
         ]
         if task.interacts:
             parts.append(
-                Field("mass", "1", one, "of the payload, in the one described, less 1")
+                Field("mass", "1", ones, "of the payload, in the one described, less 1")
             )
             parts.append(Field("com", "m", np.full(3, 0.1), "centre of mass of the payload"))
         parts += [

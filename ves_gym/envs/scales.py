@@ -146,9 +146,9 @@ def motion_energy(modes: BaseModes, q: Array, dt: float, tail: float) -> Array:
     state = np.empty(push.shape, complex)
     last = np.zeros(pole.shape, complex)
     for first in range(0, push.shape[1], part):
-        some = push[:, first : first + part]
-        fade = fading[:, : some.shape[1]]
-        done = fade * (last[:, None] - gain[:, None] * np.cumsum(some / fade, axis=1))
+        chunk = push[:, first : first + part]
+        fade = fading[:, : chunk.shape[1]]
+        done = fade * (last[:, None] - gain[:, None] * np.cumsum(chunk / fade, axis=1))
         state[:, first : first + part] = done
         last = done[:, -1]
     x = state.imag / pole.imag[:, None]

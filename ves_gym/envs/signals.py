@@ -95,7 +95,7 @@ class GoalFunctions:  # Gymnasium-Robotics' `GoalEnv`
     ) -> Any:
         """Return the reward of goals, and of the failure in the info."""
         reward = self.task.goal_reward(np.asarray(achieved_goal), np.asarray(desired_goal))
-        failure = self._each(info, reward, _failure)
+        failure = self._per_simulation(info, reward, _failure)
         return reward + failure if failure.any() else reward
 
     def compute_terminated(
@@ -104,7 +104,7 @@ class GoalFunctions:  # Gymnasium-Robotics' `GoalEnv`
         """Return where an episode has failed, or is at its deadline."""
         like = np.zeros(np.shape(desired_goal)[:-1])
         # energies come with the last step only
-        ended = self._each(info, like, lambda k: "energy/E_mean" in k)
+        ended = self._per_simulation(info, like, lambda k: "energy/E_mean" in k)
         return ended.astype(bool)[()]
 
     def compute_truncated(
@@ -113,7 +113,7 @@ class GoalFunctions:  # Gymnasium-Robotics' `GoalEnv`
         """Nowhere: the deadline is part of the task."""
         return np.zeros(np.shape(desired_goal)[:-1], bool)[()]
 
-    def _each(
+    def _per_simulation(
         self, info: Any, like: npt.ArrayLike, number: Callable[[Mapping[str, Any]], float]
     ) -> npt.NDArray[np.float64]:
         """Numbers of infos in the shape of `like`."""

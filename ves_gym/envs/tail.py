@@ -134,8 +134,8 @@ class FreeDecay:
         parts = squares, d, C, at, rate, base
         pieces.append(functions["couple"].piece(work, momenta, D, kd, *parts))
         by_mode = [modes[:, wide * i : wide * (i + 1)] for i in range(s)]
-        for i, one in enumerate(np.eye(s)):
-            alone = everywhere(one), C[:, s * i : s * (i + 1)], d[:, i : i + 1]
+        for i, unit in enumerate(np.eye(s)):
+            alone = everywhere(unit), C[:, s * i : s * (i + 1)], d[:, i : i + 1]
             others = squares[:, i : i + 1], C, d, squares, at, rate, base, M, K, seconds
             pieces.append(functions["mode"].piece(*alone, *others, by_mode[i]))
         so_far = everywhere(np.zeros(2))
@@ -176,10 +176,10 @@ def _functions(n: int, b: int, locked: bool) -> dict[str, CompiledFunction]:
         return couple(squares, rows[..., s:], both, square(D, b)[0], kd)
 
     def moving(*x: Array) -> Array:
-        own, row, d, w, C, damping, squares, at, rate, base, M, K, seconds = x
+        z, row, d, w, C, damping, squares, at, rate, base, M, K, seconds = x
         return mode(
-            own, row, d[:, 0], w[:, 0], square(C, s), damping, squares, at, rate,
-            base.reshape(len(own), s, b), square(M, b), square(K, b)[0], seconds[:, 0],
+            z, row, d[:, 0], w[:, 0], square(C, s), damping, squares, at, rate,
+            base.reshape(len(z), s, b), square(M, b), square(K, b)[0], seconds[:, 0],
         )  # fmt: skip
 
     def counted(i: Array, j: Array, weight: Array, total: Array) -> Array:
@@ -267,10 +267,10 @@ def couple(
     if s > b:
         C = C + (joints * kd[..., None, :]) @ np.swapaxes(joints, -1, -2)
     at, rate = ((shapes * momenta[..., k, None, :]).sum(axis=-1) for k in range(2))
-    each = np.arange(s)
+    index = np.arange(s)
     squares = np.maximum(squares, _SLOWEST**2)
     omega = np.sqrt(squares)
-    d = np.clip(C[..., each, each], 2 * _UNDAMPED * omega, 2 * _DAMPED * omega)
+    d = np.clip(C[..., index, index], 2 * _UNDAMPED * omega, 2 * _DAMPED * omega)
     C = np.where(np.eye(s), 0.0, C)
     rate = rate + d * at + (C * at[..., None, :]).sum(axis=-1)
     return squares, d, C, at, rate, base
@@ -327,8 +327,8 @@ def mode(
     size, stiff = _sum(1.0, squared), _sum(squares, squared)
     beyond = _times(mixed, (2 * row + coupled[0], coupled[1]))
     damped = _added(_sum(damping, squared), _sum(1.0, beyond))
-    more = _times(size, stiff)
-    swing = _root(_added(_times(damped, damped), (-4 * more[0], -4 * more[1])))
+    modal = _times(size, stiff)
+    swing = _root(_added(_times(damped, damped), (-4 * modal[0], -4 * modal[1])))
     swing = _flipped(swing, swing[1] * size[0] - swing[0] * size[1])
     pole = _over(_added(swing, (-damped[0], -damped[1])), (2 * size[0], 2 * size[1]))
     c = _over(_added(_sum(rate, v), _times(pole, _sum(at, v))), swing)

@@ -371,8 +371,8 @@ def _between(along: Array, shares: Array, at: Array) -> Array:
     """Joint angles (k, m, joints) at other shares of seams, linear in between."""
     place = np.interp(at, shares, np.arange(len(shares)))
     before = np.minimum(place.astype(int), len(shares) - 2)
-    rest = (place - before)[:, None]
-    return np.asarray((1 - rest) * along[:, before] + rest * along[:, before + 1])
+    fraction = (place - before)[:, None]
+    return np.asarray((1 - fraction) * along[:, before] + fraction * along[:, before + 1])
 
 
 # ----------------------------------------------------------- compiled

@@ -120,7 +120,7 @@ class VesVectorEnv(  # type: ignore[misc]
         self.batch.reset(ids, {k: v[ids] for k, v in options.items()})
         self._over[ids] = False
         self._ready = True
-        return self._observation(), self._told(self.batch.randomized())
+        return self._observation(), self._with_privileged(self.batch.randomized())
 
     def _seed(self, seed: Any, ids: Any) -> None:
         if seed is None and not self._ready:
@@ -165,13 +165,13 @@ class VesVectorEnv(  # type: ignore[misc]
         ended = terminated | truncated
         self._over = ended
         if mode is AutoresetMode.SAME_STEP and ended.any():
-            final, last = self._observation(), dict(self._told(info))
+            final, last = self._observation(), dict(self._with_privileged(info))
             info["final_obs"], info["_final_obs"] = final, ended
             info["final_info"], info["_final_info"] = last, ended
             self.batch.reset(np.flatnonzero(ended))
             info.update(self.batch.randomized())
             self._over = np.zeros(self.num_envs, bool)
-        return self._observation(), reward, terminated, truncated, self._told(info)
+        return self._observation(), reward, terminated, truncated, self._with_privileged(info)
 
     @property
     def episode_id(self) -> npt.NDArray[np.uint64]:
@@ -251,8 +251,8 @@ def fan_out(model: Batch, source: Batch, i: int) -> None:
     if not 0 <= i < source.n:
         raise ParameterError(f"fan_out needs an environment of 0 to {source.n - 1}, got {i}")
     if model.task == source.task:
-        task, kept, snapshot, _ = source.get_state()
-        scene, episodes, drawn = kept
+        task, state, snapshot, _ = source.get_state()
+        scene, episodes, drawn = state
         parts = _rows(scene, i, model.n), _rows(episodes, i, model.n), _rows(drawn, i, model.n)
         recorded = None if model.recorder is None else model.recorder.get_state()
         model.set_state((task, parts, snapshot.fanned_out(i, model.n), recorded))

@@ -144,8 +144,8 @@ def _of_each(cutoff: Array, make: Callable[[float], tuple[Array, ...]]) -> list[
         parts = make(float(cutoff[0]))
         return [np.broadcast_to(part, (len(cutoff), *part.shape)) for part in parts]
     kinds, which = np.unique(cutoff, return_inverse=True)
-    made = [make(f) for f in kinds.tolist()]
-    return [np.stack(part)[which] for part in zip(*made, strict=True)]
+    filters = [make(f) for f in kinds.tolist()]
+    return [np.stack(part)[which] for part in zip(*filters, strict=True)]
 
 
 @lru_cache(maxsize=1024)  # a reset asks for the same again

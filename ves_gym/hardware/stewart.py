@@ -265,10 +265,10 @@ def _hexagonal() -> Stewart:
     Base pairs lie around 0, 120, 240 deg from x, top pairs around 60, 180, 300; 20 deg between
     the joints of a pair; the upper joints 0.1 m below the platform-top frame.
     """
-    apart, depth, shortest, longest = float(np.deg2rad(20)), 0.1, 1.1, 1.9
+    spread, depth, shortest, longest = float(np.deg2rad(20)), 0.1, 1.1, 1.9
     side = np.array([1, -1] * 3)  # leg after, leg before a base pair's middle
-    base_at = np.deg2rad([0, 120, 120, 240, 240, 360]) + side * apart / 2
-    top_at = np.deg2rad([60, 60, 180, 180, 300, 300]) - side * apart / 2
+    base_at = np.deg2rad([0, 120, 120, 240, 240, 360]) + side * spread / 2
+    top_at = np.deg2rad([60, 60, 180, 180, 300, 300]) - side * spread / 2
     base, top = (
         np.stack([r * np.cos(at), r * np.sin(at), np.full(6, z)], axis=-1)
         for r, at, z in ((1.0, base_at, 0.0), (0.7, top_at, -depth))

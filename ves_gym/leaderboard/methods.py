@@ -73,7 +73,7 @@ def enter(problem: Problem, method: Any, seeds: Sequence[int]) -> Entered:
     name = words[0] if words else str(getattr(method, "name", ""))
     chosen = Method(
         kind="controller" if id is not None else problem.kinds[0],
-        name=name if words and name in _known(problem) else "",
+        name=name if words and name in _builtin(problem) else "",
         seeds=tuple(seeds),
         settings=settings,
     )
@@ -100,7 +100,7 @@ def answering(
             Code.WRONG_SEEDS,
             f"seeds of a {method.kind} are 0, 1, ... in order, got {method.seeds}",
         )
-    names = _known(problem)
+    names = _builtin(problem)
     if method.name not in names:
         raise Refused(
             Code.NOT_REPRODUCIBLE,
@@ -113,11 +113,11 @@ def answering(
 
 def _code(agent: Any) -> str:
     """Place of what answers, as module:name."""
-    made = agent if hasattr(agent, "__qualname__") else type(agent)
-    return f"{made.__module__}:{made.__qualname__.partition('.')[0]}"
+    cls = agent if hasattr(agent, "__qualname__") else type(agent)
+    return f"{cls.__module__}:{cls.__qualname__.partition('.')[0]}"
 
 
-def _known(problem: Problem) -> Sequence[str]:
+def _builtin(problem: Problem) -> Sequence[str]:
     if problem.environment is not None:
         return tuple(CONTROLLERS)
     return tuple(PLANNERS) if problem.track == "paths" else TUNERS

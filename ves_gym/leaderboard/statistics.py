@@ -135,13 +135,13 @@ def repeated(results: Results, kind: str) -> tuple[int, int] | None:
     values = np.concatenate([results[name] for name in names], axis=1)  # (groups, numbers)
     for k in range(1, len(values)):
         for earlier in range(k):
-            gap = _apart(values[earlier], values[k])
+            gap = _gap(values[earlier], values[k])
             if gap is not None and gap <= within:
                 return earlier, k
     return None
 
 
-def _apart(a: Array, b: Array) -> float | None:
+def _gap(a: Array, b: Array) -> float | None:
     """Median relative difference; what only one has counts as 1, what neither has as none."""
     any_, both = np.isfinite(a) | np.isfinite(b), np.isfinite(a) & np.isfinite(b)
     if not any_.any():

@@ -112,8 +112,8 @@ def make_entry(
             f"groups {twice[0]} and {twice[1]} do the same, and one of them would count twice:"
             " leave it out"
         )
-    told = {"training": training and dict(training), "code": code}
-    about = {key: value for key, value in told.items() if value is not None}
+    stated = {"training": training and dict(training), "code": code}
+    about = {key: value for key, value in stated.items() if value is not None}
     entry = Entry(
         track=track,
         problem=problem,

@@ -253,17 +253,17 @@ class Arm:
         """How `joints` follow those that are driven; None: they are these."""
         if not self.followers:
             return None
-        own, rows = iter(range(self.n)), {}
+        driven, rows = iter(range(self.n)), {}
         for k, part in enumerate(self.parts):
-            pairs = enumerate(part.ratios) if part.ratios is not None else [(next(own), 1.0)]
+            pairs = enumerate(part.ratios) if part.ratios is not None else [(next(driven), 1.0)]
             rows[k] = tuple((j, float(ratio)) for j, ratio in pairs if ratio)
         return JointCoupling(tuple(rows[k] for k in self._rows), self.n)
 
     @property
     def driven(self) -> list[int]:
         """Rows of `joints` (n,) that the links have; the last is always that of the tool."""
-        own = [row for row, part in enumerate(self.ordered) if part.ratios is None]
-        return [*own[:-1], len(self.parts) - 1]
+        rows = [row for row, part in enumerate(self.ordered) if part.ratios is None]
+        return [*rows[:-1], len(self.parts) - 1]
 
     @property
     def spans(self) -> tuple[slice, ...]:
@@ -479,9 +479,9 @@ class Arm:
         Raises:
             ParameterError: names the link or the joint, and what is wrong with it.
         """
-        files, held, added = _files(), dict(locked or {}), dict(rotors or {})
+        files, lock, added = _files(), dict(locked or {}), dict(rotors or {})
         choice = files.ChainChoice(
-            tip, root, held, collision, check, added, allow_outside, tuple(massless), repair,
+            tip, root, lock, collision, check, added, allow_outside, tuple(massless), repair,
             degrees,
         )  # fmt: skip
         arm: Arm = files.read_file(path, choice)

@@ -143,8 +143,8 @@ def _arm_of_chain(
 
 def _refuse_unweighed(names: Sequence[str]) -> None:
     """Refuse links of which nothing says what they weigh, nor what moves along, all at once."""
-    some = ", ".join(map(repr, names))
-    what = f"link {some} has" if len(names) == 1 else f"links {some} have"
+    quoted = ", ".join(map(repr, names))
+    what = f"link {quoted} has" if len(names) == 1 else f"links {quoted} have"
     flags = " ".join(f"--massless {name}" for name in names)
     raise ParameterError(
         f"{what} a shape, but no <inertial>: mass is unknown ({flags}, in Python"

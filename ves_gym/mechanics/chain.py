@@ -60,8 +60,8 @@ class Lump:
         """Add a body by its moments (3, 3) about its centre of mass; a negative one goes."""
         total, way = self.mass + mass, com - self.com
         if total:
-            apart = way @ way * np.eye(3) - np.outer(way, way)
-            self.moments = self.moments + self.mass * mass / total * apart
+            steiner = way @ way * np.eye(3) - np.outer(way, way)
+            self.moments = self.moments + self.mass * mass / total * steiner
             self.com = self.com + mass / total * way
         self.mass, self.moments = total, self.moments + moments
 

@@ -111,7 +111,7 @@ class Contact:
                 )
         for a in self.tool:
             for b in self.target:
-                if not _known(a.form, b.form):
+                if not _supported(a.form, b.form):
                     raise ParameterError(
                         f"Contact has no law for a {a.form} that meets a {b.form}: one of two"
                         " shapes must be a sphere, or both capsules"
@@ -124,7 +124,7 @@ class Contact:
         return (1 + flares) * len(self.tool)
 
 
-def _known(a: str, b: str) -> bool:
+def _supported(a: str, b: str) -> bool:
     return "sphere" in (a, b) or (a, b) == ("capsule", "capsule")
 
 
@@ -266,13 +266,13 @@ def contact_wrench(
         opening = (velocity * normal).sum(axis=-1)
         push = np.maximum(law.stiffness * depth - law.damping * opening, 0.0)
         push = np.where(depth > 0.0, push, 0.0)
-        one = push[..., None] * normal
+        push_at = push[..., None] * normal
         if contact.friction:
             slip = velocity - opening[..., None] * normal
             speed = np.maximum(np.sqrt((slip * slip).sum(axis=-1)), _LEAST)
             drag = np.minimum(law.tangential, law.friction * push / speed)
-            one = one - drag[..., None] * slip
-        force, moment = force + one, moment + cross(lever, one)
+            push_at = push_at - drag[..., None] * slip
+        force, moment = force + push_at, moment + cross(lever, push_at)
         energy = energy + 0.5 * law.stiffness * depth * depth
     return np.concatenate([force, moment], axis=-1), energy
 
@@ -328,7 +328,7 @@ def contact_load(
         motion[..., :3] += cross(base[..., 3:], tool[0])
         target = _target(model, b, bd)
         to_target = np.swapaxes(target.turn, -1, -2) @ R
-        relative = _seen(target, z[..., :3], R, tool, motion)
+        relative = _relative_motion(target, z[..., :3], R, tool, motion)
         wrench, energy = contact_wrench(model.contact, model.law, *relative)
         wrench, energy = model.touching * wrench, model.touching * energy
         load = _turned(np.swapaxes(to_target, -1, -2), wrench)
@@ -365,18 +365,18 @@ def _target(model: ContactModel, b: Array, bd: Array) -> _Target:
     return _Target(b[..., :3] - away[0], turn, bd[..., :3] - away[1], spin)
 
 
-def _seen(
+def _relative_motion(
     target: _Target, y: Array, R: Array, tool: Pose, motion: Array
 ) -> tuple[Array, Array, Array]:
     """Pose and twist of the tool, given in the base's axes, against a target in space, in its
     axes; y (..., 3) and R (..., 3, 3) are the base's pose."""
     back = np.swapaxes(target.turn, -1, -2)
     turn, (place, axes) = back @ R, tool
-    here = matvec(back, y + matvec(R, place) - target.place)
+    relative = matvec(back, y + matvec(R, place) - target.place)
     against = _turned(turn, motion)
-    against[..., :3] -= matvec(back, target.velocity) + cross(target.spin, here)
+    against[..., :3] -= matvec(back, target.velocity) + cross(target.spin, relative)
     against[..., 3:] -= target.spin
-    return here, turn @ axes, against
+    return relative, turn @ axes, against
 
 
 def payload_attitude(b: Array, bd: Array) -> tuple[Array, Array]:

@@ -194,8 +194,8 @@ def with_residual(
     B = carried.T @ np.linalg.solve(stiff, carried) - P / reduced.omega**2 @ P.T
     square, V = scipy.linalg.eigh((A + A.T) / 2, (B + B.T) / 2)  # V^T B V = 1, V^T A V omega^2
     omega, shapes = np.sqrt(square), np.zeros((len(mass), 6))
-    given = np.linalg.solve(stiff, carried)  # ways under what the flange's acceleration asks
-    shapes[moving] = (given - reduced.shapes[moving] / reduced.omega**2 @ P.T) @ V * omega
+    ways = np.linalg.solve(stiff, carried)  # ways under what the flange's acceleration asks
+    shapes[moving] = (ways - reduced.shapes[moving] / reduced.omega**2 @ P.T) @ V * omega
     return replace(
         reduced,
         coupling=np.hstack([P, B @ V * omega]),

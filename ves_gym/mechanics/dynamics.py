@@ -343,7 +343,7 @@ def newton_euler(
     base = body_loads(bodies.mass[..., 0], com, base_turned, spin, turn, moved)
     wrench = room(force, *force.shape[:-2], 6)
     wrench[..., :3], wrench[..., 3:] = (
-        _of_all(roots, x) + own for x, own in zip((force, moment), base, strict=True)
+        _of_all(roots, x) + part for x, part in zip((force, moment), base, strict=True)
     )
     return tau, wrench
 
@@ -377,13 +377,13 @@ def inverse_dynamics(
     if len(base):
         _, spin, turn, accel = base_motion(*base)
         moves = {"spin": spin, "turn": turn, "accel": lift + accel}
-    each = {k: np.broadcast_to(x, (*shape, 3)).reshape(-1, 3) for k, x in moves.items()}
+    flat = {k: np.broadcast_to(x, (*shape, 3)).reshape(-1, 3) for k, x in moves.items()}
     tau, wrench = np.empty((*shape, arm.n)), np.empty((*shape, 6))
 
     def part(q: Array, v: Array, a: Array, tau: Array, wrench: Array, *moved: Array) -> None:
-        by = dict(zip(each, moved, strict=True)) if lift.ndim > 1 or len(base) else moves
+        by = dict(zip(flat, moved, strict=True)) if lift.ndim > 1 or len(base) else moves
         torque, load = newton_euler(arm, *(x.copy("F") for x in (q, v, a)), **by)
         tau[:], wrench[:] = torque, -load
 
-    _in_chunks(part, *rows, tau.reshape(-1, arm.n), wrench.reshape(-1, 6), *each.values())
+    _in_chunks(part, *rows, tau.reshape(-1, arm.n), wrench.reshape(-1, 6), *flat.values())
     return tau, wrench

@@ -52,8 +52,8 @@ def read_matrices(path: str | os.PathLike[str]) -> dict[str, NamedMatrix]:
         data, rows, ends = (arrays[f"{part}{k}"] for part in _PARTS)
         size = (len(ends) - 1,) * 2
         labels = tuple(map(tuple, arrays[f"labels{k}"].tolist())) or None
-        whole = scipy.sparse.csc_array((data, rows, ends), size)
-        out[name] = NamedMatrix(name, whole, labels, tuple(arrays["left"].tolist()))
+        matrix = scipy.sparse.csc_array((data, rows, ends), size)
+        out[name] = NamedMatrix(name, matrix, labels, tuple(arrays["left"].tolist()))
     return out
 
 
@@ -74,8 +74,8 @@ def arrays_of(path: Path) -> dict[str, Any]:
     out: dict[str, Any] = {"names": np.array([matrix.name for matrix in matrices])}
     out["left"] = np.array(refused, str)
     for k, matrix in enumerate(matrices):
-        whole = scipy.sparse.csc_array(matrix.values)
-        parts = (getattr(whole, part) for part in _PARTS)
+        sparse = scipy.sparse.csc_array(matrix.values)
+        parts = (getattr(sparse, part) for part in _PARTS)
         out |= {f"{part}{k}": array for part, array in zip(_PARTS, parts, strict=True)}
         out[f"labels{k}"] = np.array(matrix.labels or np.zeros((0, 2)), int)
     return out
@@ -143,8 +143,8 @@ def _abaqus(path: Path, text: str) -> NamedMatrix:
     labels = sorted({*ends[0], *ends[1]})
     index = {label: i for i, label in enumerate(labels)}
     rows, columns = (np.array([index[label] for label in end]) for end in ends)
-    whole = _filled(rows, columns, table[:, 4], len(labels))
-    return NamedMatrix(_stem(path), whole, tuple(labels))
+    matrix = _filled(rows, columns, table[:, 4], len(labels))
+    return NamedMatrix(_stem(path), matrix, tuple(labels))
 
 
 def _sparse(values: Any) -> Any:
@@ -173,8 +173,8 @@ def _calculix(path: Path) -> list[NamedMatrix]:
 def _filled(rows: Any, columns: Any, values: Any, size: int) -> Any:
     """A symmetric matrix, each entry given on both sides of the diagonal or on one."""
     half = scipy.sparse.coo_array((values, (rows, columns)), shape=(size, size)).tocsc()
-    given = half.astype(bool)
-    return scipy.sparse.csc_array(half + half.T - half.T.multiply(given))
+    present = half.astype(bool)
+    return scipy.sparse.csc_array(half + half.T - half.T.multiply(present))
 
 
 # -------------------------------------------------------------------------------- Ansys
@@ -215,8 +215,8 @@ def _full(path: Path) -> list[NamedMatrix]:
 
     file = reader.read_binary(os.fspath(path))
     table, *halves = file.load_km(as_sparse=True)
-    held = set(map(tuple, file.const.tolist()))  # their rows are left, empty
-    free = [k for k, label in enumerate(map(tuple, table.tolist())) if label not in held]
+    constrained = set(map(tuple, file.const.tolist()))  # their rows are left, empty
+    free = [k for k, label in enumerate(map(tuple, table.tolist())) if label not in constrained]
     labels = tuple((node, axis + 1) for node, axis in table[free].tolist())
     parts = [half.tocsc()[free][:, free].tocoo() for half in halves]
     return [
@@ -314,8 +314,8 @@ def _op4(path: Path) -> list[NamedMatrix]:
         from pyyeti.nastran import op4
 
         names, matrices, *_ = op4.load(os.fspath(path), into="list", sparse=True)
-        whole = map(scipy.sparse.csc_array, matrices)
-        return [NamedMatrix(k.upper(), x) for k, x in zip(names, whole, strict=True)]
+        converted = map(scipy.sparse.csc_array, matrices)
+        return [NamedMatrix(k.upper(), x) for k, x in zip(names, converted, strict=True)]
     lines = data.decode("ascii", errors="replace").splitlines()
     out, at = [], 0
     while at < len(lines) and lines[at].strip():

@@ -195,9 +195,9 @@ class MjcfTree(Tree):
             if a == b or any(m.body_mocapid[body] >= 0 for body in ends):
                 continue
             low, high = sorted(free.index(name) + 1 if name else 0 for name in (a, b))
-            one, other = (self.bodies[body] for body in ends)
+            this, other = (self.bodies[body] for body in ends)
             raise ParameterError(
-                f"bodies {one!r} and {other!r} are held together by <equality>, which closes a"
+                f"bodies {this!r} and {other!r} are held together by <equality>, which closes a"
                 f" loop over {', '.join(map(repr, free[low:high]))}: an arm is an open chain."
                 f" Hold what lies between ({held(*free[low:high])})"
             )

@@ -56,8 +56,8 @@ class JointServo:
         """Return the servo with gains for every joint of the arm on its vehicle: `OWN_GAINS`
         with the arm's own."""
         if not self.kp:
-            own = own_gains(arm, vehicle)
-            return replace(own, feedforward=self.feedforward, moving_base=self.moving_base)
+            default = own_gains(arm, vehicle)
+            return replace(default, feedforward=self.feedforward, moving_base=self.moving_base)
         if len(self.kp) != arm.n:
             raise ParameterError(
                 f"servo must have gains for {arm.n} joints, got {len(self.kp)}"

@@ -164,8 +164,8 @@ def solve_partly(A: Array, b: Array, known: list[int]) -> Array:
     x."""
     free = [k for k in range(A.shape[-1]) if k not in known]
     out = b.copy()
-    rest = b[..., free, :] - A[..., free, :][..., known] @ b[..., known, :]
-    out[..., free, :] = solve_symmetric(A[..., free, :][..., free], rest)
+    reduced = b[..., free, :] - A[..., free, :][..., known] @ b[..., known, :]
+    out[..., free, :] = solve_symmetric(A[..., free, :][..., free], reduced)
     return out
 
 

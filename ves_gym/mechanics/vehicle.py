@@ -185,11 +185,11 @@ def act(
     """
     wheels, jets = vehicle.wheels or (), vehicle.jets or ()
     if jets:  # what their pulses make of it
-        given, owed, remaining = pointing.pulses(
+        delivered, owed, remaining = pointing.pulses(
             jets, owed, remaining, pointing.allocated(jets, wrench), dt
         )
-        wrench = matvec(pointing.wrench_matrix(jets), given) / dt
-        used = used + pointing.propellant(jets, given)[:, None]
+        wrench = matvec(pointing.wrench_matrix(jets), delivered) / dt
+        used = used + pointing.propellant(jets, delivered)[:, None]
     elif not vehicle.thrusters:
         wrench = np.zeros_like(wrench)
     if wheels:

@@ -96,7 +96,7 @@ def run_benchmark(
         for (name, vehicle, query), job in zip(questions, work, strict=True)
     ]
     rows, groups = _simulate_all(runs, seed, report)
-    first, shown = suite.queries[0][1].system, _showcase(groups)
+    first, showcase = suite.queries[0][1].system, _showcase(groups)
     engines = {name: version(name) for name in ("mujoco", "numpy", "scipy")}
     return {
         "schema": SCHEMA,
@@ -118,8 +118,8 @@ def run_benchmark(
         "summary": summarise(rows),
         **({"rank_correlation": rank_correlation(rows)} if first.mode == "emulated" else {}),
         "traces": [trace(*group) for group in groups],
-        "maps": [m for v, group in shown for m in coupling_maps(v, [p.plan for p in group])],
-        "scenes": [scene(*group) for group in shown],
+        "maps": [m for v, group in showcase for m in coupling_maps(v, [p.plan for p in group])],
+        "scenes": [scene(*group) for group in showcase],
         "seconds": round(time.perf_counter() - begin, 2),
     }
 

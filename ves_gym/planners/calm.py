@@ -43,8 +43,8 @@ class Calm:
 
     def __init__(self, bounds: Mapping[str, float] | None = None) -> None:
         self.bounds, self.name = checked_bounds(bounds), bounded_name("calm", bounds)
-        said = ", ".join(f"{k} {v:g}" for k, v in self.bounds.items())
-        self.summary = f"least predicted E_mean with at most the straight line's {said}"
+        shares_text = ", ".join(f"{k} {v:g}" for k, v in self.bounds.items())
+        self.summary = f"least predicted E_mean with at most the straight line's {shares_text}"
 
     def bounded(self, bounds: Mapping[str, float]) -> Calm:
         """Return the planner with these bounds in place of the usual or beside them."""
@@ -63,8 +63,8 @@ class Calm:
         answer, sweeps = _swept(problem, motion)
         if not _stands(problem, answer) and _stands(problem, query.straight):
             problem = _BoundedProblem(query, self.bounds)
-            answer, more = _swept(problem, query.straight)
-            sweeps += more
+            answer, steps = _swept(problem, query.straight)
+            sweeps += steps
             if not _stands(problem, answer):
                 answer, info["message"] = query.straight, "the straight line: no better found"
         reached = problem.reached(answer)
@@ -129,9 +129,9 @@ class _BoundedProblem(MotionProblem):
         self._base = LinearResponse(self._form.linear, motion, t, weight, _AFTER)
         reached = self.reached(motion)
         for name, rows in self._vectors(x).items():
-            shown = float(np.linalg.norm(rows[..., 0], axis=-1).max())
-            left = self.shares[name] / max(reached[name], _TINY)
-            self.most[name] *= aim * shown * left ** (0.5 if name == "E_weighted" else 1.0)
+            peak = float(np.linalg.norm(rows[..., 0], axis=-1).max())
+            margin = self.shares[name] / max(reached[name], _TINY)
+            self.most[name] *= aim * peak * margin ** (0.5 if name == "E_weighted" else 1.0)
         return all(v <= self.shares[k] for k, v in reached.items())
 
     def momentum(self, x: Array) -> tuple[Array, Array]:

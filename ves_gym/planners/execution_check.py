@@ -87,8 +87,8 @@ def solve_with_reserve(
         return solve(planner, query, seed)
     slower = replace(query, v_max=tuple((1 - reserve) * k for k in query.v_max))
     plan = solve(planner, slower, seed)
-    kept = plan.found and first_violation(query, plan.motion) is None
-    if plan.feasible and kept:
+    within = plan.found and first_violation(query, plan.motion) is None
+    if plan.feasible and within:
         return replace(plan, query=query)
     plan_again = solve(planner, query, seed)
     return replace(plan_again, seconds=plan.seconds + plan_again.seconds)

@@ -172,8 +172,8 @@ class LinearResponse:
                 acceleration of its pose.
         """
         if name not in self._quantities:
-            made = {"tip": self._tip, "filtered": self._filtered}.get(name)
-            self._quantities[name] = made() if made else self._of_the_mount(name)
+            make = {"tip": self._tip, "filtered": self._filtered}.get(name)
+            self._quantities[name] = make() if make else self._of_the_mount(name)
         return self._quantities[name]
 
     def _of_the_mount(self, name: str) -> Quantity:

@@ -361,9 +361,9 @@ def beside(t: Array, u: Array, slope: Array, torque: Array, by: Array) -> tuple[
         u, slope: samples and their derivative (N k, free n).
         torque, by: (N, l) [N m] and their derivative (N, l, free, n).
     """
-    more, its = running_integral(torque, t), running_integral(by, t)
-    samples = np.hstack([u.reshape(len(t), -1), more])
-    slopes = [slope.reshape(len(t), -1, slope.shape[1]), its.reshape(*more.shape, -1)]
+    integral, its = running_integral(torque, t), running_integral(by, t)
+    samples = np.hstack([u.reshape(len(t), -1), integral])
+    slopes = [slope.reshape(len(t), -1, slope.shape[1]), its.reshape(*integral.shape, -1)]
     return samples.ravel(), np.concatenate(slopes, axis=1).reshape(samples.size, -1)
 
 

@@ -199,7 +199,7 @@ class Lagrangian:
         self._parts = [(slice(*ends[k : k + 2]), shape) for k, shape in enumerate(parts)]
         self._multipliers = [np.zeros(count) for count, _ in parts]
 
-    def _held(self, u: Array) -> Iterator[tuple[slice, Array, Array, Array]]:
+    def _forces(self, u: Array) -> Iterator[tuple[slice, Array, Array, Array]]:
         """Of every part where it lies in u, its vectors (G, r), their norms, and the forces."""
         for (at, shape), last in zip(self._parts, self._multipliers, strict=True):
             y = u[at].reshape(shape)
@@ -208,16 +208,16 @@ class Lagrangian:
 
     def value(self, u: Array) -> float:
         """L [J] of samples and vectors u."""
-        now = sum(float(force @ force) for *_, force in self._held(u))
+        total = sum(float(force @ force) for *_, force in self._forces(u))
         before = sum(float(m @ m) for m in self._multipliers)
-        extra = self.scale * (now - before) / (2 * self.penalty)
+        extra = self.scale * (total - before) / (2 * self.penalty)
         return self.energy.value(u[: self._n]) + extra
 
     def force(self, u: Array) -> Array:
         """Derivative of `value`."""
         out = np.zeros_like(u)
         out[: self._n] = self.energy.force(u[: self._n])
-        for at, y, size, force in self._held(u):
+        for at, y, size, force in self._forces(u):
             pull = force / np.maximum(size, _TINY)
             out[at] = self.scale * (pull[:, None] * y).ravel()
         return out
@@ -225,7 +225,7 @@ class Lagrangian:
     def curvature(self, u: Array, slope: Array) -> Array:
         """Second derivative of `value` along `slope` of u (k, k)."""
         out = self.energy.curvature(u[: self._n], slope[: self._n])
-        for at, y, size, force in self._held(u):
+        for at, y, size, force in self._forces(u):
             on = force > 0
             rows = slope[at].reshape(*y.shape, -1)[on]
             pull = force[on] / size[on]  # curves a sphere across, the penalty along its normal
@@ -238,7 +238,7 @@ class Lagrangian:
 
     def update(self, u: Array, steeper: float, most: float) -> None:
         """Make the forces at u the multipliers, and the penalty steeper, up to `most`."""
-        self._multipliers = [force for *_, force in self._held(u)]
+        self._multipliers = [force for *_, force in self._forces(u)]
         self.penalty = min(steeper * self.penalty, most)
 
 

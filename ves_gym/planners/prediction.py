@@ -387,8 +387,8 @@ def respond(
         z[k + 1] = Phi[k // parts] @ z[k] + push
 
     M, x = M[::2], z[:, :size]
-    own = z[:, size:] - u[::2] - matvec(along.momentum, x)
-    rate = np.asarray(np.linalg.solve(M, own[..., None])[..., 0], float)
+    momentum = z[:, size:] - u[::2] - matvec(along.momentum, x)
+    rate = np.asarray(np.linalg.solve(M, momentum[..., None])[..., 0], float)
     return Response(t[::2], x, rate, M, linear.motors)
 
 

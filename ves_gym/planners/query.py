@@ -164,7 +164,7 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
     """
     seed = integer(seed, "seed")
     begin = time.perf_counter()
-    found = None
+    answer = None
     info: dict[str, Any] = {}
     with on_one_thread():
         try:
@@ -175,10 +175,10 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
             if query.free_joints:  # the answer is to the ends that it chose
                 query = replace(query, goal=motion.control[-1])
             predicted = predict(query.system, motion, query.servo, base=query.base, parts=FINE)
-            found = Found(motion, predicted)
+            answer = Found(motion, predicted)
             failure = first_violation(query, motion) or info.get("unmet")
     seconds = time.perf_counter() - begin
-    return Plan(planner.name, query, found, seconds, failure, info, seed)
+    return Plan(planner.name, query, answer, seconds, failure, info, seed)
 
 
 def first_violation(query: Query, motion: Motion) -> str | None:
@@ -238,9 +238,9 @@ def check_motion(query: Query, motion: Motion, limits: Mapping[str, Array]) -> L
     s = motion.at(loads.t)
     torque = inverse_dynamics(arm, s.q, s.v, s.a)[0] + loads.torque
     if query.servo.holds(arm):  # the joints are where they are told to be
-        rest = {kind: limit for kind, limit in limits.items() if kind != "torque"}
-        asked = check_limits({"torque": limits["torque"]}, s.t, {"torque": torque})
-        return LimitCheck((*check_reference(arm, motion, rest).extremes, *asked.extremes))
+        others = {kind: limit for kind, limit in limits.items() if kind != "torque"}
+        sent = check_limits({"torque": limits["torque"]}, s.t, {"torque": torque})
+        return LimitCheck((*check_reference(arm, motion, others).extremes, *sent.extremes))
     values = {
         "position": s.q + loads.away - middle_of_range(arm),
         "velocity": s.v + loads.rate,

@@ -158,7 +158,7 @@ def _require_duration(problem: MotionProblem, looks: Sequence[Minimum], share: f
         return
     if any(map(_is_feasible, looks)):
         return
-    motions = [query.straight, *(problem.motion(look.x) for look in looks)]
+    motions = [query.straight, *(problem.motion(candidate.x) for candidate in looks)]
     shortest = min(min_duration(query, motion) for motion in motions)
     if shortest > share * query.duration:
         raise NoPlan(

@@ -94,10 +94,10 @@ def against_base(problem: MotionProblem, minimum: Minimum) -> Minimum:
             break
         problem.load(motion)
         problem.add_torque_samples(minimum.x)
-        again = minimise(problem, minimum.x)
-        done = minimum.iterations + again.iterations
-        evaluations = minimum.evaluations + again.evaluations
-        minimum = replace(again, iterations=done, evaluations=evaluations)
+        repeated = minimise(problem, minimum.x)
+        done = minimum.iterations + repeated.iterations
+        evaluations = minimum.evaluations + repeated.evaluations
+        minimum = replace(repeated, iterations=done, evaluations=evaluations)
     return minimum
 
 

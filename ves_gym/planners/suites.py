@@ -116,16 +116,16 @@ def part_of(
         ParameterError: a duration that the suite does not have, or nothing is left.
     """
     available = sorted({q.duration for _, q in suite.queries})
-    asked = available if durations is None else durations
-    if not set(asked) <= set(available):
-        ours, theirs = (", ".join(f"{k:g}" for k in part) for part in (available, asked))
+    selected = available if durations is None else durations
+    if not set(selected) <= set(available):
+        ours, theirs = (", ".join(f"{k:g}" for k in part) for part in (available, selected))
         raise ParameterError(f"--durations must be of {ours} s, got {theirs}")
     counted: Counter[tuple[str, float]] = Counter()
     chosen = []
     for vehicle, query in suite.queries:
         counted[vehicle, query.duration] += 1
         k = counted[vehicle, query.duration]
-        if query.duration in asked and skip < k <= skip + (first or len(suite.queries)):
+        if query.duration in selected and skip < k <= skip + (first or len(suite.queries)):
             chosen.append((vehicle, query))
     if not chosen:
         raise ParameterError(f"--skip {skip} leaves none of {max(counted.values())} queries")

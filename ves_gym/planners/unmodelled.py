@@ -117,11 +117,11 @@ def _of_pointing(query: Query, vehicle: Satellite, motion: Motion) -> list[str]:
 
 def _beyond_the_wheels(vehicle: Satellite, moment: Array) -> float:
     """Moment (N, 3) that wheels at their torque and jets leave, the largest [N m]."""
-    wheels, rest = vehicle.wheels or (), moment
+    wheels, remainder = vehicle.wheels or (), moment
     if wheels:
         torque, most = moment @ shares(wheels).T, np.array([k.torque_max for k in wheels])
         axes = np.array([k.axis for k in wheels])
-        rest = moment - np.clip(torque, -most, most) @ axes
+        remainder = moment - np.clip(torque, -most, most) @ axes
     jets = vehicle.jets or ()
     give = strongest(jets, (0.0, 0.0, 0.0))[3:] if jets else np.zeros(3)
-    return float(np.maximum(np.abs(rest) - give - 1e-9, 0.0).max())
+    return float(np.maximum(np.abs(remainder) - give - 1e-9, 0.0).max())

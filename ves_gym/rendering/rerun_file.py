@@ -76,8 +76,8 @@ class RecordingScene:
     def __init__(self, log: RunLog, magnify: float = 1.0) -> None:
         self.log, self.system = log, described(log)
         self.y = magnify * log.y
-        seen = self.system.mode == "ideal" and log.u is not None
-        self._u: Array | None = magnify * np.asarray(log.u) if seen else None
+        flexible = self.system.mode == "ideal" and log.u is not None
+        self._u: Array | None = magnify * np.asarray(log.u) if flexible else None
 
     @cached_property
     def base(self) -> tuple[Array, Array]:

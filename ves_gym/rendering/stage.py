@@ -131,12 +131,12 @@ class Stage:
 
     def _fit(self, arm: mujoco.MjrRect, overview: mujoco.MjrRect) -> None:
         """One camera on all places the arm can reach, one on the whole structure."""
-        whole, ways = self.settings.system.arm, np.vstack([np.eye(3), -np.eye(3)])
-        shoulder, below = np.array([0.0, 0.0, whole.links[0].d]), np.array([0.0, 0.0, -_ARROW])
+        robot, ways = self.settings.system.arm, np.vstack([np.eye(3), -np.eye(3)])
+        shoulder, below = np.array([0.0, 0.0, robot.links[0].d]), np.array([0.0, 0.0, -_ARROW])
         reach = 0.0
-        for root, span in zip(whole.feet, whole.spans, strict=True):
-            away = math.dist(root.position, whole.feet[0].position)
-            length = sum(math.hypot(k.a, k.d) for k in whole.links[span][1:])
+        for root, span in zip(robot.feet, robot.spans, strict=True):
+            away = math.dist(root.position, robot.feet[0].position)
+            length = sum(math.hypot(k.a, k.d) for k in robot.links[span][1:])
             reach = max(reach, away + length)
         payload = self.settings.system.payload
         if payload is not None:

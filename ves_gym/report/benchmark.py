@@ -87,7 +87,7 @@ def _answer(result: Result) -> list[str]:
     rows.sort(key=lambda r: (-r["success_rate"], r["ratio_median"]))
     best = rows[0]
     calmest = next((r for r in rows if _is_calm(r)), best)
-    told = [
+    medians = [
         f"{best['planner']} disturbs {best['vehicle']} least in {best['duration']:g} s:"
         f" {_price(best)}.",
         *(
@@ -96,7 +96,7 @@ def _answer(result: Result) -> list[str]:
         ),
         f"Medians of {best['n']} queries, in brackets 95 % intervals.",
     ]
-    return [line for text in told for line in wrap(text, 80)]
+    return [line for text in medians for line in wrap(text, 80)]
 
 
 _PEAKS = "acceleration_peak", "angular_peak"

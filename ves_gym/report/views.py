@@ -58,12 +58,12 @@ def _axes(ax: Any, titles: Sequence[str], size: tuple[float, float]) -> list[Axe
 
 def _key(axes: Axes, columns: int) -> None:
     """Put the legend above the axes, where it hides nothing."""
-    look: dict[str, Any] = {
+    style: dict[str, Any] = {
         "bbox_to_anchor": (1.0, 1.0),
         "borderaxespad": 0.2,
         "ncols": columns,
     }
-    axes.legend(loc="lower right", frameon=False, fontsize="small", **look)
+    axes.legend(loc="lower right", frameon=False, fontsize="small", **style)
 
 
 # ------------------------------------------------------------------------- run logs

@@ -123,11 +123,11 @@ class BaseActuators(Part):
         if self.pointing is not None:
             law, h = self.pointing, speed * self.rotors
             q, spin, stored = state.attitude, state.spin, matvec(self._axes, h)
-            asked = law.moment(self.inertia, self.target, q, spin, stored)
-            moment[:, 3:] = asked
+            demand = law.moment(self.inertia, self.target, q, spin, stored)
+            moment[:, 3:] = demand
             if self.wheels:
-                wanted, dt = wheel_torques(self.wheels, asked), self.system.control_dt
-                torque = within_limits(self.wheels, wanted, speed, dt)
+                spin_up, dt = wheel_torques(self.wheels, demand), self.system.control_dt
+                torque = within_limits(self.wheels, spin_up, speed, dt)
                 moment[:, 3:] += matvec(self._axes, torque)  # what wheels cannot do
                 self.dumping |= (np.abs(h) > law.dump_above * self._full).any(axis=1)
                 self.dumping &= (np.abs(h) > law.dump_below * self._full).any(axis=1)
@@ -135,7 +135,7 @@ class BaseActuators(Part):
                 dumped = -stored * dumping if self.jets or self._any_wrench else 0.0
                 moment[:, 3:] += dumped
                 # the wheels answer the mean of the pulses, not each
-                torque = wheel_torques(self.wheels, asked - dumped)
+                torque = wheel_torques(self.wheels, demand - dumped)
                 unmoved = h - matvec(shares(self.wheels) @ self._axes, h)
                 torque = torque - unmoved * dumping
         self._command(moment, torque)

@@ -220,8 +220,8 @@ class PayloadHandler(NotingPart):
         new = {}
         for name, value in values.items():
             if name not in self._FREE:
-                known = ", ".join(self._FREE)
-                raise ParameterError(f"a payload has {known}, got {name!r}")
+                names = ", ".join(self._FREE)
+                raise ParameterError(f"a payload has {names}, got {name!r}")
             shape = (len(ids), *getattr(self, name).shape[1:])
             array = np.asarray(value, float)
             if array.shape != shape or not np.isfinite(array).all():
@@ -421,14 +421,14 @@ class PayloadHandler(NotingPart):
     @property
     def energy(self) -> tuple[Array, Array]:
         """Kinetic energy (n,) of arm with base, and of the payload [J]."""
-        _, own, payload = self.ledger(np.arange(self.machines.n))
-        return own, payload
+        _, base, payload = self.ledger(np.arange(self.machines.n))
+        return base, payload
 
     def ledger(self, ids: Index) -> tuple[Array, Array, Array]:
         """Return `momentum` (k, 6) and the two of `energy` (k,) of some simulations."""
-        own, energy = self._momenta(ids)
+        base, energy = self._momenta(ids)
         M, twist, com = self._bodies(ids)
-        return own + body_momentum(M, twist, com), energy, quadratic(M, twist)
+        return base + body_momentum(M, twist, com), energy, quadratic(M, twist)
 
     def _momenta(self, ids: Index) -> list[Array]:
         """Momentum (k, 6) and kinetic energy (k,) of arm and base as they really are."""
@@ -438,9 +438,9 @@ class PayloadHandler(NotingPart):
 
         def moved(system: System, which: Index) -> tuple[Array, ...]:
             space = system.ideal()
-            some = len(system.arm.geared) + len(space.base.carried)
-            rest = np.zeros((len(which), space.base.m))  # modes take no part
-            h, hd = (np.hstack([part[which, :some], rest]) for part in hidden)
+            flexible = len(system.arm.geared) + len(space.base.carried)
+            modes = np.zeros((len(which), space.base.m))  # modes take no part
+            h, hd = (np.hstack([part[which, :flexible], modes]) for part in hidden)
             numbers = parameters(space)[1]
             out = system_function("momentum", space)(z[which], zd[which], h, hd, numbers)
             return out[:, :6], out[:, 6]
@@ -474,10 +474,10 @@ class PayloadHandler(NotingPart):
         at, rate = (part[ids] for part in self.machines.backend.internal_state())
 
         def moved(system: System, which: Index) -> tuple[Array, ...]:
-            some = slice(0, len(system.arm.geared) + len(system.base.carried))
-            where = state.y[which], state.q[which], at[which, some]
+            flexible = slice(0, len(system.arm.geared) + len(system.base.carried))
+            where = state.y[which], state.q[which], at[which, flexible]
             motion = tool_motion(system.arm, system.base, *where)
-            joined = base[which], state.v[which], rate[which, some]
+            joined = base[which], state.v[which], rate[which, flexible]
             return (*motion, np.concatenate(joined, axis=1))
 
         *parts, rates = self._of_systems(ids, moved)

@@ -74,7 +74,7 @@ class EmulationLoop(NotingPart):
         self.time = np.zeros(n)  # s since the reset
         self.noise = np.zeros((n, _AHEAD, 18))  # of the coming periods
         self.next_noise = np.full(n, _AHEAD)  # place in it; beyond: none is drawn
-        self._needs = self._asked()
+        self._needs = self._needed()
         self._build()
         self._load()
 
@@ -97,7 +97,7 @@ class EmulationLoop(NotingPart):
         if earlier is not None:
             self.memory.take_over(earlier.copied(names), self._carried)
 
-    def _asked(self) -> Needs:
+    def _needed(self) -> Needs:
         """Requirements of parameters and table on the blocks."""
         return Needs.of(self.parameters, self.dt, self.compensating, self.table is not None)
 
@@ -155,7 +155,7 @@ class EmulationLoop(NotingPart):
 
     def _rewire(self) -> None:
         """Build the wiring anew where parameters need blocks or memory that it lacks."""
-        needs = self._asked().joined(self._needs)
+        needs = self._needed().joined(self._needs)
         if needs != self._needs:
             self._needs = needs
             self._build()
@@ -178,8 +178,8 @@ class EmulationLoop(NotingPart):
             u["inertia"] = inertia.rows(self._of(inertia.name, rows), q)
         if self.system.actual.base.m:
             systems = [self.numbers.systems[i] for i in ids.tolist()]
-            apart = {id(system): system for system in systems}
-            couplings = {key: system.actual.base.coupling for key, system in apart.items()}
+            distinct = {id(system): system for system in systems}
+            couplings = {key: system.actual.base.coupling for key, system in distinct.items()}
             coupling = np.stack([couplings[id(system)] for system in systems])
             u |= {"attached": carried(coupling, y), "attached_rate": carried(coupling, yd)}
         self.forget(ids)

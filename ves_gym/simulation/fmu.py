@@ -132,8 +132,8 @@ def _gains(system: System, servo: JointServo) -> JointServo:
         "reaction wheels": system.mode == "ideal" and wheels,
         "delays": any(isinstance(effect, DelayEffect) for effect in effects),
     }
-    if found := [what for what, there in lacking.items() if there]:
-        raise ParameterError(f"an FMU has no words for {', '.join(found)}")
+    if missing := [what for what, there in lacking.items() if there]:
+        raise ParameterError(f"an FMU has no words for {', '.join(missing)}")
     none = (0.0,) * system.arm.n
     if system.drive == "motor":
         servo = servo.for_arm(system.arm, system.vehicle)

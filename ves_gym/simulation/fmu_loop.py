@@ -41,8 +41,8 @@ class LoopGraphs:
             "noise and drift of the force sensor": bool(loop.numbers.noisy.any()),
             f"operation {loop.spec.operation}": loop.spec.operation == "position",
         }
-        if found := [what for what, there in lacking.items() if there]:
-            raise ParameterError(f"an FMU has no words for {', '.join(found)}")
+        if missing := [what for what, there in lacking.items() if there]:
+            raise ParameterError(f"an FMU has no words for {', '.join(missing)}")
         self.loop, self.n, self.nodes = loop, system.arm.n, loop.shape.nodes
         self.shapes = dict(loop.memory.shapes)
 
@@ -135,7 +135,7 @@ class LoopGraphs:
         still = np.concatenate([memory["command_sent"][0, :6], np.zeros(6)])
         vehicle = np.where(frozen != 0, still, memory["admittance.X"][0])
         at_platform = zip((x[:6], x[order : order + 6]), np.split(vehicle, 2), strict=True)
-        lag = [(part - own) @ base.coupling for part, own in at_platform]
+        lag = [(part - mode) @ base.coupling for part, mode in at_platform]
         parts = zip((u, ud), (coupled[at], coupled[moving]), lag, strict=True)
-        here, rate = (np.concatenate([a, b[: base.m] + c]) for a, b, c in parts)
-        return here, rate
+        shift, rate = (np.concatenate([a, b[: base.m] + c]) for a, b, c in parts)
+        return shift, rate

@@ -27,12 +27,12 @@ class GravityGradient(Part):
         self.machines, self.orbit = machines, orbit
 
     def before(self, machines: Machines, period: ControlPeriod) -> None:
-        self._tell(period.steps / 2 * machines.system.physics_dt)
+        self._set_direction(period.steps / 2 * machines.system.physics_dt)
 
     def before_evaluation(self, machines: Machines) -> None:
-        self._tell(0.0)
+        self._set_direction(0.0)
 
-    def _tell(self, ahead: float) -> None:
+    def _set_direction(self, ahead: float) -> None:
         """Set the gravity gradient of some time [s] from now."""
         machines = self.machines
         assert isinstance(machines.backend, CompiledBackend)

@@ -134,7 +134,7 @@ class LoopNumbers:
             ParameterError: systems that the simulations of one loop cannot have.
         """
         pairs = list(zip(ids.tolist(), systems, strict=True))
-        each = [self.described(k.arm).mapped(np.copy).edited(k.effects) for k in systems]
+        numbers = [self.described(k.arm).mapped(np.copy).edited(k.effects) for k in systems]
         others = [(i, k) for i, k in pairs if _all_bodies(k) != _all_bodies(self.systems[i])]
         if self.given and any(k.vehicle is not self.system.vehicle for _, k in pairs):
             raise ParameterError(
@@ -146,7 +146,7 @@ class LoopNumbers:
             if _all_bodies(k) not in row_of:
                 row_of[_all_bodies(k)] = self._row(k, f"system of simulation {i}")
         bodies = [(i, k, row_of[_all_bodies(k)]) for i, k in others]
-        return Assignment(pairs, bodies, each[0].mapped(stacked, *each[1:]))
+        return Assignment(pairs, bodies, numbers[0].mapped(stacked, *numbers[1:]))
 
     def assign(self, assignment: Assignment) -> None:
         """Put arms and vehicles of an assignment in place; its parameters go through `put`."""

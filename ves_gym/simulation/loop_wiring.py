@@ -67,8 +67,8 @@ class Needs(NamedTuple):
 
     def joined(self, earlier: Needs) -> Needs:
         """The same, and what was requested earlier but for a table: memory never shrinks."""
-        kept = ("commands", "estimates", "limited", "modelled")
-        return self._replace(**{k: max(getattr(self, k), getattr(earlier, k)) for k in kept})
+        fields = ("commands", "estimates", "limited", "modelled")
+        return self._replace(**{k: max(getattr(self, k), getattr(earlier, k)) for k in fields})
 
 
 def _periods(age: float, dt: float) -> int:

@@ -128,9 +128,9 @@ def play_motions(
             account.enter(t, *(row[name] for name in _ACCOUNTED if name in row))
         if (emulated and len(sim.events) >= n) or k + 1 == records:
             break
-        apart = fine if watched is not None and t < duration + SETTLING else stride
-        for step in range(first, last, apart):
-            end = min(step + apart, last)
+        spacing = fine if watched is not None and t < duration + SETTLING else stride
+        for step in range(first, last, spacing):
+            end = min(step + spacing, last)
             part = slice(step // system.substeps, end // system.substeps)
             if table is not None:
                 sim.use_gravity(table[:, part.start + 1 : part.stop + 1])
@@ -211,8 +211,8 @@ def _fed_forward(
         if until > first:
             sim.play(samples.a[:, first : until + 1])
     base = [np.stack(part, axis=1) for part in zip(*rows, strict=True)]
-    t, *seen = samples.t[looks], *(x[:, looks] for x in samples[1:])
-    tau = servo.torque_feedforward(system.arm, Samples(t, *seen), base)
+    t, *samples_at = samples.t[looks], *(x[:, looks] for x in samples[1:])
+    tau = servo.torque_feedforward(system.arm, Samples(t, *samples_at), base)
     between = [[np.interp(samples.t, t, x) for x in run.T] for run in tau]
     return np.moveaxis(np.array(between), 1, 2)
 
@@ -389,8 +389,8 @@ def base_wrench(
     if actuators is not None:
         if base.carried and hidden is not None:
             first = len(system.actual.arm.geared) + system.arm.bends
-            some = slice(first, first + len(base.carried))
-            at, rate = hidden[0][:, some], hidden[1][:, some]
+            carried = slice(first, first + len(base.carried))
+            at, rate = hidden[0][:, carried], hidden[1][:, carried]
             moving = twist(y, yd), twist_rate(y, yd, ydd)
             wrench = wrench + carried_wrench(base.carried, at, rate, *moving, actuators[0])
         wrench = wrench - actuators[1]

@@ -89,12 +89,12 @@ class Watch:
         t, *motion = (np.array(part) for part in zip(*self._bases, strict=True))
         self._bases.clear()
         parts = mount_acceleration(self.arm, *motion)
-        now = np.stack([np.sum(part**2, axis=-1) for part in parts], axis=-1)
-        before = np.concatenate([self._last[None], now[:-1]])
+        square = np.stack([np.sum(part**2, axis=-1) for part in parts], axis=-1)
+        before = np.concatenate([self._last[None], square[:-1]])
         steps = np.diff(t, prepend=self._before)[:, None, None]
-        self._squares = np.add.accumulate([self._squares, *(steps / 2 * (before + now))])[-1]
-        np.maximum(self._peaks, np.sqrt(now.max(axis=0)), out=self._peaks)
-        self._before, self._last = float(t[-1]), now[-1]
+        self._squares = np.add.accumulate([self._squares, *(steps / 2 * (before + square))])[-1]
+        np.maximum(self._peaks, np.sqrt(square.max(axis=0)), out=self._peaks)
+        self._before, self._last = float(t[-1]), square[-1]
 
 
 @dataclass(frozen=True)

@@ -79,8 +79,8 @@ class RunSummary:
                 f" base, at most {TRUSTED:g}: do not trust this run; a smaller --physics-dt"
                 " closes it"
             )
-        left = range_sentence(self.system.vehicle, self.log.y)
-        return [*out, *filter(None, [left, *map(self._stiff_at, self._grasps)])]
+        sentence = range_sentence(self.system.vehicle, self.log.y)
+        return [*out, *filter(None, [sentence, *map(self._stiff_at, self._grasps)])]
 
     @property
     def _grasps(self) -> list[dict[str, Any]]:
@@ -93,7 +93,7 @@ class RunSummary:
             return None
         k = int(np.searchsorted(self.log.t, grasp["time"] - 1e-9))
         at = self.log.y[k], self.log.q[k], np.array(grasp["impulse"])
-        own, more = (
+        bare, full = (
             1e3
             * float(
                 np.linalg.norm(
@@ -102,14 +102,14 @@ class RunSummary:
             )
             for base in (system.base, as_an_impulse_finds(vehicle).base_model())
         )
-        if abs(own - more) <= _APART * more:
+        if abs(bare - full) <= _APART * full:
             return None
         drawn = isinstance(vehicle.structure, Polyline)
         remedy = "the vehicle's residual = true" if drawn else "all modes of the structure"
         return (
-            f"the latch at {grasp['time']:g} s sets the flange off at {own:.3g} mm/s, the whole"
-            f" structure would at {more:.3g}: what rings in its first hundredths of a second"
-            f" needs {remedy}"
+            f"the latch at {grasp['time']:g} s sets the flange off at {bare:.3g} mm/s, the"
+            f" whole structure would at {full:.3g}: what rings in its first hundredths of a"
+            f" second needs {remedy}"
         )
 
     @property

@@ -172,8 +172,8 @@ class Simulator:
         engine: Any = self.backend
         of: dict[str, dict[str, Array]] = {}
         for name, values in rows.items():
-            owner, _, rest = name.partition(".")
-            of.setdefault(owner, {})[rest] = values
+            owner, _, attribute = name.partition(".")
+            of.setdefault(owner, {})[attribute] = values
         engine.begin_with(ids, of["engine"])
         for part in (*self.parts, self.machines):
             part.begin_with(ids, of.get(part.name, {}))
@@ -303,8 +303,8 @@ class Simulator:
         if theirs != ours:
             both = ("system {} with n = {} on backend {}".format(*k) for k in (theirs, ours))
             raise ParameterError("snapshot is of {}, this is {}".format(*both))
-        machines, now, then = self.machines, self.machines.assigned, snapshot.assigned
-        ids = [i for i in sorted(then.keys() | now.keys()) if then.get(i) is not now.get(i)]
+        machines, live, then = self.machines, self.machines.assigned, snapshot.assigned
+        ids = [i for i in sorted(then.keys() | live.keys()) if then.get(i) is not live.get(i)]
         if ids:
             self.assign([then.get(i, self.system) for i in ids], np.array(ids))
         self.backend.set_state(snapshot.arrays["engine"])
@@ -460,12 +460,12 @@ class Simulator:
             end = broadcast(until, "until", start.shape)
             nodes = start[:, None] + (end - start)[:, None] * self._shares
         follow = None if platform is None else self._platform(platform, 1)
-        asked = self._asked(base_wrench, wheel_torque)
+        commands = self._commands(base_wrench, wheel_torque)
         self.machines.steps = 0  # whatever `play` has left of a period
-        self._run(nodes, follow, *asked)
+        self._run(nodes, follow, *commands)
         return self.last_state
 
-    def _asked(
+    def _commands(
         self, wrench: npt.ArrayLike | None, torque: npt.ArrayLike | None
     ) -> tuple[Array | None, Array | None]:
         """Return commands of jets (n, 6) and wheels (n, w), None where there are none."""

@@ -89,8 +89,8 @@ class EmulationCheck(Viewable):
         if self.searched and isinstance(lab.platform, PoseServo):
             limit = self.max_bandwidth
             text = f"none up to {_BANDWIDTHS[1]:g} Hz" if limit is None else f"{limit:.2f} Hz"
-            own = f"this one has {lab.platform.bandwidth:g} Hz"
-            rows.append(("largest bandwidth", text, own))
+            nominal = f"this one has {lab.platform.bandwidth:g} Hz"
+            rows.append(("largest bandwidth", text, nominal))
         elif self.searched:
             text = "none up to 16" if self.max_gain is None else f"{self.max_gain:.2f}"
             rows.append(("largest gain factor", text, "on K1 and K2 of the legs"))
@@ -177,18 +177,18 @@ def largest_stable(
         the largest one searched is stable where it is None, none where it is the least.
     """
     lab = system.emulator_settings
-    given = lab.platform
+    described = lab.platform
 
     def stable(log: float) -> bool:
         factor = float(np.exp(log))
-        if isinstance(given, PoseServo):
-            platform: PoseServo | LegServo = replace(given, bandwidth=factor)
+        if isinstance(described, PoseServo):
+            platform: PoseServo | LegServo = replace(described, bandwidth=factor)
         else:
-            platform = given.scaled(factor)
+            platform = described.scaled(factor)
         faster = system.replace(emulator=replace(lab, platform=platform))
         return linearise(faster, q, servo=servo).spectral_radius <= 1 + SLACK
 
-    ends, count = (_BANDWIDTHS, 25) if isinstance(given, PoseServo) else (_GAINS, 17)
+    ends, count = (_BANDWIDTHS, 25) if isinstance(described, PoseServo) else (_GAINS, 17)
     grid = np.linspace(np.log(ends[0]), np.log(ends[1]), count).tolist()
     broken = next((k for k, log in enumerate(grid) if not stable(log)), None)
     if not broken:
@@ -255,6 +255,6 @@ def _modes(ideal: npt.NDArray[np.complex128], emulated: Any) -> tuple[Mode, ...]
             continue
         near = min(free, key=lambda k: abs(k - s))
         free.remove(near)
-        each = ((float(abs(k) / 2 / np.pi), float(-k.real / abs(k))) for k in (s, near))
-        out.append(Mode(*next(each), *next(each)))
+        rates = ((float(abs(k) / 2 / np.pi), float(-k.real / abs(k))) for k in (s, near))
+        out.append(Mode(*next(rates), *next(rates)))
     return tuple(out)

@@ -179,8 +179,8 @@ class _Loop:
         inverse = np.linalg.inv(eye + dt * D) if implicit else np.broadcast_to(eye, D.shape)
         carry = inverse if implicit else eye - dt * D
         rates = np.concatenate([-dt * inverse @ K, carry], axis=-1)
-        held = np.broadcast_to(np.hstack([eye, 0 * eye]), rates.shape)
-        step = np.concatenate([held + dt * rates, rates], axis=-2)
+        locked = np.broadcast_to(np.hstack([eye, 0 * eye]), rates.shape)
+        step = np.concatenate([locked + dt * rates, rates], axis=-2)
         return float(np.abs(np.linalg.eigvals(step)).max())
 
 

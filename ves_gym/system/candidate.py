@@ -213,9 +213,9 @@ def derived(cls: EffectClass, scope: Scope) -> Iterator[Candidate]:
             return out
 
         # coordinates of one thing that are about zero cost nothing
-        whole = places == "whole" and len(free) == 1 and () not in free.values()
+        single = places == "whole" and len(free) == 1 and () not in free.values()
         numbers = [number for _, _, number in entries]
-        yield placed(cls, slot, numbers, fields, sparse=whole or places == "row")
+        yield placed(cls, slot, numbers, fields, sparse=single or places == "row")
 
 
 Shapes = dict[str, tuple[int | None, ...]]  # of the free parameters

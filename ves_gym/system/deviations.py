@@ -176,7 +176,7 @@ class LoopParameters:
             others: further parameters.
         """
         parts = [
-            make(*each) for each in zip(*(p.parts() for p in (self, *others)), strict=True)
+            make(*group) for group in zip(*(p.parts() for p in (self, *others)), strict=True)
         ]
         arrays: dict[str, Any] = dict(zip(ARRAYS, parts, strict=False))
         return replace(self, sensor=SensorErrors(*parts[len(ARRAYS) :]), **arrays)

@@ -281,8 +281,8 @@ def parameter(
     if default is dataclasses.MISSING and null is not None and None not in shape:
         filled = np.full(tuple(k for k in shape if k is not None), null)
         default = nested_tuples(filled)
-    said = {"start": start, "search": search, "name": name, "quiets": quiets}
-    return unit(symbol, default=default, bounds=bounds, null=null, shape=shape, **said)
+    metadata = {"start": start, "search": search, "name": name, "quiets": quiets}
+    return unit(symbol, default=default, bounds=bounds, null=null, shape=shape, **metadata)
 
 
 E = TypeVar("E", bound=type[Effect])

@@ -89,10 +89,10 @@ class EnergyBalance(Viewable):
         in_joints = scipy.integrate.cumulative_simpson(power, x=log.t, initial=0.0)
         strain, moving, _ = vehicle_energies(system, log.y, log.yd, internal)
         kinetic = moving + body_energy(system, log.q, log.y, log.yd, internal, log.v)
-        held, lost = port_energy(system, log.y, log.yd, internal)
+        absorbed, lost = port_energy(system, log.y, log.yd, internal)
         dissipated = scipy.integrate.cumulative_simpson(lost, x=log.t, initial=0.0)
         # the largest work through the port, not the last: a free base gives back what it took
-        scale = float(np.abs(held - held[0] + dissipated).max())
+        scale = float(np.abs(absorbed - absorbed[0] + dissipated).max())
         strain, dissipated = strain - strain[0], dissipated + in_joints
         if log.contact is not None:
             stored, taken = contact_energies(log, system)
@@ -208,9 +208,9 @@ def actuator_work(log: RunLog, system: System) -> Array:
     if log.jet is not None and log.yd is not None:
         moving = twist(log.y, log.yd)
         step = (log.t[-1] - log.t[0]) / (len(log.t) - 1)
-        each = max(1, round(system.control_dt / step))
-        for first in range(0, len(log.t) - 1, each):
-            part = slice(first, min(first + each, len(log.t) - 1) + 1)
+        stride = max(1, round(system.control_dt / step))
+        for first in range(0, len(log.t) - 1, stride):
+            part = slice(first, min(first + stride, len(log.t) - 1) + 1)
             power = moving[part] @ log.jet[first]
             work = scipy.integrate.cumulative_simpson(power, x=log.t[part], initial=0.0)
             out[part.start + 1 :] += work[-1]

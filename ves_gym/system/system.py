@@ -86,14 +86,14 @@ class System:
             if self.arm is not PUMA_560:
                 raise ParameterError("System takes arm or arms, got both")
             object.__setattr__(self, "arm", side_by_side(arms))
-        for name, read, known in (
+        for name, read, types in (
             ("arm", get_arm, Arm),
             ("vehicle", get_vehicle, Vehicle.__args__),
         ):
             value = getattr(self, name)
             if isinstance(value, (str, os.PathLike)):  # as on the command line
                 object.__setattr__(self, name, read(value))
-            elif not isinstance(value, known):
+            elif not isinstance(value, types):
                 raise ParameterError(
                     f"System.{name} must be {'an Arm' if name == 'arm' else 'a vehicle'}, its"
                     f" name or its file, got {value!r}"

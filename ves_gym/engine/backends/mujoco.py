@@ -73,10 +73,10 @@ def following_inertia(system: System) -> float:
     They stray from it by 1e-8 of itself at most, and the torque of their
     drives loses 1e-7 of what moves the whole arm to rounding.
     """
-    held = 0.0 if system.payload is None else system.payload.inertial.mass
+    payload = 0.0 if system.payload is None else system.payload.inertial.mass
     lever = sum(abs(link.a) + abs(link.d) for link in system.arm.links)
-    own = system.arm.column("rotor_inertia").max()
-    return float(_FOLLOWING * (own + (system.arm.mass + held) * max(lever, 1.0) ** 2))
+    rotor = system.arm.column("rotor_inertia").max()
+    return float(_FOLLOWING * (rotor + (system.arm.mass + payload) * max(lever, 1.0) ** 2))
 
 
 def compile_model(

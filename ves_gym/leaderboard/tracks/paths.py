@@ -105,14 +105,14 @@ def path_queries(problem: Problem, seeds: Seeds) -> list[Query]:
     """The questions of a problem of the track."""
     if problem.base == THESIS:
         return [query for _, query in thesis(System(), "bent").queries]
-    asked = PATHS[problem.base]
+    settings = PATHS[problem.base]
     suite = reach100(
-        System(arm=get_arm(asked.arm)),
-        asked.vehicle,
+        System(arm=get_arm(settings.arm)),
+        settings.vehicle,
         problem.count,
-        "on" if asked.obstacles else "off",
+        "on" if settings.obstacles else "off",
         seed=seeds.root,
-        durations=(asked.duration,),
+        durations=(settings.duration,),
     )
     return [query for _, query in suite.queries]
 

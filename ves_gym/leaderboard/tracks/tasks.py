@@ -84,7 +84,7 @@ class DampTrack(TaskTrack):
     """Score: the time integral of the strain energy over that of joints held by high gains."""
 
     def _scored(self, measured: Results) -> Results:
-        score = measured["E_int"] / _held(self.problem, self.seeds)
+        score = measured["E_int"] / _locked_energy(self.problem, self.seeds)
         failed = (measured["failed"] > 0) | ~np.isfinite(score)
         return {
             "score": np.where(failed, np.inf, score),
@@ -96,7 +96,7 @@ class DampTrack(TaskTrack):
 
 
 @lru_cache(maxsize=8)
-def _held(problem: Problem, seeds: Seeds) -> Array:
+def _locked_energy(problem: Problem, seeds: Seeds) -> Array:
     """(episodes,) integral of the strain energy under the high gains."""
     return _column(_evaluated(get_controller("high"), problem, seeds), "E_int")
 

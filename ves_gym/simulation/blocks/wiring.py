@@ -77,9 +77,9 @@ class Wiring:
 
     def dynamic(self) -> list[str]:
         """Names of all that the loop acts on from period to period, in a fixed order."""
-        own = [name for name, memory in self.memories().items() if memory.feeds_back]
+        names = [name for name, memory in self.memories().items() if memory.feeds_back]
         read = {name for block in self.blocks for name in block.inputs}
-        return own + [name for name in self.delayed if name in read and name not in _AT_REST]
+        return names + [name for name in self.delayed if name in read and name not in _AT_REST]
 
     def carried(self, shape: LoopShape) -> dict[str, tuple[int, ...]]:
         """Shapes of all that is carried over: the blocks' memory and the signals held."""
