@@ -291,6 +291,11 @@ def repeats(signals: Mapping[str, Array]) -> dict[str, float]:
     return out
 
 
+@lru_cache
+def _taper(length: int) -> Array:
+    return np.asarray(scipy.signal.windows.tukey(length, _TAPER))
+
+
 @dataclass(frozen=True)
 class SpectralWindow:
     """The spectral window of runs of one length: (..., T, c) <-> coefficients (..., K, c)."""
@@ -309,6 +314,6 @@ class SpectralWindow:
     def spectrum(self, x: Array) -> Array:
         """Coefficients of a windowed signal; white noise of variance s^2 gives |.|^2 = s^2."""
         inner = x[..., self.skip : self.length - self.skip, :]
-        taper = scipy.signal.windows.tukey(inner.shape[-2], _TAPER)
+        taper = _taper(inner.shape[-2])
         out = np.fft.rfft(inner * taper[:, None], axis=-2)[..., : len(self.frequencies), :]
         return np.asarray(out / np.sqrt((taper**2).sum()))

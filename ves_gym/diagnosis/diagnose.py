@@ -30,11 +30,18 @@ from ves_gym.diagnosis.inference.explanations import (
     ranked,
     residual_over_time,
 )
-from ves_gym.diagnosis.inference.fit import Fit, fit_residual
+from ves_gym.diagnosis.inference.fit import Fit, fit, fit_residual
 from ves_gym.diagnosis.inference.held_back import Gap as Gap
 from ves_gym.diagnosis.inference.held_back import excess, gaps
 from ves_gym.diagnosis.inference.hypotheses import Hypothesis, beliefs, table, with_excess
-from ves_gym.diagnosis.inference.model_selection import Rival, Selection, cost, select, without
+from ves_gym.diagnosis.inference.model_selection import (
+    Rival,
+    Selection,
+    cost,
+    pruned,
+    select,
+    without,
+)
 from ves_gym.diagnosis.inference.signatures import Signatures
 from ves_gym.diagnosis.inference.slow_noise import slow_noise
 from ves_gym.diagnosis.inference.tolerance_scale import (
@@ -366,13 +373,18 @@ def _named_within_tolerances(
     jitters = any(run.jitter for run in residuals.runs) and unnamed > EXCESS
     if not (stated.selection.fit.candidates or jitters) or scale == 1.0:
         return stated
-    wide = residuals.with_tolerances(scale)
+    wide, library = residuals.with_tolerances(scale), len(signatures.candidates)
+    named = stated.selection.fit
+    price = scale_price(scale) + (wide.density - residuals.density) / TEMPERATURE
+    # a search takes as long as the first: only where its names, or none, do better so
+    alike = pruned(wide, fit(wide, named.candidates, named.values), library)
+    least = min(cost(f, library) for f in (alike, fit(wide, (), ())))
+    if least + price >= cost(named, library):
+        return stated
     beside = signatures.with_tolerances(wide)
     other = _Found(select(wide, beside, most, report), wide, beside, scale)
-    library = len(signatures.candidates)
-    price = cost(other.selection.fit, library) + scale_price(scale)
-    price += (wide.density - residuals.density) / TEMPERATURE
-    return other if price < cost(stated.selection.fit, library) else stated
+    better = cost(other.selection.fit, library) + price < cost(named, library)
+    return other if better else stated
 
 
 def _of_names(selection: Selection, row: Hypothesis) -> Selection:

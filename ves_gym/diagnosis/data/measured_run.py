@@ -135,8 +135,15 @@ class Run:
             *differentiated_with_rates(q, v, self.dt, self.band, self.crossover, ahead)
         )
 
-    def noise_of_angles(self, f: Array) -> Array:
-        """Return the power (K, n) of noise in the joints' angles at f (K,) Hz."""
+    @cached_property
+    def padded_frequencies(self) -> Array:
+        """(K,) Hz of a run with as many zeros behind it."""
+        return np.asarray(np.fft.rfftfreq(2 * self.length, self.dt), float)
+
+    @cached_property
+    def noise_of_angles(self) -> Array:
+        """Power (K, n) of noise in the joints' angles at the padded frequencies."""
+        f = self.padded_frequencies
         power = noise_power(self.noise["q"], f, self.dt)
         for signals, late in self.jitter.items():
             if "q" in signals:

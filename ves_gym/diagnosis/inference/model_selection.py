@@ -104,14 +104,29 @@ def select(
         for i in range(at):  # what came in before may now be another
             current = _alternatives(residuals, signatures, current, i, _OTHERS)[0]
     current = _single_parts(residuals, signatures.candidates, current, most)
-    for i in reversed(range(len(current.candidates))):  # or none at all
-        reduced = without(residuals, current, i)
-        if len(reduced.candidates) and cost(reduced, library) < cost(current, library):
-            tell(f"{current.candidates[i].name}: the others do without it")
-            current = reduced
+    current = pruned(residuals, current, library, tell)
     current, places = _exchange_members(residuals, signatures, current)
     rivals = tuple(_rivals(fits, i, library) for i, fits in enumerate(places))
     return Selection(null, current, rivals, steps, law, first)
+
+
+def pruned(
+    residuals: WhitenedResiduals, full: Fit, library: int, report: Report = lambda text: None
+) -> Fit:
+    """Return the fit without the effects that the others do without; one stays.
+
+    Args:
+        residuals: that it fits.
+        full: fit.
+        library: candidates that each name was chosen from.
+        report: called with each effect that goes, in words.
+    """
+    for i in reversed(range(len(full.candidates))):
+        reduced = without(residuals, full, i)
+        if len(reduced.candidates) and cost(reduced, library) < cost(full, library):
+            report(f"{full.candidates[i].name}: the others do without it")
+            full = reduced
+    return full
 
 
 def without(residuals: WhitenedResiduals, full: Fit, i: int) -> Fit:

@@ -401,9 +401,10 @@ class WhitenedResiduals:
                 self.machine.residuals(copy, ways, [port.name])[port.name]
                 for copy in (self._copy(i, port.exact) for i in range(len(self.runs)))
             ]
-            for k in range(_COPIES):
-                copies = self.whitened(port.name, [x[of, k] for x in noisy], self._stated)
-                out.append(copies - plain)
+            each = [x[of].reshape(-1, *x.shape[2:]) for x in noisy]  # model by model
+            copies = self.whitened(port.name, each, self._stated)
+            added = copies.reshape(len(models), _COPIES, -1) - plain[:, None]
+            out.append(added.reshape(len(models), -1))
         return np.concatenate(out, axis=1)
 
     def _copy(self, i: int, exact: tuple[str, ...]) -> Run:

@@ -108,9 +108,9 @@ def backlash_reaction(
         Torques at other joints (..., T, n), and wrench of the arm on its base (..., T, 6).
     """
     torques, wrench = np.zeros_like(torque_gap), np.zeros((*torque_gap.shape[:-1], 6))
-    f = np.asarray(np.fft.rfftfreq(2 * run.length, run.dt), float)
+    f, of_angles = run.padded_frequencies, run.noise_of_angles
     w4 = (2 * np.pi * f) ** 4
-    of_torque, of_angles = noise_power(run.noise["tau"], f, run.dt), run.noise_of_angles(f)
+    of_torque = noise_power(run.noise["tau"], f, run.dt)
     of_pose = noise_power(run.noise["y"], f, run.dt) if "y" in run.noise else np.zeros((1, 6))
     inertias = _inertias(arm, run)
     mean = inertias.mean(axis=0)

@@ -79,9 +79,8 @@ def windings(arm: Arm, run: Run) -> list[Winding]:
         return []
     angles = run["q"].reshape(-1, *run["q"].shape[-2:])[0, :: max(run.length // 20, 1)]
     inertias = inertia(arm, angles).mean(axis=0)
-    f = np.asarray(np.fft.rfftfreq(2 * run.length, run.dt), float)
+    f, of_angles = run.padded_frequencies, run.noise_of_angles
     w = 2 * np.pi * f
-    of_angles = run.noise_of_angles(f)
     of_pose = noise_power(run.noise["y"], f, run.dt) if "y" in run.noise else np.zeros((1, 6))
     out = []
     for j, gear, rotor in geared:
@@ -110,8 +109,8 @@ def winding_noise(run: Run, rotors: Array, top: float) -> Array:
         rotors: (n,) inertias [kg m^2].
         top: [Hz].
     """
-    f = np.asarray(np.fft.rfftfreq(2 * run.length, run.dt), float)
-    taken = rotors**2 * (2 * np.pi * f[:, None]) ** 4 * run.noise_of_angles(f)
+    f = run.padded_frequencies
+    taken = rotors**2 * (2 * np.pi * f[:, None]) ** 4 * run.noise_of_angles
     power = noise_power(run.noise["tau"], f, run.dt) + taken
     return np.asarray(np.sqrt((power * (f <= top)[:, None]).mean(axis=0)))
 
@@ -166,7 +165,7 @@ def through_gears(
         noisy: (n,) share of it, as power, that the torques told have.
     """
     out = torque.copy()
-    f = np.asarray(np.fft.rfftfreq(2 * run.length, run.dt), float)
+    f = run.padded_frequencies
     of_torque = noise_power(run.noise["tau"], f, run.dt)
     for g in gears:
         noise_part = noisy[g.joint] * of_torque[:, g.joint] + g.turned
