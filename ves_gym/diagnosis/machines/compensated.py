@@ -237,6 +237,52 @@ def _ride(
     }
 
 
+def _predicted(
+    block: PayloadCompensation, H: Array, gains: dict[str, Array], path: dict[str, Array]
+) -> Array:
+    """Return the readings (r, P, 6) that the compensation predicts of P periods.
+
+    Its step is affine in its memory: of all periods at once it is asked for the constant, and
+    for each entry of the joints' state alone; what goes from period to period is products.
+
+    Args:
+        block: the compensation.
+        H: (m, P, 6 + n, 6 + n) inertias that it goes by, of m systems.
+        gains: (1, n) of the joints' servos.
+        path: (r, P, nodes, 6) of r platforms, system by system.
+    """
+    one: Any = SimpleNamespace(mass=np.ones(1))  # the block counts arms
+    numbers, entries = block.parameters(one, one), 2 * block.joints
+    (m, P), rows = H.shape[:2], len(path["y"])
+
+    def step(arm: Array, H: Array, path: dict[str, Array]) -> tuple[Array, Array]:
+        x = {"arm": arm, "filter": np.zeros((len(arm), 6, 2))}
+        u = {"kp": gains["kp"], "kd": gains["kd"], "inertia": H, **path}
+        after, _ = block.step(numbers, x, u)
+        return after["arm"], after["filter"]
+
+    every = np.repeat(H, rows // m, axis=0).reshape(rows * P, *H.shape[2:])
+    at_rest = np.zeros((rows * P, entries))
+    flat = {k: x.reshape(rows * P, *x.shape[2:]) for k, x in path.items()}
+    pushed, read = step(at_rest, every, flat)
+    units = np.tile(np.eye(entries), (m * P, 1))
+    still = {k: np.zeros((len(units), *x.shape[2:])) for k, x in path.items()}
+    each = np.repeat(H.reshape(m * P, *H.shape[2:]), entries, axis=0)
+    turned, shown = step(units, each, still)
+    turned = turned.reshape(m, P, entries, entries).swapaxes(-1, -2)
+    shown = np.moveaxis(shown.reshape(m, P, entries, 12), 2, -1)  # (m, P, 12, entries)
+    pushed, read = pushed.reshape(rows, P, entries), read.reshape(rows, P, 6, 2)
+    of, hold = np.repeat(np.arange(m), rows // m), np.swapaxes(numbers["hold"], -1, -2)
+    arm, filtered = np.zeros((rows, entries)), np.zeros((rows, 6, 2))
+    out = np.empty((rows, P, 6))
+    for k in range(P):
+        seen = matvec(shown[of, k], arm).reshape(rows, 6, 2)
+        filtered = filtered @ hold + seen + read[:, k]
+        arm = matvec(turned[of, k], arm) + pushed[:, k]
+        out[:, k] = filtered[..., 0]
+    return out
+
+
 def _loaded(
     run: Run,
     taken: ControllerSignals,
@@ -251,19 +297,13 @@ def _loaded(
     start = np.tile(np.concatenate([taken.pose[:, 0], taken.rate], axis=-1), (m, 1))
     waiting = np.repeat(start[:, None], settings.delay, axis=1)
     commands = np.concatenate([waiting, sent.reshape(m * copies, N, 12)], axis=1)
-    stated = LoopParameters.nominal(described.arm, settings, m * copies)
     ride = _ride(run, described, start, commands)
-    block = PayloadCompensation(shape, _moving(described), settings.sensor.cutoff, False)
-    arms: Any = SimpleNamespace(mass=stated.gravity_mass)  # the block counts them
-    numbers = block.parameters(stated, arms)
-    x = {k: np.zeros((m * copies, *v.shape)) for k, v in block.memory.items()}
+    rides = [ride(k) for k in range(N - 1)]
+    path = {k: np.stack([x[k] for x in rides], axis=1) for k in ("y", "yd", "ydd")}
     signals = [_signals(run, taken, system, described) for system in systems]
-    H = np.repeat(np.stack([k["inertia"] for k in signals]), copies, axis=0)
-    gains = {k: np.repeat(signals[0][k], m * copies, axis=0) for k in ("kp", "kd")}
+    H = np.stack([k["inertia"][: N - 1] for k in signals])
+    block = PayloadCompensation(shape, _moving(described), settings.sensor.cutoff, False)
     payload = np.zeros((m * copies, N, 6))
-    for k in range(N - 1):
-        path = ride(k)
-        x, out = block.step(numbers, x, {"inertia": H[:, k], **gains, **path})
-        payload[:, k + 1] = out["payload"]
+    payload[:, 1:] = _predicted(block, H, signals[0], path)
     parts = np.split(payload, m)
     return [replace(path, payload=part) for path, part in zip(paths, parts, strict=True)]

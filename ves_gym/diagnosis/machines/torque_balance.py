@@ -10,9 +10,10 @@ import numpy as np
 
 from ves_gym._util.params import Array
 from ves_gym._util.signals import noise_power
-from ves_gym.diagnosis.data.measured_run import Run
+from ves_gym.diagnosis.data.measured_run import Run, cached
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.dynamics import inertia
+from ves_gym.mechanics.link import Gear
 from ves_gym.system.effect import Effect, TorqueEffect, joint_torque
 
 _LEAST = 0.3  # of an error in the torque that a balance shows, where a gear and its link ring
@@ -75,8 +76,12 @@ def windings(arm: Arm, run: Run) -> list[Winding]:
         for j, link in enumerate(arm.links)
         if link.gear is not None and not link.gear.gap
     ]
-    if not geared:
-        return []
+    return (
+        cached(run.memory, "gears", arm, lambda: _windings(arm, run, geared)) if geared else []
+    )
+
+
+def _windings(arm: Arm, run: Run, geared: Sequence[tuple[int, Gear, float]]) -> list[Winding]:
     angles = run["q"].reshape(-1, *run["q"].shape[-2:])[0, :: max(run.length // 20, 1)]
     inertias = inertia(arm, angles).mean(axis=0)
     f, of_angles = run.padded_frequencies, run.noise_of_angles
