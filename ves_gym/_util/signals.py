@@ -89,7 +89,7 @@ def differentiated(
     Correlation with a windowed sinc and its two derivatives; beyond the ends the signal goes on
     point-symmetrically, so the first and last `margin` samples are less true.
     """
-    out = _correlated(x, _kernels(dt, band, ahead))
+    out = _correlated(x, dt, band, ahead)
     return out[0], out[1], out[2]
 
 
@@ -158,20 +158,28 @@ def noise_power(noise: SensorNoiseModel, f: Array, dt: float) -> Array:
     return np.asarray(noise.std**2 * shape)
 
 
-def _correlated(x: Array, kernels: Sequence[Array]) -> list[Array]:
+def _correlated(x: Array, dt: float, band: float, ahead: float) -> list[Array]:
     """Convolve along time; beyond its ends a signal goes on point-symmetrically."""
-    m = len(kernels[0]) // 2
+    m = len(_kernels(dt, band, ahead)[0]) // 2
     reach = min(m, x.shape[-2] - 1)
     first, last = x[..., :1, :], x[..., -1:, :]
     before = 2 * first - x[..., reach:0:-1, :]
     after = 2 * last - x[..., -2 : -reach - 2 : -1, :]
     extended = np.concatenate([before, x, after], axis=-2)
-    cut = slice(m - reach, len(kernels[0]) - (m - reach))
-    shape = (1,) * (x.ndim - 2) + (-1, 1)
+    n = scipy.fft.next_fast_len(extended.shape[-2], real=True)
+    spectrum = scipy.fft.rfft(extended, n, axis=-2)
     return [
-        scipy.signal.fftconvolve(extended, k[cut].reshape(shape), mode="valid", axes=-2)
-        for k in kernels
+        scipy.fft.irfft(spectrum * of, n, axis=-2)[..., 2 * reach : extended.shape[-2], :]
+        for of in _transfers(dt, band, ahead, reach, n)
     ]
+
+
+@lru_cache(maxsize=64)
+def _transfers(dt: float, band: float, ahead: float, reach: int, n: int) -> list[Array]:
+    """Return the kernels (n // 2 + 1, 1) at frequencies, cut to `reach` samples a side."""
+    kernels = _kernels(dt, band, ahead)
+    cut = slice(len(kernels[0]) // 2 - reach, len(kernels[0]) // 2 + reach + 1)
+    return [scipy.fft.rfft(k[cut], n)[:, None] for k in kernels]
 
 
 def downsampled(x: Array, factor: int) -> Array:
