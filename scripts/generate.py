@@ -231,9 +231,8 @@ def _info(env: VesEnv) -> str:
     terms = ", ".join(f"`reward/{k}`" for k in names)
     table = "\n\n" + _list(own) if own else ""
     return (
-        f"Terms of [the reward](README.md#what-an-episode-returns): {terms}."
-        f"{_objectives(env, tuple(names))} `info` has [what it has for every task]"
-        f"(README.md#info){' and:' if own else '.'}{table}"
+        f"Terms of the reward: {terms}.{_objectives(env, tuple(names))}"
+        f"{' `info` has also:' if own else ''}{table}"
     )
 
 
@@ -329,12 +328,13 @@ def _page(name: str) -> str:
 {picture}
 {rest}
 
-{_system(task)[0].upper() + _system(task)[1:]}.
+{_system(task)[0].upper() + _system(task)[1:]}. [Common to all tasks](README.md): observations,
+controls, returns, `info`, ends, settings, laboratory.
+{_emulated(name) if laboratory else ""}
 
 ## Observation
 
-{size} numbers ([value over scale](README.md#observations-and-actions), clipped to
-+-{task.CLIP:g}).
+{size} numbers, value over scale, clipped to +-{task.CLIP:g}.
 {goals}
 {_observation(task)}
 
@@ -349,26 +349,21 @@ def _page(name: str) -> str:
 ## End
 
 {end}. Solved: {_sentence(type(task).success.__doc__)} Failed: {_sentence(fail)}
-[Every task's ends](README.md#ends).
 
 ## Settings
 
-Beside [those of every task](README.md#settings); options of `reset`: {options}.
+Options of `reset`: {options}.
 
 {_settings(task)}
-
-{_emulated(name) if laboratory else ""}
 """
     return _filled(text)
 
 
 def _emulated(name: str) -> str:
-    """Section of the id in the laboratory."""
+    """Return what the id in the laboratory is."""
     text = ", ".join(f"`{k}` = {v:.4g}" for k, v in (IDS[name].emulated or {}).items())
-    return f"""## ves/{name}Emulated-v0
-
-In [the laboratory](README.md#the-laboratory){f", with {text}" if text else ""}.
-"""
+    where = "[the laboratory](README.md#the-laboratory)"
+    return f"`ves/{name}Emulated-v0` is in {where}{f', with {text}' if text else ''}."
 
 
 def _sentence(doc: str | None) -> str:
