@@ -61,14 +61,21 @@ TOLERANCES = {
     "sensor gain": ("gain of [FM]_?",),
 }
 LABORATORY = ("platform bandwidth", "sensor gain")  # there alone
+GRAVITY = 9.80665  # m/s^2
 UNLISTED = 0.1  # of usual errors: README.md lists all that deviates
 
 
-def tolerances(case: dict[str, Any], emulated: bool) -> dict[str, Any]:
+def tolerances(case: dict[str, Any], emulated: bool, weight: float) -> dict[str, Any]:
     """What `--tolerances` says of a case: errors of the description as they are stated.
 
     All of it is in `case.toml` and README.md. Noise differs by channel and is stated in the
     logs' metadata.
+
+    Args:
+        case: `case.toml`.
+        emulated: whether it is the laboratory's, whose sensor reads the weight with an error of
+            its gain and cross-talk, for it is not zeroed under the arm.
+        weight: of the arm [N].
     """
     stated = {k: v["sigma"] for k, v in case["tolerance"].items()}
     known = {
@@ -77,6 +84,8 @@ def tolerances(case: dict[str, Any], emulated: bool) -> dict[str, Any]:
         if emulated or name not in LABORATORY
         for pattern in patterns
     }
+    if emulated:
+        known["zero of [FM]_?"] = weight * stated["sensor gain"]
     clocks = {
         "offset": stated["time between recorders"],
         "rate": stated["clock rate"],
@@ -101,8 +110,10 @@ def answer(folder: Path, out: Path) -> Answer:
         meta = json.loads((folder / name).with_suffix(".json").read_text("utf-8"))
         meta |= {"noise_std": noise, "held_back": name == case["held_back"]}
         (logs / name).with_suffix(".json").write_text(json.dumps(meta), "utf-8")
-    emulated = "wg" in case["noise"]
-    (out / "tolerances.toml").write_text(tomli_w.dumps(tolerances(case, emulated)), "utf-8")
+    arm = tomllib.loads((folder / "system.toml").read_text("utf-8"))["arm"]
+    masses = (arm["base"]["mass"], *(link["inertial"]["mass"] for link in arm["links"]))
+    stated = tolerances(case, "wg" in case["noise"], GRAVITY * sum(masses))
+    (out / "tolerances.toml").write_text(tomli_w.dumps(stated), "utf-8")
     before = os.times().children_user
     done = subprocess.run(
         [

@@ -63,7 +63,7 @@ def test_what_is_stated_of_a_case_is_known_to_the_package(emulated):
     from ves_gym.system.system import System
 
     stated = {k: {"sigma": s} for k, (s, _) in measurement.TOLERANCES.items()}
-    plain = answers.tolerances({"tolerance": stated}, emulated)
+    plain = answers.tolerances({"tolerance": stated}, emulated, 900.0)
     errors = from_plain(StatedErrors, plain, "here")
     system = System.load("benchmarks/independent_trial/systems/puma_bent_thesis_emulated.toml")
     if not emulated:
@@ -71,3 +71,4 @@ def test_what_is_stated_of_a_case_is_known_to_the_package(emulated):
     sizes = {k.name: k.std for k in SystemMachine(system, errors).nuisances}
     assert sizes["gain of joint 1"] == 0.002 and sizes["mass of link 2"] == 0.003
     assert ("platform bandwidth" in sizes) == emulated
+    assert sizes.get("zero of M_x", 0.0) == (900 * 0.0005 if emulated else 0.0)
