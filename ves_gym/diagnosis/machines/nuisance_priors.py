@@ -130,7 +130,7 @@ def _nuisances(system: System) -> Iterator[Nuisance | None]:
                 inner = altered(system.vehicle, mode.base(system.base))
                 tolerance = dataclasses.replace(tolerance, model=system.replace(vehicle=inner))
             yield tolerance
-    modal = system.mode == "ideal" and not isinstance(system.vehicle, Satellite)
+    modal = not isinstance(system.vehicle, Satellite)
     if modal:
         yield from _of_the_modes(system)
     for what, kind in (
@@ -138,7 +138,7 @@ def _nuisances(system: System) -> Iterator[Nuisance | None]:
         ("mass", BaseVirtualMass),
         ("damping", BaseDamping),
     ):
-        if modal and what != "mass":
+        if modal and what != "mass" and system.mode == "ideal":
             continue
         std = _BASE if what != "damping" else _LOSS
         yield effect(f"{what} of the base", _at_base(system), 0.01, std, kind(error=0.01))
@@ -147,7 +147,8 @@ def _nuisances(system: System) -> Iterator[Nuisance | None]:
 def _of_the_modes(system: System) -> Iterator[Nuisance]:
     """Yield errors of stiffness and damping, those of each mode of the base by themselves.
 
-    Six modes are those of the interface; of inner ones the slow count.
+    Six modes are those of the interface; of inner ones the slow count. The laboratory computes
+    its own exactly, unless `known` states otherwise.
     """
     base = system.base
     M, D, K = (base.M, base.D, base.K) if base.carried else base.full()
@@ -163,7 +164,8 @@ def _of_the_modes(system: System) -> Iterator[Nuisance]:
         ):
             other = system.replace(vehicle=altered(system.vehicle, base.with_full(*changed)))
             name = f"{what} of the base at {hertz[i]:.3g} Hz"
-            yield Nuisance(name, ("base", "wrench"), other, 0.01, std)
+            usual = std if system.mode == "ideal" else 0.0
+            yield Nuisance(name, tuple(_at_base(system).split()), other, 0.01, usual)
 
 
 def _at_base(system: System) -> str:
