@@ -53,7 +53,7 @@ class Code(Enum):
     MALFORMED_ENTRY = "entry.json is no JSON of the schema"
     UNKNOWN_PROBLEM = "no such track, problem or kind of method"
     WRONG_SEEDS = "not the seeds of the problem, or of the method"
-    WRONG_LENGTH = "more or fewer results, actions, control points or gains than the problem has"
+    WRONG_LENGTH = "more or fewer results, actions, control points or gains than a problem has"
     BAD_RECORDING = "an action, motion or gain is not finite, out of bounds or no such thing"
     BAD_SETTINGS = "settings of the environment that are not the method's to choose"
     BAD_POLICY = "a policy that cannot be read, does not fit or is not the one that is named"
