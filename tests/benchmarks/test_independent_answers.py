@@ -7,11 +7,12 @@ from benchmarks.independent_trial import answers, measurement
 
 def truth(kind, *effects):
     hidden = [{"name": name, "place": place} for name, place in effects]
-    return {"kind": kind, "effects": hidden, "multiple": 3.0, "tolerance_factor": 1.0}
+    sizes = {"multiple": 3.0, "tolerance_factor": 1.0}
+    return {"kind": kind, "effects": hidden, "system": "bent_ideal", **sizes}
 
 
 def given(verdict, *names):
-    said = [{"kind": kind, "slot": slot} for kind, slot in names]
+    said = [{"kind": kind, "slot": slot, "probability": 0.99} for kind, slot in names]
     return {"verdict": verdict, "names": said, "cpu": 1.0}
 
 
@@ -46,7 +47,16 @@ SOFT = ("base/stiffness", "")
 )
 def test_an_answer_is_judged_by_kind_and_place(case, answer, judged):
     assert answers.judge(case, answer) == judged
-    assert f"| {case['kind']} 3 |" in answers.table([(case, answer)])
+    assert f"| space: {case['kind']} 3 |" in answers.table([(case, answer)])
+
+
+def test_sure_names_are_counted_by_machine():
+    lab = RUBS | {"system": "bent_emulated"}
+    judged = [(RUBS, given("named", HERE, SOFT)), (lab, given("named", THERE))]
+    assert [k for k in answers.table(judged).splitlines() if "p > 0.95" in k] == [
+        "laboratory: 0 of 1 names with p > 0.95 are true; processor time, median: 1 s",
+        "space: 1 of 2 names with p > 0.95 are true; processor time, median: 1 s",
+    ]
 
 
 def test_every_effect_of_the_catalogue_has_a_kind():
@@ -72,3 +82,7 @@ def test_what_is_stated_of_a_case_is_known_to_the_package(emulated):
     assert sizes["gain of joint 1"] == 0.002 and sizes["mass of link 2"] == 0.003
     assert ("platform bandwidth" in sizes) == emulated
     assert sizes.get("zero of M_x", 0.0) == (900 * 0.0005 if emulated else 0.0)
+    modes = "stiffness of the base at "
+    assert {std for name, std in sizes.items() if name.startswith(modes)} == {0.003}
+    silent = SystemMachine(system, StatedErrors()).nuisances  # the laboratory computes its own
+    assert any(k.name.startswith(modes) for k in silent) != emulated

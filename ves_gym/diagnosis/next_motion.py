@@ -45,7 +45,10 @@ from ves_gym.system.system import System
 
 _SHORTEST, _LONGEST = 4.0, 20.0  # s
 _MARGIN = 0.95  # of every limit, as simulated
+_RIVALS = 4
 _PARENTS, _CHILDREN = 3, 4
+_BEND = 0.12  # rad, of a control point in a bent motion
+_MOST_FAINT = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,14 +313,14 @@ def _search_of(diagnosis: Diagnosis) -> _Search | None:
     residuals, selection = diagnosis.residuals, diagnosis.selection
     if diagnosis.verdict == WEAK:
         every = [c for c in diagnosis.signatures.candidates if c.counts is None]
-        faint = [c for c in every if c.name in diagnosis.weak][:8]
+        faint = [c for c in every if c.name in diagnosis.weak][:_MOST_FAINT]
         beside = [c for c in every if c not in faint]  # may be missing, too, or taken for it
         return _Search(diagnosis, [hypothesis(residuals, selection.fit, "")], faint, beside)
     if diagnosis.verdict not in (NOTHING, *NAMING_VERDICTS):
         return None
     for place, explanation in enumerate(diagnosis.explanations):
         if len(explanation.kinds) > 1:
-            rivals = rival_hypotheses(residuals, selection, place, ALIKE, 4)
+            rivals = rival_hypotheses(residuals, selection, place, ALIKE, _RIVALS)
             return _Search(diagnosis, rivals, ())
     return None
 
@@ -362,7 +365,7 @@ def _child(arm: Any, parents: Sequence[_Ranked], rng: np.random.Generator) -> Mo
         q = q.mean(axis=0) + (q - q.mean(axis=0)) * rng.uniform(0.8, 1.6, arm.n)
     bend = Motion.fit(
         np.concatenate(
-            [np.zeros((1, arm.n)), rng.normal(0, 0.12, (round(duration) + 1, arm.n))]
+            [np.zeros((1, arm.n)), rng.normal(0, _BEND, (round(duration) + 1, arm.n))]
         ),
         duration,
         controls=max(8, round(duration)),

@@ -29,6 +29,7 @@ _BADLY = {"servo": 0.15}  # where nothing but a controller known to all is betwe
 _FAR = 0.2  # of it: what is left where a mistake is found
 _GOOD = 0.3  # of a channel's movement: more is no agreement
 _BETTER = {"admittance": 0.1}  # a computer's law on what it logs: it is right, or another is
+_SHIFTED = 0.1  # of a channel's movement: what a late recorder leaves of slow motion
 _SPOILED = 1.2  # of a residual: others may not get worse
 _NOISY = 2.0  # times noise drawn once, which scatters: what is below is no residual
 _MOVING = 0.1  # of the largest movement of its kind
@@ -246,7 +247,7 @@ class _Look:
     def judged(self, mistake: _Mistake) -> tuple[float, Question] | None:
         """Return how much better a run is without a mistake, and the question, if it is."""
         badly = {} if mistake.late else _BADLY
-        least = _MOVING if mistake.late else _BAD  # what late slow motion leaves
+        least = _SHIFTED if mistake.late else _BAD
         bad = {k: x > badly.get(k, least) for k, x in self.logged.items()}
         keys = mistake.signals
         touched = [
@@ -329,8 +330,7 @@ def _mistakes(
         if all(a in run and b in run for a, b in pairs):
             ways = {a: b for pair in pairs for a, b in (pair, pair[::-1])}
             text = f"are {pairs[0][0]} and {pairs[0][1]} exchanged"
-            change = partial(lambda ways, run: {a: run[b] for a, b in ways.items()}, ways)
-            yield _Mistake(text, frozenset(ways), change)
+            yield _Mistake(text, frozenset(ways), partial(_exchanged, ways))
     n = run["q"].shape[1] if "q" in run else 0
     for keys, name in _TOGETHER:
         have = tuple(k for k in keys if k in run)
@@ -359,6 +359,10 @@ def _mistakes(
             yield _Mistake(text, _changed(keys), halves)
             yield from _units(keys, first, f"are the forces in {name}", _FORCE)
             yield from _units(keys, last, f"are the moments in {name}", _TORQUE)
+
+
+def _exchanged(ways: Mapping[str, str], run: Run) -> dict[str, Array]:
+    return {a: run[b] for a, b in ways.items()}
 
 
 def _orders(

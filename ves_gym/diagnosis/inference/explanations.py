@@ -25,6 +25,7 @@ from ves_gym.diagnosis.inference.variance_groups import products, solve
 from ves_gym.diagnosis.inference.whitened_residuals import WhitenedResiduals
 
 ALIKE = 0.95  # likeness above which two candidates are one class on these runs
+_LEAST = 1.0  # gain in deviance below which a candidate is not worth a line
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ def ranked(
     selected = [
         s
         for rank, s in enumerate(screened)
-        if (rank < most and null.deviance - s.deviance > 1.0)
+        if (rank < most and null.deviance - s.deviance > _LEAST)
         or signatures.candidates[s.candidate].name in chosen
     ]
     unscored = [s for s in scores if not np.isfinite(s.deviance)]

@@ -17,7 +17,9 @@ from ves_gym._util.params import Array, Index
 from ves_gym.diagnosis.inference.whitened_residuals import VarianceGroup, WhitenedResiduals
 
 _BLOCK = 1.0  # s
+_DRAWS = 1000
 _SURE = 0.95
+_MOST = 30.0  # of the logarithm of an interval's end
 
 
 def stretches(
@@ -58,7 +60,7 @@ def intervals(
         Low and high, k + 1 times.
     """
     b = len(sums[0])
-    draws = np.random.default_rng(seed).integers(0, b, (1000, b))
+    draws = np.random.default_rng(seed).integers(0, b, (_DRAWS, b))
     identity = np.arange(b)[None]
     estimates, resampled = (_sizes(count, sums, rows, least) for rows in (identity, draws))
     wide = scipy.stats.t.ppf((1 + _SURE) / 2, b - 1) * np.sqrt(b / (b - 1))
@@ -66,7 +68,7 @@ def intervals(
     for size, replicates in zip(estimates, resampled, strict=True):
         reach = wide * float(np.std(np.log(np.maximum(replicates, 1e-300))))
         x = float(size[0])
-        out.append((x * float(np.exp(-reach)), x * float(np.exp(min(reach, 30.0)))))
+        out.append((x * float(np.exp(-reach)), x * float(np.exp(min(reach, _MOST)))))
     return tuple(out)
 
 

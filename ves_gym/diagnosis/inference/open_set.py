@@ -49,6 +49,8 @@ Fields = dict[str, tuple[float, ...]]
 _ROUNDS, _MOST = 2, 5  # sizes of weights and of groups, in turn
 _WIDER = 1.05  # of the angles seen
 _FAR = (-50.0, 50.0)  # of a weight
+_STIFFER = (0.0, 1e4)  # of a base, in hundredths of what it has
+_SLOW = 0.5  # Hz: stands for the spring of a base that has none
 _OF_FRICTION = (-500.0, 500.0)  # of one of several that all but agree [N m]
 
 
@@ -114,7 +116,7 @@ def base_regressions(system: System) -> list[Candidate]:
         return []
     base = system.base
     mass = np.diag(base.M)
-    springs = np.maximum(np.diag(base.K), mass * (2 * np.pi * 0.5) ** 2) / 100
+    springs = np.maximum(np.diag(base.K), mass * (2 * np.pi * _SLOW) ** 2) / 100
     critical = 2 * np.sqrt(springs * mass / 100)
     sizes = {"stiffness": springs, "damping": critical}
     out = []
@@ -123,7 +125,7 @@ def base_regressions(system: System) -> list[Candidate]:
         def fields(x: Array, i: int = i, name: str = name, size: Array = size) -> Fields:
             return {name: tuple((np.eye(6)[i] * size * x[0]).tolist())}
 
-        candidate = placed(BaseUnknown, axis, [Number(name, "1", (0.0, 1e4), (1.0,))], fields)
+        candidate = placed(BaseUnknown, axis, [Number(name, "1", _STIFFER, (1.0,))], fields)
         out.append(replace(candidate, ports=("base", "wrench")))  # as the library's are
     return out
 

@@ -24,6 +24,8 @@ from ves_gym.mechanics.spatial import matvec
 from ves_gym.system.system import System
 
 _STEADY = 1e-3  # rad/s: a swing that turns no friction round, a tenth of its creep
+_ROUNDS = 3  # of what the swing itself changes
+_EVERY = 2  # nodes of a period at which rates are given
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ def between_samples(run: Run, described: System) -> BetweenSamples:
     if described.drive == "motor":
         torque, swing = _giving_way(run, described, joints, path, still[0])
         if np.abs(swing.v).max() > _STEADY:
-            swings = tuple(swing.v[:, :-1:2].swapaxes(0, 1))
+            swings = tuple(swing.v[:, :-1:_EVERY].swapaxes(0, 1))
     swinging = Kinematics(*(x + y for x, y in zip(joints, swing, strict=True)))
     wrench = _load(described, swinging, path)[1] - still[1]
     step = described.physics_dt
@@ -108,7 +110,7 @@ def _giving_way(
     inner = inertia(described.arm, joints.x)[..., 6:, 6:]
     mean = inner.mean(axis=1)
     moved, remainder = joints, np.zeros(())
-    for _ in range(3):
+    for _ in range(_ROUNDS):
         push = _load(described, moved, path)[0] - still + remainder
         response = _driven(mean, kp, kd, push, described.physics_dt)
         slow = _smooth(response.x[:, -1], run, nodes)

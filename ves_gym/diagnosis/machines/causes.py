@@ -24,6 +24,8 @@ from ves_gym.system.effect import Effect
 
 ARM = 3  # joints from which friction of all of them is one cause
 FRICTION = "joint/friction"
+COULOMB_MOST, VISCOUS_MOST = 50.0, 50.0  # N m, N m s/rad
+_COULOMB, _VISCOUS = 2.0, 1.0  # usual: N m, N m s/rad
 
 
 @dataclass(frozen=True)
@@ -73,9 +75,9 @@ def arm_friction(
         ports=("joint",),
         names=(*(f"viscous of {k}" for k in places), *(f"coulomb of {k}" for k in places)),
         units=(*viscous_units, *coulomb_units),
-        starts=((*(1.0 / r**2), *(2.0 / r)),),
+        starts=((*(_VISCOUS / r**2), *(_COULOMB / r)),),
         low=(0.0,) * (2 * n),
-        high=(*(50.0 / r**2), *(50.0 / r)),
+        high=(*(VISCOUS_MOST / r**2), *(COULOMB_MOST / r)),
         make=make,
         factors=tuple(range(2 * n)),
         blurs=tuple(partial(_building_up, form) for form in FORMS) if builds_up else (),

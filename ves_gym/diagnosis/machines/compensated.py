@@ -31,6 +31,7 @@ from ves_gym.simulation.blocks.sensing import PayloadCompensation
 from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.system import System
 
+_PASSES = 30  # at most, until a trajectory is its own linearisation
 _STIFF = 4.0  # of w^2 dt lag: from there on a command says nothing about its own wrench
 
 
@@ -134,7 +135,7 @@ def reference(run: Run, taken: ControllerSignals, described: System) -> Trajecto
         state[..., :6] = y
         state[..., size : size + 6] = np.gradient(y, described.control_dt, axis=1)
         path = Trajectory(state, np.empty(0), np.empty(0), np.zeros_like(y))
-        for _ in range(30):
+        for _ in range(_PASSES):
             before = path
             path = _inverse(run, first, described, described, before)
             path = _loaded(run, first, [path], [described], described)[0]

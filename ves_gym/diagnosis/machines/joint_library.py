@@ -13,7 +13,7 @@ import numpy as np
 
 from ves_gym._util.params import Array, ParameterError, require_positive, unit
 from ves_gym.diagnosis.inference.candidates import Candidate, library
-from ves_gym.diagnosis.machines.causes import arm_friction
+from ves_gym.diagnosis.machines.causes import COULOMB_MOST, VISCOUS_MOST, arm_friction
 from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft
 from ves_gym.effects import JointStribeck, JointVelocityLag
 from ves_gym.mechanics.body_numbers import PARAMETER_UNITS, PARAMETERS, nearest_body
@@ -30,6 +30,7 @@ _ON_RACK = {  # unit of a turning joint -> unit of a slide, power of the radius 
 _LAGS = (0.02, 0.005, 0.2)  # s, where fits of a low-pass begin
 _BREAKAWAY, _STUCK = 2.0, 30.0  # N m above Coulomb's: where fits begin, and most
 _FADED = 0.1  # rad/s: what fades later is not of standstill but Coulomb's by another name
+_INERTIA_MOST = 10.0  # kg m^2
 _PAYLOAD = {"kg": (1.0, 0.0, 50.0), "kg m": (0.1, -20.0, 20.0), "kg m^2": (0.02, -10.0, 10.0)}
 
 
@@ -115,7 +116,7 @@ def coupled_shaft(joints: Sequence[MjcfJoint], ratio: Sequence[float]) -> Candid
         units=("N m", "N m s/rad", "kg m^2"),
         starts=((2.0, 1.0, 0.1),),
         low=(0.0,) * 3,
-        high=(50.0, 50.0, 10.0),
+        high=(COULOMB_MOST, VISCOUS_MOST, _INERTIA_MOST),
         make=lambda x: Shaft(turns, *(float(k) for k in x)),
         factors=(0, 1, 2),
     )

@@ -30,6 +30,8 @@ Values = Mapping[str, Any]  # float, or (k,) where a parameter has several numbe
 Residual = Callable[[Values, Run], Mapping[str, Array]]
 T = TypeVar("T", bound=type)
 _FEWEST = 8  # samples without a clock
+_STEP = 0.1  # s: stands for the clock that there is not
+_SHARE = 0.1  # of the usual error: step of differences of a tolerance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,7 +165,7 @@ class ResidualMachine(Machine):
     def nuisances(self) -> tuple[Nuisance, ...]:
         """Small errors of all parameters that are not of single runs."""
         shared = [k for k in self._numbers if not k.of.per_run and k.of.nominal is not None]
-        usual = (self._nuisance(k, 0.1 * k.usual, k.std) for k in shared)
+        usual = (self._nuisance(k, _SHARE * k.usual, k.std) for k in shared)
         return with_known(usual, self.tolerance)
 
     def unknowns(self, run: Run) -> Sequence[Nuisance]:
@@ -348,7 +350,7 @@ def samples(
         require_one_of("noise", key, arrays)
         size = np.broadcast_to(np.asarray(std, float), arrays[key].shape[1]).copy()
         white[key] = SensorNoiseModel(size, np.zeros(len(size)))
-    return SampleRun(name, 0.1, arrays, white, {"noise_std": dict(noise)}, 1.0)
+    return SampleRun(name, _STEP, arrays, white, {"noise_std": dict(noise)}, 1.0)
 
 
 # ------------------------------------------------------------------------ by name

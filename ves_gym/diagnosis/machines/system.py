@@ -71,6 +71,9 @@ from ves_gym.system.deviations import LoopParameters
 from ves_gym.system.effect import BaseEffect, Effect, TorqueEffect, joint_torque
 from ves_gym.system.system import System
 
+# Of a channel's movement: a computer's inputs and outputs are exact, but no vehicle is six
+# coordinates.
+_OF_THE_ADMITTANCE = 8e-3
 # Of what a platform that swings within each period does to joints: not known.
 _SWUNG = 0.3
 _OF_THE_SERVO = (*COMMANDED, "q", "tau", "controller")  # what its port needs
@@ -169,8 +172,7 @@ class SystemMachine:
         signal = next(p.signal for p in self.ports if p.name == port)
         size = np.asarray(run["w" if signal == "wg" else signal].std(axis=-2))
         kinds = np.array_split(size, max(1, len(size) // 3))  # forces and moments apart
-        # what a computer takes in and gives out is exact, but no vehicle is six coordinates
-        share = 8e-3 if port == "admittance" else LEAST
+        share = _OF_THE_ADMITTANCE if port == "admittance" else LEAST
         least = share * np.concatenate([np.full(len(k), max(k.max(), 1e-12)) for k in kinds])
         if port in ("joint", "velocity"):
             between = self._between(run)

@@ -16,6 +16,10 @@ from ves_gym.mechanics.dynamics import inertia
 from ves_gym.mechanics.link import Gear
 from ves_gym.system.effect import Effect, TorqueEffect, joint_torque
 
+_PUSH = 1e-6  # relative, of a difference
+_TRIED = 4  # random states in which a law is asked about the torque
+_NO_LIMIT = 1e9  # N m
+_POSES = 20  # of a run, for its mean inertia
 _LEAST = 0.3  # of an error in the torque that a balance shows, where a gear and its link ring
 
 
@@ -25,8 +29,8 @@ def scales(effect: Effect) -> bool:
     if not isinstance(effect, TorqueEffect):
         return False
     widths = [np.size(x) for x in vars(effect).values() if np.size(x) > 1]
-    q, v, tau = np.random.default_rng(0).normal(size=(3, 4, min(widths, default=1)))
-    most = np.full(q.shape[-1], 1e9)
+    q, v, tau = np.random.default_rng(0).normal(size=(3, _TRIED, min(widths, default=1)))
+    most = np.full(q.shape[-1], _NO_LIMIT)
     weak, strong = (joint_torque([effect], q, v, k * tau, most) for k in (1.0, 2.0))
     return bool((weak != strong).any())
 
@@ -49,7 +53,7 @@ def torque_residual(
     balance = tau + added - needed
     if not any(map(scales, effects)):
         return balance
-    push = 1e-6 * np.maximum(np.abs(tau), 1.0)
+    push = _PUSH * np.maximum(np.abs(tau), 1.0)
     return np.asarray(balance / (1 + (laws(tau + push) - added) / push))
 
 
@@ -82,7 +86,7 @@ def windings(arm: Arm, run: Run) -> list[Winding]:
 
 
 def _windings(arm: Arm, run: Run, geared: Sequence[tuple[int, Gear, float]]) -> list[Winding]:
-    angles = run["q"].reshape(-1, *run["q"].shape[-2:])[0, :: max(run.length // 20, 1)]
+    angles = run["q"].reshape(-1, *run["q"].shape[-2:])[0, :: max(run.length // _POSES, 1)]
     inertias = inertia(arm, angles).mean(axis=0)
     f, of_angles = run.padded_frequencies, run.noise_of_angles
     w = 2 * np.pi * f

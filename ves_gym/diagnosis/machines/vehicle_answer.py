@@ -21,6 +21,7 @@ from ves_gym.diagnosis.machines.vehicle_force import along_rates, force_of_state
 from ves_gym.mechanics.vehicle import BaseModel, InternalModes
 
 _ORDER = 4  # coefficients of a cubic
+_SURE = 1e-9  # of a coordinate's size: noise is no less
 
 
 def answering_force(run: Run, base: BaseModel, new: InternalModes) -> Array:
@@ -65,7 +66,7 @@ def _answer(run: Run, base: BaseModel, force: Array) -> Array:
     carried[0, :, 0] = carried[1, :, 1] = np.hstack([np.eye(6), coupling])
     free = stepped(within, np.zeros((12, size, 2 * n)), carried.reshape(12, 2 * n))
     y = run["y"].reshape(-1, size, 6)
-    weight = 1 / np.maximum(run.noise["y"].std, 1e-9 * np.abs(y).max(axis=(0, 1)) + 1e-12)
+    weight = 1 / np.maximum(run.noise["y"].std, _SURE * np.abs(y).max(axis=(0, 1)) + 1e-12)
     modes = (free[..., :6] * weight).reshape(12, -1)
     gap = ((y - forced[..., :6]) * weight).reshape(len(y), -1)
     unit = np.linalg.norm(modes, axis=1)

@@ -22,6 +22,7 @@ from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.system import System
 
 SIGNALS = ("q", "tau", "y", "w")  # compared
+_DRAWS = 8  # of the noise
 _REPEATED = 2.0  # s that a file read back is simulated: what comes after follows from it
 _BASE = ("m",) * 3 + ("rad",) * 3
 _FORCE = ("N",) * 3 + ("N m",) * 3
@@ -194,7 +195,7 @@ def replay_gaps(
             for simulated in (before, after)
         ]
         rng = np.random.default_rng(0)
-        noise = _size(runs, [run.noise[name].draw(rng, 8, run.length) for run in runs])
+        noise = _size(runs, [run.noise[name].draw(rng, _DRAWS, run.length) for run in runs])
         for i, (channel, unit) in enumerate(zip(*labels[name], strict=True)):
             row = [float(x[i]) for x in (*sizes, noise)]
             out.append(ReplayGap(name, channel, unit, *row))
