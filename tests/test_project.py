@@ -125,6 +125,16 @@ def test_import_stays_light():
     assert not HEAVY & set(loaded)
 
 
+def test_gymnasium_alone_knows_no_id_of_ours():
+    """docs/install.md says so: since 1.0 Gymnasium has no plug-ins that it would load."""
+    code = "import gymnasium, sys; print('ves_gym' in sys.modules)\ngymnasium.spec('ves/X-v0')"
+    result = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True
+    )
+    assert result.stdout == "False\n"
+    assert "NamespaceNotFound: Namespace ves not found." in result.stderr
+
+
 @pytest.mark.parametrize(
     "name",
     [

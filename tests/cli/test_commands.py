@@ -28,7 +28,7 @@ COULOMB = "joint/coulomb:torque=3,0,0"
 
 def test_runs_as_a_program_without_a_traceback():
     def program(*words):
-        command = [sys.executable, "-m", "ves_gym.cli.main", *words]
+        command = [sys.executable, "-m", "ves_gym", *words]
         return subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
 
     good = program("list", "commands", "--json", "-")

@@ -67,7 +67,7 @@ simulate --mode emulated --learn 2 --record-dt 0.1 | leave out --record-dt
 simulate --mode emulated --poses 0 | --poses must be >= 1, got 0
 simulate --mode emulated --platform soon | --platform must be a bandwidth > 0 in Hz
 simulate --mode emulated --calibration no.toml | no.toml
-plan | plan needs a goal
+plan | plan needs --goal A,B,C, --tool X,Y,Z, or the --case FILE of another plan
 plan --goal 1,1,1 --tool 1,1,1 | not allowed with
 plan --goal 1,1,1 --seed -1 | --seed must be >= 0
 plan --goal 1,1,1 --seed x | --seed must be a whole number >= 0
@@ -119,7 +119,8 @@ evaluate PumaDamp-v0 --controller zero,zero | controllers must differ
 evaluate PumaDamp-v0 --controller lqr | acts on task lqr
 evaluate PumaDamp-v0 --policy none.json | cannot be read
 evaluate PumaDamp-v0 --policy model.zip | pickles are not read
-evaluate PumaDamp-v0 --policy genius | must be a file or folder of policies
+evaluate PumaDamp-v0 --policy genius | policy must be a file or folder of policies, or one of
+evaluate MacroMicro-v0 --policy genius | policies; ves/MacroMicro-v0 has no released one, got
 evaluate PumaDamp-v0 --policy . | no seed-*/best.json
 evaluate PumaDamp-v0 --episodes 0 | episodes must be a whole number from 1
 train nothing.toml | cannot be read

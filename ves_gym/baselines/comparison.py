@@ -231,8 +231,12 @@ def policy_files(text: str | os.PathLike[str], id: str, base: Path = Path()) -> 
         return [path]
     if saved := [file for file in named if file is not None]:
         return saved
-    names = [*CONTROLLERS, *policies]
+    policy = isinstance(text, Path)  # a name alone may be a controller's, too
+    names = [*policies] if policy else [*CONTROLLERS, *policies]
+    known = (
+        f", or one of {', '.join(names)} in {id}" if names else f"; {id} has no released one"
+    )
     raise ParameterError(
-        f"controller must be a file or folder of policies, or one of {', '.join(names)} in"
-        f" {id}, got {word!r}{did_you_mean(word, names)}"
+        f"{'policy' if policy else 'controller'} must be a file or folder of policies{known},"
+        f" got {word!r}{did_you_mean(word, names)}"
     )

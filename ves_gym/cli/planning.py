@@ -111,6 +111,10 @@ def plan(
         raise ParameterError(f"--{option} is for planners ompl-..., got {method.name}")
     if budget:
         method = replace(method, **budget)  # type: ignore[type-var]
+    if goal is None and tool is None and case.query is None:
+        raise ParameterError(
+            "plan needs --goal A,B,C, --tool X,Y,Z, or the --case FILE of another plan"
+        )
     planned = vg.plan(
         case=case,
         goal=goal if tool is None else tool,
