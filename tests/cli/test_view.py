@@ -1,7 +1,9 @@
 """`view`: pictures where OpenGL works, one clear line where it does not."""
 
+import json
 import subprocess
 import sys
+from pathlib import Path
 
 import imageio_ffmpeg
 import numpy as np
@@ -9,10 +11,16 @@ import pytest
 from PIL import Image
 
 from tests.display import require_opengl, type_keys, virtual_display
+from ves_gym.api import simulate
+from ves_gym.cli import watch
+from ves_gym.mechanics.kinematics import joint_positions
+from ves_gym.mechanics.motion import Motion
+from ves_gym.mechanics.spatial import rotation
 from ves_gym.rendering import live, render
 from ves_gym.rendering import opengl as gl
 from ves_gym.rendering.opengl import Probe
 from ves_gym.rendering.render import View
+from ves_gym.report.player import can_play
 from ves_gym.system.energy import log_base_energy
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
@@ -24,6 +32,42 @@ TINY = ("--size", "128x64", "--fps", "5")
 def opengl():
     """Skip where nothing can draw: the other tests here say what happens then."""
     return require_opengl()
+
+
+def test_without_a_display_a_page_plays_the_log(call, run_log, browser, monkeypatch):
+    monkeypatch.setattr(watch, "has_display", lambda: False)
+    status, out, _, result = call("view", run_log)
+    assert status == 0 and "open it in any browser" in out
+    page = Path(result["file"])
+    for dark, width in ((False, 1280), (True, 390)):
+        browser.screen(width, 900, dark)
+        browser.open(page.as_uri())
+        assert browser.obstacles() == [] and browser.errors == []
+        assert browser.do("document.documentElement.scrollWidth <= innerWidth")
+    assert browser.requests == [page.as_uri()]
+
+    log = RunLog.load(run_log)
+    [run] = json.loads(browser.do("document.getElementById('data').textContent"))["scenes"][0][
+        "runs"
+    ]
+    at = np.searchsorted(log.t, run["dt"] * np.arange(len(run["E"])) - 1e-9)
+    y, q = log.y[at], log.q[at]
+    arm = np.einsum("tij,tkj->tki", rotation(y), joint_positions(System().arm, q))
+    np.testing.assert_allclose(run["arm"], arm + y[:, None, :3], atol=5.1e-5)
+    np.testing.assert_allclose(run["E"], log_base_energy(log, System()).total[at], rtol=1e-3)
+    assert run["dt"] * (len(at) - 1) == pytest.approx(log.t[-1], abs=run["dt"])
+
+    before = browser.do("Number(document.getElementById('scene-time').value)")
+    browser.click("#scene-play")
+    browser.page.wait_for_timeout(400)
+    assert browser.do("Number(document.getElementById('scene-time').value)") != before
+
+
+def test_what_the_page_cannot_show_is_drawn_into_a_gif():
+    arm = System(arm="ur5e").arm
+    two = System(arms=[arm.at((0.0, 0.5, 0.0)), arm.at((0.0, -0.5, 0.0))])
+    still = Motion.straight(np.zeros(12), np.zeros(12), duration=0.1)
+    assert not can_play(simulate(still, two, settle=0.1))
 
 
 def test_gif_shows_a_structure_that_moves(call, run_log, tmp_path, opengl):
@@ -76,7 +120,7 @@ def test_vehicles_without_a_beam_are_drawn(call, opengl, vehicle, tmp_path):
 
 def test_unknown_mujoco_gl_is_one_line(refused, run_log, monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "nonsense")
-    line = refused("view", run_log)
+    line = refused("view", run_log, *TINY)
     assert "MUJOCO_GL" in line and "egl" in line and "'nonsense'" in line
 
 
@@ -85,7 +129,7 @@ def test_missing_libraries_are_named(refused, run_log, monkeypatch):
     monkeypatch.setattr(gl.platform, "system", lambda: "Linux")
     library = {"egl": "libEGL is missing", "osmesa": "libOSMesa is missing"}
     monkeypatch.setattr(gl, "probe", lambda backend: Probe(backend, False, library[backend]))
-    line = refused("view", run_log)
+    line = refused("view", run_log, *TINY)
     for word in ("MUJOCO_GL is not set", "libEGL", "libOSMesa", "apt-get install libegl1"):
         assert word in line
 

@@ -48,7 +48,7 @@ COMMANDS = {  # name -> its module, loaded when it is asked for, and what it doe
     "list": ("list", "what exists: vehicles, planners, suites, effects"),
     "doctor": ("doctor", "what is broken on this machine"),
     "completion": ("doctor", "the script that completes these commands in a shell"),
-    "view": ("watch", "watch a run log: window, GIF, MP4, or rerun"),
+    "view": ("watch", "watch a run log: window, page, GIF, MP4, or rerun"),
     "export": ("export", "a run as MCAP, a machine as an FMU, for the tools of others"),
     "teleop": ("watch", "drive the arm from the keyboard while the base reacts"),
 }

@@ -27,6 +27,7 @@ from ves_gym.envs.teleop import Teleop, load_script, read_script
 from ves_gym.rendering.opengl import RenderError, has_display
 from ves_gym.rendering.render import View, render, show
 from ves_gym.rendering.rerun_file import write_rerun
+from ves_gym.report.player import can_play, write_player
 from ves_gym.system.runlog import RunLog
 
 _AFTER = 2.0  # s that a script goes on after its last key
@@ -77,6 +78,12 @@ def view(
     if window or (has_display() and not (movie or at.out)):
         show(recorded, view)
         return Answer(plain=plain)
+    if not (movie or size or how) and can_play(recorded):
+        path = at.folder("out/view") / f"{log[0].stem}.html"
+        write_player(recorded, path, log[0].stem)
+        return Answer(
+            text="open it in any browser", plain={**plain, "file": str(path)}, files=[path]
+        )
     path = Path(at.out or "", movie) if movie else at.folder("out/view") / f"{log[0].stem}.gif"
     drawn = render(recorded, path, view, at.progress)
     text = f"{drawn['frames']} frames, drawn with {drawn['backend']}"
@@ -185,7 +192,7 @@ TABLE = {
         Flag("--rerun", "FILE", _movie,
              "record into a .rrd for rerun's viewer, several runs under their names",
              against="target"),
-        Flag("--window", help="open a window (default with a display; else GIF)",
+        Flag("--window", help="open a window (default with a display; else a page)",
              against="target"),
         Flag("--speed", "X", number(), "playing speed (1: real time)"),
         Flag("--magnify", "X", number(), "factor on the base's motion (1)"),

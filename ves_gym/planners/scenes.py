@@ -14,7 +14,14 @@ from ves_gym.mechanics.vehicle import beam_line
 from ves_gym.planners.coupling_map import CouplingMap, coupling_map
 from ves_gym.planners.query import Plan
 from ves_gym.simulation.recording import Recording
-from ves_gym.system.energy import base_energy
+from ves_gym.system.energy import (
+    base_energy,
+    internal_of,
+    log_base_energy,
+    motion_end,
+    system_of,
+)
+from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
 
@@ -128,36 +135,49 @@ def scene(vehicle: str, runs: list[PlayedPlan]) -> dict[str, Any]:
     Points of arm and beam [m], base pose [m, rad], E [J]; the platform of an emulated run.
     """
     query = runs[0].plan.query
-    rest_beam = beam_line(query.system.vehicle, np.zeros((1, 6)))
     data: dict[str, Any] = {
         "vehicle": vehicle,
         "duration": query.duration,
         "query": query.name,
-        "rest_beam": None if rest_beam is None else _round(rest_beam[0], 3),
+        "rest_beam": _rest_beam(query.system),
         "obstacles": to_plain(query.surroundings.obstacles if query.surroundings else ()),
-        "runs": [],
     }
-    for plan, run, k, *_ in runs:
-        at = np.arange(0, query.duration + _AFTER, _FRAME)
-        # a stopped run stays where it stopped
-        index = np.clip(np.searchsorted(run.t, at - 1e-9), 0, run.records(k) - 1)
-        y, yd, q = run.y[k, index], run.yd[k, index], run.q[k, index]
-        arm = joint_positions(run.system.arm, q) @ np.swapaxes(rotation(y), -1, -2)
-        modes = run.internal(k, index)
-        beam = beam_line(run.system.vehicle, y, None if modes is None else modes[0])
-        energy = base_energy(run.system, q, y, yd, modes)
-        data["runs"].append(
-            {
-                "planner": plan.planner,
-                "dt": _FRAME,
-                "arm": _round(arm + y[:, None, :3], 4),
-                "base": _round(y, 5),
-                "beam": None if beam is None else _round(beam, 4),
-                "E": _digits(energy.total, 4),
-                "platform": platform_data(run.system),
-            }
-        )
+    at = np.arange(0, query.duration + _AFTER, _FRAME)
+    data["runs"] = [_frames(plan.planner, run.log(k), at) for plan, run, k, *_ in runs]
     return data
+
+
+def log_scene(name: str, log: RunLog) -> dict[str, Any]:
+    """The same of one recorded run, whole, under a name."""
+    at = np.arange(0, log.t[-1] - log.t[0] + 1e-9, _FRAME)
+    return {
+        "duration": motion_end(log),
+        "rest_beam": _rest_beam(system_of(log)),
+        "runs": [_frames(name, log, at)],
+    }
+
+
+def _rest_beam(system: System) -> Any:
+    line = beam_line(system.vehicle, np.zeros((1, 6)))
+    return None if line is None else _round(line[0], 3)
+
+
+def _frames(name: str, log: RunLog, at: Array) -> dict[str, Any]:
+    """A run at times (T,) [s] after its start; one that stopped stays where it stopped."""
+    system, clock = system_of(log), log.t - log.t[0]
+    index = np.searchsorted(clock, at - 1e-9).clip(max=len(clock) - 1)
+    y, q, modes = log.y[index], log.q[index], internal_of(system, log)
+    arm = joint_positions(system.arm, q) @ np.swapaxes(rotation(y), -1, -2)
+    beam = beam_line(system.vehicle, y, None if modes is None else modes[0][index])
+    return {
+        "planner": name,
+        "dt": _FRAME,
+        "arm": _round(arm + y[:, None, :3], 4),
+        "base": _round(y, 5),
+        "beam": None if beam is None else _round(beam, 4),
+        "E": _digits(log_base_energy(log, system).total[index], 4),
+        "platform": platform_data(system),
+    }
 
 
 def _degrees(values: Array) -> list[float]:

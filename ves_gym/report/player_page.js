@@ -1,0 +1,4 @@
+// A recorded run, alone on its page.
+
+connectPlayer();
+showScene(scenes[0]);
