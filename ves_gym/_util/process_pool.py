@@ -20,7 +20,7 @@ from typing import Any
 from pebble import ProcessPool
 from threadpoolctl import threadpool_limits
 
-from ves_gym._util.own import IMPORTED, import_own
+from ves_gym._util.own import CALLED, IMPORTED, import_own
 from ves_gym._util.params import ParameterError
 from ves_gym._util.threads import ONE_THREAD
 
@@ -38,7 +38,10 @@ class Workers(Executor):
         self.seconds = seconds
         context = multiprocessing.get_context("spawn")
         self._pool: Any = ProcessPool(
-            count, initializer=_begin, initargs=[tuple(IMPORTED)], context=context
+            count,
+            initializer=_begin,
+            initargs=[tuple(IMPORTED), tuple(CALLED)],
+            context=context,
         )
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
@@ -69,12 +72,16 @@ class Workers(Executor):
 # ------------------------------------------------------------------------- in a worker
 
 
-def _begin(modules: tuple[str, ...]) -> None:
+def _begin(
+    modules: tuple[str, ...], calls: tuple[tuple[Callable[[str], Any], str], ...]
+) -> None:
     os.environ.update(ONE_THREAD)
     threadpool_limits(1)  # of the libraries that are loaded already
     end_with_parent()
     for module in modules:
         import_own(module)
+    for function, word in calls:
+        function(word)
 
 
 def end_with_parent() -> None:

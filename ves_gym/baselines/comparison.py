@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ves_gym._util.own import require_interface
 from ves_gym._util.params import ParameterError, write_result
 from ves_gym._util.statistics import Estimate
 from ves_gym._util.suggest import did_you_mean
@@ -188,11 +189,8 @@ def line_up(id: str, chosen: Sequence[str | Path | Controller], seed: int = 0) -
     out: Lineup = []
     for entry in entries:
         if not isinstance(entry, (str, os.PathLike)):
-            if not hasattr(entry, "act"):
-                raise ParameterError(
-                    "controllers must be names, files or objects with act(observation), got"
-                    f" {entry!r}"
-                )
+            methods = {"reset": ("env", "ids"), "act": ("env", "observation")}
+            require_interface("controller", entry, ("name",), **methods)
             out.append((entry.name, [entry]))
         elif str(entry) in CONTROLLERS:
             out.append((str(entry), [get_controller(str(entry), seed)]))

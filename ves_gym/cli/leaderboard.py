@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ves_gym._util.one_line import on_one_line
-from ves_gym._util.own import import_own
-from ves_gym._util.params import Array, ParameterError
+from ves_gym._util.own import own_object
+from ves_gym._util.params import Array
 from ves_gym.cli.flags import Answer, Context, Flag, integer, integers, path, read, say, text
 
 
@@ -33,7 +33,7 @@ def make(
     from ves_gym.leaderboard.verify import make_entry
 
     get_problem(track, problem)  # before a method of the user's is loaded
-    chosen = _loaded(method)
+    chosen = list(method) if len(method) > 1 else own_object(method[0])
     label = name or (Path(method[0]).stem if isinstance(chosen, (str, list)) else chosen.name)
     stem = "_".join((track, problem.removeprefix("ves/"), author, label))
     folder = at.folder("out/leaderboard") / stem
@@ -95,17 +95,6 @@ SHARED = (
     Flag("--salt", "FILE", read(_salt), "the maintainer's, of official seeds"),
     Flag("--workers", "N", integer(1), "processes that plan (1)"),
 )
-
-
-def _loaded(words: Sequence[str]) -> Any:
-    """The object that module:Name stands for, made if it is a class; else the words."""
-    module, colon, name = words[0].partition(":")
-    if len(words) > 1 or not (colon and name.isidentifier()):
-        return list(words) if len(words) > 1 else words[0]
-    loaded = getattr(import_own(module), name, None)
-    if loaded is None:
-        raise ParameterError(f"{module} has nothing called {name}")
-    return loaded() if isinstance(loaded, type) else loaded
 
 
 def _summary(scores: Array) -> str:

@@ -10,8 +10,10 @@ from typing import Any
 
 import ves_gym.api as vg
 from ves_gym._util.optional import require
+from ves_gym._util.own import own_object
 from ves_gym._util.params import ParameterError, read_table, to_plain, write_text
 from ves_gym.baselines.config import choose_config
+from ves_gym.baselines.controllers import Controller
 from ves_gym.baselines.evaluate import with_deviations
 from ves_gym.baselines.registry import CONTROLLERS
 from ves_gym.cli.flags import (
@@ -60,8 +62,8 @@ def evaluate(
     at: Context,
     id: str,
     *,
-    controller: tuple[str, ...] = (),
-    policy: tuple[str | Path, ...] = (),
+    controller: Sequence[str | Controller] = (),
+    policy: Sequence[str | Path] = (),
     nominal: bool = False,
     arm: str | Mapping[str, Any] | None = None,
     effect: tuple[Effect, ...] = (),
@@ -230,6 +232,10 @@ def _arm(value: str, place: Place) -> str | dict[str, Any]:
     return plain or value
 
 
+def _controllers(value: str, place: Place) -> list[Any]:
+    return [own_object(name, CONTROLLERS, "controllers") for name in names(value, place)]
+
+
 ARM, *BESIDE = arm_flags("that of the environment")
 ARMS = (replace(ARM, read=_arm), *BESIDE)
 POLICY = Flag(
@@ -253,8 +259,9 @@ TABLE = {
     )),
     "evaluate": (evaluate, (
         Flag("ID", help="an environment, such as ves/PumaDamp-v0"),
-        Flag("--controller", "A,B", names,
-             f"of {', '.join(CONTROLLERS)}; default zero,random and the released policies"),
+        Flag("--controller", "A,B", _controllers,
+             f"of {', '.join(CONTROLLERS)}, or one's own as module:Class; default zero,random"
+             " and the released policies"),
         Flag("--policy", "FILE", read(lambda k: k if k == "released" else Path(k)),
              "a policy's .json, a folder that `ves-gym train` made (its seeds as one), the name"
              " of a released policy (`ves-gym list policies`), or `released` for all of them;"

@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from ves_gym._util.own import installed
 from ves_gym._util.params import ParameterError, read_table
 from ves_gym._util.tables import table
 from ves_gym.baselines.policy import RELEASED
@@ -174,19 +175,25 @@ def _policies() -> Rows:
 KINDS: dict[str, Callable[[], Rows]] = {
     "arms": _arms,
     "vehicles": _vehicles,
-    "planners": lambda: [{"name": k, "summary": p.summary} for k, p in PLANNERS.items()],
+    "planners": lambda: [
+        *({"name": k, "summary": p.summary} for k, p in PLANNERS.items()),
+        *({"name": k.name, "summary": k.value} for k in installed("planners")),
+    ],
     "suites": _suites,
     "effects": _effects,
     "platforms": _platforms,
     "environments": _environments,
     "backends": lambda: [{"name": name} for name in BACKENDS],
     "controllers": lambda: [
-        {
-            "name": name,
-            "tasks": list(entry.tasks) if len(entry.tasks) < len(IDS) else ["all"],
-            "summary": entry.summary,
-        }
-        for name, entry in CONTROLLERS.items()
+        *(
+            {
+                "name": name,
+                "tasks": list(entry.tasks) if len(entry.tasks) < len(IDS) else ["all"],
+                "summary": entry.summary,
+            }
+            for name, entry in CONTROLLERS.items()
+        ),
+        *({"name": k.name, "tasks": [], "summary": k.value} for k in installed("controllers")),
     ],
     "policies": _policies,
     "commands": lambda: [{"name": k, "summary": text} for k, (_, text) in COMMANDS.items()],

@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 
 from ves_gym._util.one_line import on_one_line
 from ves_gym._util.optional import explain, lacking
-from ves_gym._util.own import IMPORTED, import_own
+from ves_gym._util.own import CALLED, IMPORTED, import_own
 from ves_gym._util.params import write_text
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.version import __version__
@@ -193,6 +193,7 @@ def _carry_out(args: argparse.Namespace) -> int:
     texts, flags = vars(args), args.flags
     every = values(EVERY, texts, None)
     IMPORTED[:] = every.pop("import", ())
+    CALLED.clear()
     with ExitStack() as bars:
         at, arm = Context(progress=Bars(args.command, bars), **every), None
         if any(flag.name == "--case" for flag in flags):

@@ -43,7 +43,7 @@ from ves_gym.planners.comparison import report_plan
 from ves_gym.planners.obstacles import read_surroundings
 from ves_gym.planners.ompl_search import ALGORITHMS, Ompl
 from ves_gym.planners.query import Planner
-from ves_gym.planners.registry import DEFAULT, PLANNERS, bounded, get_planner
+from ves_gym.planners.registry import DEFAULT, PLANNERS, bounded, get_planner, own_planner
 from ves_gym.planners.robust import Robust, Uncertainty, read_uncertainty
 from ves_gym.planners.suites import OBSTACLES, SUITES, get_suite, part_of
 from ves_gym.report.benchmark import benchmark_text, write_page
@@ -82,7 +82,7 @@ def plan(
     *,
     goal: Any = None,
     tool: ToolPose | None = None,
-    planner: str | None = None,
+    planner: Planner | None = None,
     bounds: Sequence[str] = (),
     robust_from: tuple[str, Uncertainty] | None = None,
     algorithm: str | None = None,
@@ -92,10 +92,10 @@ def plan(
 ) -> Answer:
     """Plan, simulate beside the straight line; negative if the arm that plays it fails."""
     case, lines = at.case, []
-    method: Planner
+    method = planner or get_planner("robust" if robust_from else DEFAULT)
     if robust_from is not None:
         file, uncertain = robust_from
-        method = _robust(planner or "robust", uncertain)
+        method = _robust(method, uncertain)
         lines.append("uncertain: " + "; ".join(uncertain.lines))
         if uncertain.estimate is not None:
             for option in at.machine:
@@ -103,8 +103,6 @@ def plan(
                     f"--robust-from {file} says what the machine is: leave out --{option}"
                 )
             case = Case(system=uncertain.estimate, seed=case.seed)
-    else:
-        method = get_planner(planner or DEFAULT)
     budget = {"algorithm": algorithm, "evaluations": evaluations, "seconds": seconds}
     budget = {name: value for name, value in budget.items() if value is not None}
     for option in budget if not isinstance(method, Ompl) else ():
@@ -135,8 +133,7 @@ def plan(
     return replace(answer, files=[path], then=[["simulate", "--case", path]])
 
 
-def _robust(name: str, uncertain: Uncertainty) -> Robust:
-    method = get_planner(name)
+def _robust(method: Planner, uncertain: Uncertainty) -> Robust:
     if not isinstance(method, Robust):
         raise ParameterError(
             f"--robust-from is for planners robust and robust-worst, got {method.name}"
@@ -146,13 +143,12 @@ def _robust(name: str, uncertain: Uncertainty) -> Robust:
     )
 
 
-def studio(at: Context, *, planner: str = "direct", **how: Any) -> Answer:
+def studio(at: Context, **how: Any) -> Answer:
     """Write the page; --out is its folder, or its name if that ends in .html."""
     query = at.case.query
     if query is not None:
         how = {name: getattr(query, name) for name in ("start", "goal", "duration")} | how
-    compared = None if planner == "none" else planner
-    page = Studio(at.case.system, planner=compared, seed=at.case.seed, **how)
+    page = Studio(at.case.system, seed=at.case.seed, **how)
     path = at.folder("out/studio")
     path = path if path.suffix == ".html" else path / "studio.html"
     page.save(path)
@@ -166,7 +162,7 @@ def studio(at: Context, *, planner: str = "direct", **how: Any) -> Answer:
 def _planners(value: str, place: Place) -> list[str]:
     if value == "all":
         return list(PLANNERS)
-    return [get_planner(name).name for name in names(value, place)]
+    return [own_planner(name).name for name in names(value, place)]
 
 
 def _bounds(value: str, place: Place) -> list[str]:
@@ -252,8 +248,9 @@ TABLE = {
              " its turn matters, Z-Y-X fixed angles about x, y, z [deg]; the configuration that"
              " leaves the base least energy is chosen", against="goal"),
         DURATION,
-        Flag("--planner", "P", text,
-             f"{', '.join(PLANNERS)} ({DEFAULT}; robust with --robust-from)"),
+        Flag("--planner", "P", read(own_planner),
+             f"{', '.join(PLANNERS)}, or one's own as module:Class ({DEFAULT}; robust with"
+             " --robust-from)"),
         Flag("--v-max", "A,B,C", _v_max,
              "joint speed limits [deg/s], or none (default: those of the arm)"),
         Flag("--a-max", "A,B,C", per_joint("deg/s^2"),
@@ -285,8 +282,9 @@ TABLE = {
              "way-point of the drawn path [deg], repeatable (default: one calm detour)",
              many=True),
         DURATION,
-        Flag("--planner", "P", text,
-             f"whose path is shown for comparison: {', '.join(PLANNERS)}, or none (direct)"),
+        Flag("--planner", "P", read(lambda k: None if k == "none" else own_planner(k)),
+             f"whose path is shown for comparison: {', '.join(PLANNERS)}, one's own as"
+             " module:Class, or none (direct)"),
         Flag("--open", "FILE", text,
              "show it in the page, repeatable: a run log or episode (.parquet, .csv), a case,"
              " diagnosis.json", to="show", many=True),
@@ -295,7 +293,8 @@ TABLE = {
     "benchmark": (benchmark, (
         Flag("--suite", "S", text, f"{', '.join(SUITES)} (reach100)"),
         Flag("--planners", "A,B", _planners,
-             f"all, or of {', '.join(PLANNERS)}; default the suite's own"),
+             f"all, or of {', '.join(PLANNERS)}, or one's own as module:Class; default the"
+             " suite's own"),
         Flag("--obstacles", "O", text, f"{', '.join(OBSTACLES)} (reach100; off)"),
         Flag("--durations", "S,S", read(floats, "numbers like 1,2,4 [s]"),
              "only queries of these durations [s]; default all"),

@@ -168,10 +168,14 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
     info: dict[str, Any] = {}
     with on_one_thread():
         try:
-            motion, info = planner.find(query, seed)
+            found = planner.find(query, seed)
         except NoPlan as error:
             failure: str | None = str(error)
         else:
+            if not (isinstance(found, tuple) and isinstance(found[0], Motion)):
+                what = f"find of planner {planner.name} must return (motion, info)"
+                raise TypeError(f"{what}, got {type(found).__name__}")
+            motion, info = found
             if query.free_joints:  # the answer is to the ends that it chose
                 query = replace(query, goal=motion.control[-1])
             predicted = predict(query.system, motion, query.servo, base=query.base, parts=FINE)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Any, TypeVar, cast
 
-from ves_gym._util.own import require_free
+from ves_gym._util.own import CALLED, own_object, require_free, require_interface
 from ves_gym._util.params import ParameterError, require_one_of
 from ves_gym.planners.bounds import parse_bounds
 from ves_gym.planners.query import Planner
@@ -63,13 +63,7 @@ def register_planner(planner: P) -> P:
             function also decorates one).
     """
     instance: Any = planner() if isinstance(planner, type) else planner
-    for part in ("name", "summary", "find"):
-        value = getattr(instance, part, None)
-        if not (callable(value) if part == "find" else isinstance(value, str)):
-            raise ParameterError(
-                "a planner needs name, summary and find(query, seed),"
-                f" got {instance!r} without {part}"
-            )
+    require_interface("planner", instance, ("name", "summary"), find=("query", "seed"))
     taken = type(PLANNERS[instance.name]) if instance.name in PLANNERS else None
     require_free(instance.name, "planner", type(instance), taken)
     PLANNERS[instance.name] = instance
@@ -86,6 +80,26 @@ def get_planner(name: str) -> Planner:
     plain, colon, text = name.partition(":") if isinstance(name, str) else (name, "", "")
     require_one_of("planner", plain, PLANNERS)
     return bounded(PLANNERS[plain], parse_bounds(text)) if colon else PLANNERS[plain]
+
+
+def own_planner(text: str) -> Planner:
+    """Return the planner that a word of the command line names.
+
+    Args:
+        text: what `get_planner` takes, the name of an installed package's entry point, or
+            `module:Class`. The module is imported: no word of a file comes here. The planner
+            has its name from then on, in processes begun later, too.
+
+    Raises:
+        ParameterError: no such planner, or what is there is none.
+    """
+    found = own_object(text, PLANNERS, "planners")
+    if isinstance(found, str):
+        return get_planner(found)
+    if type(PLANNERS.data.get(str(getattr(found, "name", "")))) is not type(found):
+        register_planner(found)  # which the module may have done itself
+    CALLED.append((own_planner, text))
+    return get_planner(found.name)
 
 
 def bounded(planner: Planner, bounds: Mapping[str, float]) -> Planner:
