@@ -92,6 +92,9 @@ check: $(DEV) ## format, lint and types, as CI runs them
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	@mkdir -p out && awk '/^```/ {code = /python/; next} code' README.md > out/readme.py
+	$(BIN)/mypy out/readme.py
+	$(BIN)/pyright --pythonpath $(BIN)/python
 
 format: $(DEV) ## rewrite the sources: format, sorted imports, safe fixes
 	$(BIN)/ruff check --fix-only .

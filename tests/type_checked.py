@@ -1,5 +1,6 @@
 # mypy: warn-unused-ignores, strict-equality
-"""What a type checker sees of the front door; `make check` reads it, nothing runs it.
+# pyright: reportUnnecessaryTypeIgnoreComment=true
+"""What mypy and pyright see of the front door; `make check` reads it, nothing runs it.
 
 An `ignore` that ignores nothing is an error: what it stands at must be one.
 """
