@@ -36,15 +36,11 @@ FPS, SECONDS = 10, 8.0  # of teleop.gif
 
 STUDIO = """(async () => {
   const by = (id) => document.getElementById(id);
-  const said = (e, kind) => e.dispatchEvent(new Event(kind, { bubbles: true }));
   const frame = () => new Promise((go) => setTimeout(go, 50));
   while (by("truth").dataset.done !== "yes" || vesStudio.chart.image === null) await frame();
-  const motion = by("motion-b");
-  motion.selectedIndex = [...motion.options].findIndex((o) => o.text === "direct");
-  said(motion, "change");
   const time = by("scene-time");
   time.value = Number(time.min) + 0.23 * (Number(time.max) - Number(time.min));
-  said(time, "input");
+  time.dispatchEvent(new Event("input"));
   await frame();
 })()"""
 
@@ -166,10 +162,10 @@ def diagnosis(target: Path) -> None:
 
 
 def studio(target: Path) -> None:
-    """The page with the planner's path as the second motion, in the middle of the motion."""
+    """The page as it opens, in the middle of the motion."""
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "studio.html"
-        command("studio", "--duration", "3", "--via", "55,0,-45", "--out", page)
+        command("studio", "--out", page)
         screenshot(page, (1265, 1500), target, STUDIO)
 
 
@@ -228,7 +224,7 @@ FIGURES: dict[str, Figure] = {
         partial(benchmark, "pareto.png", PARETO), f"`ves-gym benchmark {' '.join(PARETO)}`"
     ),
     "shoulder_turn.gif": Figure(shoulder_turn, "`ves-gym plan`, `simulate` and `view`"),
-    "studio.png": Figure(studio, "`ves-gym studio --duration 3 --via 55,0,-45`"),
+    "studio.png": Figure(studio, "`ves-gym studio`"),
     "teleop.gif": Figure(teleop, "`ves-gym teleop` with keys of a script"),
     "training.png": Figure(curves, "the curves in docs/training"),
     "wiring.svg": Figure(schematic, "`scripts/wiring.py`"),

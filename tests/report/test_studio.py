@@ -15,6 +15,7 @@ from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import get_vehicle
 from ves_gym.planners.coupling import band_limited, coupling_matrix, modes
 from ves_gym.planners.query import Query
+from ves_gym.report.notebook import Studio
 from ves_gym.report.studio import machine_data, playable, render_studio, studio_data
 from ves_gym.system.system import System
 
@@ -160,6 +161,21 @@ def drag(browser, selector, right, down):
     mouse.move(x + right, y + down)
     mouse.up()
     browser.do("new Promise((go) => requestAnimationFrame(() => requestAnimationFrame(go)))")
+
+
+def test_the_page_opens_with_a_path_that_is_far_calmer(browser, tmp_path, capsys):
+    """A tenth of the straight line's energy at most, and the simulator says so too."""
+    open_page(browser, Studio(planner="direct").data, tmp_path)
+    ready(browser)
+    assert float(browser.do("document.getElementById('ratio').textContent")[:-2]) <= 0.1
+    assert browser.do("document.getElementById('drawn-beyond').hidden")
+    (tmp_path / "case.toml").write_text(browser.do("vesStudio.caseOfDrawn()"))
+    words = ["--json", "-", "--out", str(tmp_path)]
+    assert main(["simulate", "--case", str(tmp_path / "case.toml"), *words]) == 0
+    drawn = json.loads(capsys.readouterr().out)["energies"]["E_mean"]
+    assert main(["simulate", "--duration", "3", *words]) == 0
+    straight = json.loads(capsys.readouterr().out)["energies"]["E_mean"]
+    assert drawn / straight <= 0.1
 
 
 def test_machines_that_the_page_cannot_simulate_are_refused():

@@ -5,7 +5,7 @@ import pytest
 
 from tests.report.studio_page import open_page, ready
 from ves_gym.planners.query import Query
-from ves_gym.report.studio import low_energy_waypoint, render_studio, studio_data
+from ves_gym.report.studio import low_energy_waypoints, render_studio, studio_data
 from ves_gym.system.system import System
 
 QUERY = Query(
@@ -15,7 +15,7 @@ QUERY = Query(
     duration=2.0,
 )
 REACHED = (
-    "0", "1", "2", "map-pair", "map-kind", "duration", "point-add", "joint-2", "save",
+    "0", "1", "2", "3", "map-pair", "map-kind", "duration", "point-add", "joint-2", "save",
     "motion-a", "scene-play", "scene-time", "view", "plotted", "files",
 )  # fmt: skip
 pytestmark = pytest.mark.slow
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def data():
-    return studio_data(QUERY, low_energy_waypoint(QUERY))
+    return studio_data(QUERY, low_energy_waypoints(QUERY))
 
 
 @pytest.mark.parametrize("dark", [False, True])
@@ -71,14 +71,14 @@ def test_the_keyboard_does_everything(browser, data, tmp_path):
         assert name in order, f"{name} is not reached: {order}"
     goal = "vesStudio.path.points.at(-1)[0]"
     before, mean = browser.do(goal), browser.do("vesStudio.path.tracks['straight line'].E_mean")
-    browser.do("document.querySelector('[data-point=\"2\"]').focus()")
+    browser.do("document.querySelector('[data-point=\"3\"]').focus()")
     browser.press("ArrowRight")
     browser.do("new Promise((go) => requestAnimationFrame(() => requestAnimationFrame(go)))")
     assert browser.do(goal) - before == pytest.approx(np.deg2rad(1.0))
     assert browser.do("vesStudio.path.tracks['straight line'].E_mean") != mean
     browser.do("document.getElementById('point-add').focus()")
     browser.press("Enter")
-    assert browser.do("vesStudio.path.points.length") == 4
+    assert browser.do("vesStudio.path.points.length") == 5
     browser.do("document.getElementById('scene-play').focus()")
     browser.press("Enter")
     assert browser.do("vesStudio.film.playing") is True

@@ -279,9 +279,9 @@ TABLE = {
         START,
         GOAL,
         Flag("--via", "A,B,C", joints,
-             "way-point of the drawn path [deg], repeatable (default: one calm detour)",
+             "way-point of the drawn path [deg], repeatable (default: two that make it calm)",
              many=True),
-        DURATION,
+        replace(DURATION, help="of the motion [s] (3)"),
         Flag("--planner", "P", read(lambda k: None if k == "none" else own_planner(k)),
              f"whose path is shown for comparison: {', '.join(PLANNERS)}, one's own as"
              " module:Class, or none (direct)"),

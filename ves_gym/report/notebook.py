@@ -16,7 +16,7 @@ from ves_gym.mechanics.limits import usual_goal
 from ves_gym.mechanics.motion import Motion
 from ves_gym.planners.query import Plan, Planner, Query, solve
 from ves_gym.planners.registry import get_planner
-from ves_gym.report.studio import low_energy_waypoint, playable, render_studio, studio_data
+from ves_gym.report.studio import low_energy_waypoints, playable, render_studio, studio_data
 from ves_gym.report.studio_files import open_item
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
@@ -67,7 +67,7 @@ class Studio:
         start: npt.ArrayLike | None = None,
         goal: npt.ArrayLike | None = None,
         via: Sequence[npt.ArrayLike] | None = None,
-        duration: float = 2.0,
+        duration: float = 3.0,
         planner: str | Planner | None = "direct",
         show: Sequence[str | os.PathLike[str] | RunLog | Plan | Motion] = (),
         height: int = 900,
@@ -80,7 +80,7 @@ class Studio:
                 platform on its legs.
             start, goal: joint angles (n,) [rad] that the page begins with; default rest at
                 zero, and a goal within the arm's limits.
-            via: way-points (n,) of the drawn path [rad]; None: one calm detour.
+            via: way-points (n,) of the drawn path [rad]; None: two that make it calm.
             duration: of the motion [s].
             planner: whose path is shown for comparison; None for none.
             show: files to open, as `ves-gym studio --open` takes them, or logs, plans, motions.
@@ -107,14 +107,15 @@ class Studio:
             end = arm.require_within_limits(goal, "goal")
         first, last = (tuple(k.tolist()) for k in (begin, end))
         query = Query(system=system, start=first, goal=last, duration=duration)
-        if via is None:
-            points = low_energy_waypoint(query)
-        else:
-            points = [arm.require_within_limits(point, "via") for point in via]
         plans = []
         if planner is not None:
             method = get_planner(planner) if isinstance(planner, str) else planner
             plans = [solve(method, replace(query, system=space), seed)]
+        if via is None:
+            near = plans[0].motion if plans and plans[0].found else None
+            points = low_energy_waypoints(query, near)
+        else:
+            points = [arm.require_within_limits(point, "via") for point in via]
         items = [open_item(item, system) for item in show]
         self.height = height
         self.data = studio_data(query, points, items, plans)

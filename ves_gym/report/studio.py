@@ -6,13 +6,13 @@ how far its energies are from those of the simulator for the motions that came w
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
 
 from ves_gym._util.params import Array, ParameterError, to_plain, toml
 from ves_gym.mechanics.arm import Arm
@@ -41,25 +41,42 @@ _SCRIPTS = (  # one module, in this order
 SHOWN = 4.0  # s after the motion that the page shows
 _RECORD = 0.0125  # s between samples of the motions that the page's energies are compared with
 _JOINT = ("damping", "friction", "q_min", "q_max", "v_max", "tau_max")
-_DETOURS = (-0.4, -0.2, 0.0, 0.2, 0.4)  # rad
+_BEGIN = (0.25, 0.6)  # of the duration, where the search for way-points begins
+_LOOKS = 16  # of that search
+_ROOM = 1e-2  # that it leaves of each limit: its own is a little soft
 _SHARES = {"position": 1.0, "velocity": 1.0, "torque": 0.7}  # of limits
 _SLOWER = (1.0, 1.5)  # durations of these, over that of the motion shown
 
 
-def low_energy_waypoint(query: Query) -> list[Array]:
-    """Return a way-point for the page to begin with, if any: of a few detours the calmest."""
+def low_energy_waypoints(query: Query, near: Motion | None = None) -> list[Array]:
+    """Return two way-points (n,) [rad] that make the drawn path calm, or none if none do.
+
+    E_mean of the path through them is minimised within the arm's limits, from half way between
+    the straight line and a motion, such as a planner's.
+    """
     system = playable(query.system)
-    arm, (start, goal) = system.arm, query.ends
-    low, high = arm.column("q_min"), arm.column("q_max")
-    first = np.eye(arm.n)[:2]  # of the joints that the map shows at first
-    energies: list[tuple[float, Array]] = []
-    for sizes in itertools.product(_DETOURS, repeat=len(first)):
-        via = np.clip((start + goal) / 2 + np.array(sizes) @ first, low, high)
-        motion = Motion.through([start, via, goal], query.duration)
-        if any(sizes) and _possible(arm, motion):
-            energy = predict(system, motion, OWN_GAINS.for_arm(arm, system.vehicle)).E_mean
-            energies.append((energy, via))
-    return [min(energies, key=lambda pair: pair[0])[1]] if energies else []
+    arm, (start, goal), T = system.arm, query.ends, query.duration
+    servo, straight = OWN_GAINS.for_arm(arm, system.vehicle), query.straight
+    middle = np.array(_BEGIN) * T
+    points = (straight.at(middle).q + (near or straight).at(middle).q) / 2
+
+    def through(x: Array) -> Motion:
+        return Motion.through([start, *x.reshape(points.shape), goal], T)
+
+    def energy(x: Array) -> float:  # its logarithm, so that arms of any size stop alike
+        return float(np.log(predict(system, through(x), servo).E_mean / E_straight))
+
+    E_straight = predict(system, straight, servo).E_mean
+    found = minimize(
+        energy,
+        points.ravel(),
+        method="SLSQP",
+        bounds=list(zip(arm.column("q_min"), arm.column("q_max"), strict=True)) * len(points),
+        constraints={"type": "ineq", "fun": lambda x: _room(arm, through(x)) - _ROOM},
+        options={"maxiter": _LOOKS, "eps": 1e-4, "ftol": 1e-2},
+    )
+    calmer = found.fun < 0 and _possible(arm, through(found.x))
+    return list(found.x.reshape(points.shape)) if calmer else []
 
 
 def playable(system: System) -> System:
@@ -177,8 +194,13 @@ def reference_motions(
 
 def _possible(arm: Arm, motion: Motion) -> bool:
     """True if joints and motors keep their limits, with room for what the base adds."""
+    return bool((_room(arm, motion) >= 0).all())
+
+
+def _room(arm: Arm, motion: Motion) -> Array:
+    """What a motion leaves of `_SHARES`, per limit and joint; below 0 where it takes more."""
     ratios = limit_ratios(arm, motion)
-    return all(float(ratios[k].max()) <= most for k, most in _SHARES.items())
+    return np.concatenate([most - ratios[k] for k, most in _SHARES.items()])
 
 
 def references(system: System, motions: Sequence[tuple[str, Motion]]) -> list[dict[str, Any]]:
