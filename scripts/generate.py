@@ -228,11 +228,11 @@ def _info(env: VesEnv) -> str:
     assert not unknown, f"say in OWN_INFO what these are: {unknown}"
     own = [(f"`{k}`", v) for k, v in OWN_INFO.items() if k in keys]
     names = [k.removeprefix("reward/") for k in end if k.startswith("reward/")]
-    terms = ", ".join(f"`reward/{k}`" for k in names)
+    terms = ", ".join(f"`{k}`" for k in names)
     table = "\n\n" + _list(own) if own else ""
     return (
-        f"Terms of the reward: {terms}.{_objectives(env, tuple(names))}"
-        f"{' `info` has also:' if own else ''}{table}"
+        f"Terms of `reward/`: {terms}.{_objectives(env, tuple(names))}"
+        f"{' `info` also has:' if own else ''}{table}"
     )
 
 
@@ -240,17 +240,17 @@ def _objectives(env: VesEnv, terms: tuple[str, ...]) -> str:
     """Return which terms make an objective of `reward="vector"`; goal variants have none."""
     if env.goal:
         return ""
-    energetic = [f"`reward/{k}`" for k in terms if k in env.task.energetic]
-    return f" Objective `energy` is {' + '.join(energetic) or '0'}, `error` the others."
+    energetic = [f"`{k}`" for k in terms if k in env.task.energetic]
+    return f" Objective `energy`: {' + '.join(energetic) or '0'}."
 
 
 def _system(task: Task) -> str:
     system = task.system
-    vehicle = next((k for k, v in VEHICLES.items() if v == system.vehicle), "its own")
+    vehicle = next((f"`{k}`" for k, v in VEHICLES.items() if v == system.vehicle), "its own")
     return (
-        f"arm {system.arm.name}, vehicle `{vehicle}`, drive {system.drive},"
+        f"arm {system.arm.name}, vehicle {vehicle}, drive {system.drive},"
         f" {system.integrator} at {system.physics_dt * 1e3:g} ms,"
-        f" control period {system.control_dt * 1e3:g} ms"
+        f" {task.steps} control periods of {system.control_dt * 1e3:g} ms"
     )
 
 
@@ -297,18 +297,17 @@ def _page(name: str) -> str:
     picture = (
         f"\n![{name}](../pictures/{name}.gif)\n\n"
         + (
-            "*What [a policy that comes with the package](../training.md) has learned.*\n"
+            "*The [released policy](../training.md).*\n"
             if released(f"ves/{name}-v0")
-            else f"*An episode of the controller `{REFERENCES[name]}`.*\n"
+            else f"*The controller `{REFERENCES[name]}`.*\n"
         )
         if ((DOCS / "pictures" / f"{name}.gif").exists())
         else ""
     )
     size = sum(f.size for f in task.fields())
     options = ", ".join(f"`{k}`" for k in ("index", *task.options))
-    end = f"Deadline {task.duration:g} s ({task.steps} steps)"
-    failed = type(task).failed
-    fail = "a joint is beyond its limits." if failed is Task.failed else failed.__doc__
+    failed = type(task).failed  # of joint limits README.md says so
+    fail = "" if failed is Task.failed else f" Failed: {_sentence(failed.__doc__)}"
     goals = ""
     if task.goal_fields is not None:
         achieved, desired = task.goal_fields
@@ -328,13 +327,12 @@ def _page(name: str) -> str:
 {picture}
 {rest}
 
-{_system(task)[0].upper() + _system(task)[1:]}. [Common to all tasks](README.md): observations,
-controls, returns, `info`, ends, settings, laboratory.
-{_emulated(name) if laboratory else ""}
+{_system(task)[0].upper() + _system(task)[1:]}.{_emulated(name)} The rest is [common to all
+tasks](README.md).
 
 ## Observation
 
-{size} numbers, value over scale, clipped to +-{task.CLIP:g}.
+{size} numbers.
 {goals}
 {_observation(task)}
 
@@ -344,11 +342,7 @@ controls, returns, `info`, ends, settings, laboratory.
 
 ## Reward and info
 
-{_info(_env(name, emulated=laboratory, duration=0.25))}
-
-## End
-
-{end}. Solved: {_sentence(type(task).success.__doc__)} Failed: {_sentence(fail)}
+{_info(_env(name, emulated=laboratory, duration=0.25))}{fail}
 
 ## Settings
 
@@ -360,15 +354,14 @@ Options of `reset`: {options}.
 
 
 def _emulated(name: str) -> str:
-    """Return what the id in the laboratory is."""
+    """Return what differs in the laboratory."""
     text = ", ".join(f"`{k}` = {v:.4g}" for k, v in (IDS[name].emulated or {}).items())
-    where = "[the laboratory](README.md#the-laboratory)"
-    return f"`ves/{name}Emulated-v0` is in {where}{f', with {text}' if text else ''}."
+    return f" In [the laboratory](README.md#the-laboratory): {text}." if text else ""
 
 
 def _sentence(doc: str | None) -> str:
     """A docstring's first lines as the end of a sentence."""
-    text = re.sub(r"^\(n,\) (whether )?", "", _first_line(doc))
+    text = _first_line(doc)
     return text[0].lower() + text[1:]
 
 

@@ -28,24 +28,21 @@ class Damp(ArmTask):
     the bent beam are 0.06 m along x or z and 0.11 m along y. The joints start anywhere in
     `home` +- `span`, about the thesis's (45, 0, 0) deg.
 
-    Control: `torque` on top of the joint damping of the PPED gains (eq. 4.5b); `pd_gains`,
-    the servos' gains about the start, which is the thesis's means; or `acceleration`.
+    Control: `torque` on top of the joint damping of the PPED gains (eq. 4.5b); `pd_gains`, the
+    servos' gains about the start, which is the thesis's means; or `acceleration`.
 
     The base is observed in its modes with the arm at home, each with its energy, because the
-    return to come is about a weighted sum of these. From pose and rate, one seed of PPO was at
-    0.84 of the high gains' integral after 4 million steps; from the modes, at 0.77 after one.
+    return to come is about a weighted sum of these: a policy learns faster than from pose and
+    rate.
 
-    Cost, two terms. `energy` is the time integral of the strain energy over that with the
-    joints locked where they start (closed form, `released_energy`). `astray` counts joints
-    further than `room` from home. Solved: the integral is at most `saving` times that of locked
-    joints.
+    Cost: `energy` is the time integral of the strain energy over that with the joints locked
+    where they start (closed form, `released_energy`). `astray` counts joints further than
+    `room` from home. Solved: the integral is at most `saving` times that of locked joints.
 
     Measured, `bent-thesis` in space, 512 starts of seed 0: sums of strain integrals over those
-    of servos at the high gains (eq. 4.6). PPED gains 0.99; random gains 0.90; no torque 1.01.
-    One LQR feedback for all starts, linearised at home and saturated, 0.60 (by acceleration
-    0.54); the `pd_gains` nearest to that feedback's torques 0.65 (128 starts). Along y the arm
-    acts little on the slow modes: single starts range from 0.4 to 0.9. Learned policies:
-    docs/training.md.
+    of servos at the high gains (eq. 4.6). PPED gains 0.99; random gains 0.90; no torque 1.01;
+    one LQR feedback for all starts, linearised at home and saturated, 0.60 (by acceleration
+    0.54). Along y the arm acts little on the slow modes: single starts range from 0.4 to 0.9.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q", "y")

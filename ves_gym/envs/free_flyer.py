@@ -24,20 +24,18 @@ class FreeFlyerReach(ArmTask):
     """Bring the tool to a point fixed in space, the satellite turning as little as it can.
 
     No force acts on the base from outside, so its momentum stays zero and it turns and shifts
-    as the arm moves. The nominal 500 kg cube of `mechanics/vehicle.py` does so by up to 6 cm
-    and 4 deg. The arm's start and the target, by forward kinematics on the base at rest, are
-    drawn from `home` +- `span`. The elbow stays bent by 60 deg, so that the target is within
-    reach however the base has moved. The target is `away` or more from the tool's start.
+    as the arm moves, the nominal 500 kg cube by up to 6 cm and 4 deg. The arm's start and the
+    target, by forward kinematics on the base at rest, are drawn from `home` +- `span`. The
+    elbow stays bent by 60 deg, so that the target is within reach however the base has moved.
+    The target is `away` or more from the tool's start.
 
-    Cost, means over the episode: `distance`, of tool from target in `far`; `energy`,
-    of the base's kinetic energy E; `turn`, of the norm of its attitude. The weights bring each
-    to 0.1 to 0.2 on a good motion (this project). Solved: for the last `hold` seconds the tool
-    has been within `tolerance` of the target and no joint faster than `rest`. A base that turns
-    by more than `tumble` is a failure.
+    Cost, means over the episode: `distance`, of tool from target in `far`; `energy`, of the
+    base's kinetic energy E; `turn`, of the norm of its attitude. The weights bring each to 0.1
+    to 0.2 on a good motion (this project). Solved: for the last `hold` seconds the tool has
+    been within `tolerance` of the target and no joint faster than `rest`.
 
-    Measured, in space, 1000 starts of seed 0: a reference pulled to the inverse kinematics of
-    the target as the base sees it solves 999 and costs 0.44. No motion costs 1.29, random
-    actions 1.80. Learned policies: docs/training.md.
+    Measured in space, 1000 starts of seed 0: a reference pulled to the inverse kinematics of
+    the target as the base sees it costs 0.44, no motion 1.29, random actions 1.80.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q", "target")

@@ -44,18 +44,15 @@ class Lqr(ArmTask):
     thesis's configuration of 4.3.2, and the joints are damped by its PPED gains (eq. 4.5b). The
     other numbers make motions small and the optimal torque stay within bounds (this project).
 
-    The episode's cost is that, `state` and `effort`, over the expected optimal cost, so that
-    the optimum costs 1 on average. Solved: the whole episode has cost at most 1 + `slack` times
-    the least that its start allows.
+    The episode's cost is `state` and `effort` over the expected optimal cost. Solved: it is at
+    most 1 + `slack` times the least that the start allows.
 
-    The base is the thesis's condensed beam: internal modes, which an optimal feedback would
-    need, are not measured.
+    The base is the thesis's condensed beam, because internal modes, which an optimal feedback
+    would need, are not measured.
 
-    Measured, that beam in space, 1000 starts of seed 0: the optimal feedback costs 1.01695,
-    in closed form 1.01694. Single starts differ by 4e-4, at most 2e-3, by what the linear
-    plant leaves out. Gains 5 % off cost 3e-4 more, no torque costs 1.84. In the laboratory
-    the platform's lag and errors come on top: no closed form applies, and the same feedback
-    costs 1.08.
+    Measured in space, 1000 starts of seed 0: the optimal feedback costs 1.01695, in closed form
+    1.01694; no torque costs 1.84. In the laboratory no closed form applies, and the same
+    feedback costs 1.08.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q", "v", "y", "yd")

@@ -39,10 +39,10 @@ class PayloadTransfer(ArmTask):
     """Fetch a floating payload of unknown mass and berth it at rest, on a base that sways.
 
     The payload floats at rest in space. The latch closes by itself once the tool is within its
-    reach of the grapple fixture (2 cm) and slower against it than `catch`. That is an exact
-    inelastic impulse, after which the last link carries the payload. The berth, a point fixed
-    in space, takes it once the fixture has been within `tolerance` and slower than `rest` for
-    `hold` seconds. The latch then opens, and the episode is solved.
+    reach of the grapple fixture (2 cm) and slower against it than `catch`: an exact inelastic
+    impulse, after which the last link carries the payload. The berth, a point fixed in space,
+    takes it once the fixture has been within `tolerance` and slower than `rest` for `hold`
+    seconds. The latch then opens, and the episode is solved.
 
     The mass is drawn between the ends of `mass` on a logarithmic scale, the centre of mass up
     to `off_centre` from the middle along each axis. Neither is observed: servo, feed-forward,
@@ -50,14 +50,13 @@ class PayloadTransfer(ArmTask):
     drawn as those of task reach. Both legs are straight quintics of a third of the episode,
     within the speed limits and at least `away` long.
 
-    Cost, two terms. What is missing at the end is between 1 and a half until the payload is
-    carried, then down to nothing until it is berthed (`arm_task.gap`, up to `far`; a speed
-    counts as the way that it makes in `brake`). `thrift` times E_mean counts in that expected
-    of the two straight legs, at least a quarter of its median.
+    Cost: what is missing at the end, between 1 and a half until the payload is carried, then
+    down to nothing until it is berthed (`arm_task.gap`, up to `far`; a speed counts as the way
+    that it makes in `brake`); and `thrift` times E_mean over that expected of the two straight
+    legs, at least a quarter of its median.
 
-    The default masses are the PUMA's; give arms with slender wrists lighter ones (`mass`).
-
-    In the laboratory a stand carries the payload until the latch closes. Its weight, which the
+    The default masses are the PUMA's; give arms with slender wrists lighter ones (`mass`). In
+    the laboratory a stand carries the payload until the latch closes. Its weight, which the
     gravity estimate does not know, is emulated as a force of the arm on the base.
     """
 

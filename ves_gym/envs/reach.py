@@ -61,16 +61,15 @@ def reachable(
 class Reach(ArmTask):
     """Bring the tool to a point fixed in space, where it stays until the deadline.
 
-    The arm's motion sways the base by centimetres, so the joints must take back what the
-    base does. Joint angles of start and target are uniform in the box of the planning
-    benchmark reach100. Those of the target are used when a straight quintic gets there in
-    half the time within the speed limits. They must also be `dexterous`, so that the target
-    stays within reach while the base sways. Solved: the tool has been within `tolerance` of
-    the target for the last `hold` seconds.
+    The arm's motion sways the base by centimetres, so the joints must compensate for it. Joint
+    angles of start and target are uniform in the box of the planning benchmark reach100. A
+    straight quintic must reach those of the target in half the time within the speed limits,
+    and they must be `dexterous`, so that the target stays within reach while the base sways.
+    Solved: the tool has been within `tolerance` of the target for the last `hold` seconds.
 
-    Cost, two terms. The first is what is missing to the target at the end (`arm_task.gap`, from
-    `tolerance` to `far`). `thrift` times E_mean counts in that expected of a straight motion to
-    the target in half the time (`scales.straight_energy`), at least a quarter of its median.
+    Cost: what is missing to the target at the end (`arm_task.gap`, from `tolerance` to `far`),
+    and `thrift` times E_mean over that expected of a straight motion to the target in half the
+    time (`scales.straight_energy`), at least a quarter of its median.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q", "target")

@@ -21,18 +21,18 @@ _TRIES = 12  # candidate queries per episode; the first that respects the speed 
 class RestToRest(Task):
     """Bring the arm from one configuration to another, at rest at the deadline.
 
-    Queries are drawn as those of the planning benchmark reach100: both ends uniform in a
-    box of joint angles, used when the straight quintic respects the speed limits. Cost: E_mean
-    over E_straight, or over a quarter of its median where that is more; and `miss` times the
-    distance to the goal at the end. So the straight line costs about one.
+    Queries are those of the planning benchmark reach100: both ends uniform in a box of joint
+    angles, used when the straight quintic respects the speed limits. Cost: E_mean over
+    E_straight, or over a quarter of its median where that is more; and `miss` times the
+    distance to the goal at the end.
 
     E_straight is the energy that a straight motion is expected to leave on the machine as
     described (`scales.straight_energy`), in the laboratory and with effects too. The policy has
     to find out how another machine differs.
 
     Solved: at the goal and at rest there, with E_mean at most `saving` times E_straight.
-    Control `guided` arrives whatever the action: with `saving` None a policy that does nothing
-    solves every episode.
+    Control `guided` arrives whatever the action: with `saving` None doing nothing solves every
+    episode.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q", "goal")

@@ -48,12 +48,12 @@ class Track(ArmTask):
     point of it can be reached within the joint limits, at rates of at most `pace` of the
     joints' limits; the remainder is for the base's sway. The phase runs by the quintic law. The
     path starts in the box of the planning benchmark reach100 and is used when it is `dexterous`
-    all along. Solved: at the deadline, when the root mean square of the tool's distance from
-    where it was to be is within `tolerance`.
+    all along. Solved: at the deadline the root mean square of the tool's distance from where it
+    was to be is within `tolerance`.
 
-    Cost, two terms. The first is the mean of what is missing to where the tool is to be
-    (`arm_task.gap`, in `far`). `thrift` times E_mean counts in that expected of the joint
-    motion that the path was made of (`scales.motion_energy`).
+    Cost: the mean of what is missing to where the tool is to be (`arm_task.gap`, in `far`), and
+    `thrift` times E_mean over that expected of the joint motion that the path was made of
+    (`scales.motion_energy`).
     """
 
     options: ClassVar[tuple[str, ...]] = ("q",)
