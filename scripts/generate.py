@@ -19,7 +19,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from ves_gym._util.params import ParameterError
+from ves_gym._util.params import Array, ParameterError
 from ves_gym.baselines.policy import released
 from ves_gym.baselines.registry import REFERENCES
 from ves_gym.envs.base_control import BaseControl
@@ -146,7 +146,7 @@ def _observation(task: Task) -> str:
         unit = "" if field.unit == "1" else f" [{field.unit}]"
         rows.append(
             (
-                f"{entries} `{field.name}`{unit} / {_number(field.scale)}",
+                f"{entries} `{field.name}`{unit} / {_scale(field.scale)}",
                 "" if _shared_fields().get(field.name) == field.what else field.what,
             )
         )
@@ -154,8 +154,20 @@ def _observation(task: Task) -> str:
     return _list(rows)
 
 
-def _values(control: Control) -> str:
-    return ", ".join(_setting(control, f) for f in dataclasses.fields(control))
+def _scale(value: Array) -> str:
+    """A number, three, or from the least to the most of more."""
+    least, most = np.min(value), np.max(value)
+    return f"{least:.3g} to {most:.3g}" if len(value) > 3 and least < most else _number(value)
+
+
+def _values(control: Control, other: Control | None = None) -> str:
+    """Return the settings of a control, or those in which it differs from another one."""
+    fields = dataclasses.fields(control)
+    return ", ".join(
+        _setting(control, f)
+        for f in fields
+        if other is None or getattr(control, f.name) != getattr(other, f.name)
+    )
 
 
 def _controls(task: Task) -> str:
@@ -169,7 +181,7 @@ def _controls(task: Task) -> str:
         if kind == task.control.kind:
             control = task.control
         if control != CONTROLS[kind]():
-            settings.append((f"`{kind}`", _values(control)))
+            settings.append((f"`{kind}`", _values(control, CONTROLS[kind]())))
         names[f"`{kind}`" + " (default)" * (kind == task.control.kind)] = control.width(
             task.system.arm
         )

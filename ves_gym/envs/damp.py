@@ -29,20 +29,18 @@ class Damp(ArmTask):
     `home` +- `span`, about the thesis's (45, 0, 0) deg.
 
     Control: `torque` on top of the joint damping of the PPED gains (eq. 4.5b); `pd_gains`, the
-    servos' gains about the start, which is the thesis's means; or `acceleration`.
-
-    The base is observed in its modes with the arm at home, each with its energy, because the
-    return to come is about a weighted sum of these: a policy learns faster than from pose and
-    rate.
+    servos' gains about the start, which is the thesis's means; or `acceleration`. The base is
+    observed in its modes with the arm at home, each with its energy: from these a policy learns
+    faster than from pose and rate.
 
     Cost: `energy` is the time integral of the strain energy over that with the joints locked
     where they start (closed form, `released_energy`). `astray` counts joints further than
     `room` from home. Solved: the integral is at most `saving` times that of locked joints.
 
-    Measured, `bent-thesis` in space, 512 starts of seed 0: sums of strain integrals over those
-    of servos at the high gains (eq. 4.6). PPED gains 0.99; random gains 0.90; no torque 1.01;
-    one LQR feedback for all starts, linearised at home and saturated, 0.60 (by acceleration
-    0.54). Along y the arm acts little on the slow modes: single starts range from 0.4 to 0.9.
+    Measured on `bent-thesis`, 512 starts of seed 0, over the integral with servos at the high
+    gains (eq. 4.6): PPED gains 0.99, random gains 0.90, no torque 1.01, one LQR feedback for
+    all starts, saturated, 0.60. Along y the arm acts little on the slow modes: single starts
+    range from 0.4 to 0.9.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q", "y")

@@ -47,17 +47,17 @@ class PayloadTransfer(ArmTask):
     The mass is drawn between the ends of `mass` on a logarithmic scale, the centre of mass up
     to `off_centre` from the middle along each axis. Neither is observed: servo, feed-forward,
     energies E and gravity estimate know the arm alone. Angles of start, payload and berth are
-    drawn as those of task reach. Both legs are straight quintics of a third of the episode,
-    within the speed limits and at least `away` long.
+    drawn as in task reach; both legs are straight quintics of a third of the episode, within
+    the speed limits and at least `away` long.
 
     Cost: what is missing at the end, between 1 and a half until the payload is carried, then
     down to nothing until it is berthed (`arm_task.gap`, up to `far`; a speed counts as the way
     that it makes in `brake`); and `thrift` times E_mean over that expected of the two straight
     legs, at least a quarter of its median.
 
-    The default masses are the PUMA's; give arms with slender wrists lighter ones (`mass`). In
-    the laboratory a stand carries the payload until the latch closes. Its weight, which the
-    gravity estimate does not know, is emulated as a force of the arm on the base.
+    Arms with slender wrists need lighter payloads (`mass`). In the laboratory a stand carries
+    the payload until the latch closes; then its weight, which the gravity estimate does not
+    know, is emulated as a force of the arm on the base.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q",)

@@ -62,12 +62,12 @@ SERVICER = replace(
 class ServicerCapture(ArmTask):
     """Catch a tumbling satellite with a free-flying servicer, and bring both to rest.
 
-    The target is a free rigid body: its centre of mass rests, and it tumbles as its inertia has
-    it. The latch closes by itself once the tool is within its reach of the grapple fixture (2
-    cm and 5 deg, the tool's axes along the fixture's), slower against it than `catch` and
-    turning slower than `catch_turn`. That is an exact inelastic impulse. From then on the last
-    link carries the target, and arm and wheels take over its angular momentum. Wheels store it;
-    jets remove it, for propellant.
+    The target is a free rigid body: its centre of mass rests, and it tumbles. The latch closes
+    by itself once the tool is within its reach of the grapple fixture (2 cm and 5 deg, the
+    tool's axes along the fixture's), slower against it than `catch` and turning slower than
+    `catch_turn`: an exact inelastic impulse. From then on the last link carries the target, and
+    arm and wheels take over its angular momentum. Wheels store it; jets remove it, for
+    propellant.
 
     Solved: the target has been carried for the last `hold` seconds. Meanwhile it and the base
     turned slower than `rest` in space, the joints slower than `settled`. The base's attitude
@@ -75,19 +75,19 @@ class ServicerCapture(ArmTask):
 
     Drawn: where the arm starts, and a meeting at a time in `meet`. Then the fixture is at the
     tool's pose of joint angles from zero +- `span` that are `dexterous`. The target is beyond
-    the tool, clear of the base, and turns about any axis at a rate in `spin`. Its state at the
+    the tool, clear of the base, and turns about any axis at a rate in `spin`; its state at the
     start follows by flying back. Its mass is drawn between the ends of `mass` on a logarithmic
-    scale, its inertia is that of the described target per mass. Neither is observed: servo,
-    feed-forward and energies E know the arm alone.
+    scale, its inertia in proportion. Neither is observed: servo, feed-forward and energies E
+    know the arm alone.
 
     Cost: what is missing at the end, between 1 and a half until the target is carried
     (`arm_task.gap` of distance and turn), then down to nothing as target, base and joints come
     to rest; `turn` times the mean angle of the base; `energy` times the mean of its energy E;
     `fuel` times the propellant.
 
-    The vehicle is `servicer-flexible` without its pointing law: two solar arrays and sloshing
-    propellant answer to what the base does. With `vehicle="servicer-flexible"` and
-    `base_control=None` the law commands wheels and jets, and the action is the joints' alone.
+    The vehicle is `servicer-flexible` without its pointing law. With
+    `vehicle="servicer-flexible"` and `base_control=None` the law commands wheels and jets, and
+    the action is the joints' alone.
 
     Only in mode ideal: nothing tumbles in the laboratory, and the platform emulates neither
     wheels nor jets.

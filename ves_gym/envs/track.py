@@ -233,16 +233,14 @@ class Seam(Track):
     """Follow a seam with the tool, a line or an arc fixed in space, while the boom sways.
 
     The arm (any: `arm=`) stands on the flange of a long flexible boom whose joints are on their
-    brakes (`mechanics.boom`), the base of the system. The boom has been released: at the start
-    its flange is displaced along a direction drawn uniformly over the sphere. The boom then
-    stores `energy`, and it sways on through the episode. The seam begins at the tool. It is
-    `length` of the arm's reach long, and bends by up to `bend` in all or not at all. `rounds`
-    counts passes along it, forth, back and so on, by the quintic law. Twenty seams are drawn,
-    the last six shorter. The first counts that the arm can follow on a base at rest within its
-    joint limits, at rates of at most `pace` of the joints' limits, `dexterous`.
+    brakes (`mechanics.boom`). At the start the flange is displaced along a direction drawn
+    uniformly over the sphere: the boom stores `energy` and sways through the episode. The seam
+    begins at the tool, is `length` of the arm's reach long, and bends by up to `bend` in all or
+    not at all. `rounds` counts passes along it, forth and back, by the quintic law. Of twenty
+    seams drawn, the last six shorter, the first counts that the arm can follow on a base at
+    rest, at rates of at most `pace` of the joints' limits, `dexterous`.
 
-    Observation, reward, end and success are those of task `track`: solved where the root mean
-    square of the tool's distance from where it was to be is within `tolerance`.
+    Observation, reward and success are those of task `track`.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q", "y")
