@@ -52,12 +52,11 @@ CONSTANTS = {
 
 HEAD = """# Names
 
-`import ves_gym as vg` has every name below; each is loaded when it is first used. SI units,
-angles in radians. `help(vg.simulate)` and an editor show arguments, shapes and errors. Bad
-input raises `vg.ParameterError` with the value and what was expected.
+`import ves_gym as vg` has every name below. SI units, angles in radians. `help(vg.simulate)`
+shows arguments, shapes and errors. Bad input raises `vg.ParameterError`.
 
 A result prints in one line, shows itself in a notebook, and draws itself: `plot(ax=None)` takes
-matplotlib axes (without them it makes a figure) and returns them. `RunLog.plot` has three
+matplotlib axes and returns them. `RunLog.plot` has three
 panels, or base energy alone in one; `CouplingMap.plot` takes `paths=[plan, ...]`,
 `Comparison.plot` `log=True`, that of `evaluate` `measure="E_int"`. Logs, motions, systems,
 vehicles and cases have `save` and `load` (vehicles: `get_vehicle`, cases: `load_case`); maps
@@ -73,20 +72,20 @@ What is not named here may change between versions.
 
 
 def summary(value: Any, name: str) -> str:
-    """Return the first sentence of a docstring, fit for a table's cell."""
+    """Return the first sentence of a docstring, fit for a list."""
     name = name.rpartition(".")[2]
     if name in CONSTANTS:
         return CONSTANTS[name]
     text = inspect.getdoc(value) or ""
     first = " ".join(text.split("\n\n")[0].split())
     sentence = re.match(r".+?[.](?= |$)", first)
-    return (sentence[0] if sentence else first).replace("|", "\\|")
+    return sentence[0] if sentence else first
 
 
 def row(name: str, value: Any) -> str:
     """Return the line of a name."""
     call = f"{name}()" if inspect.isfunction(value) else name
-    return f"| `{call}` | {summary(value, name)} |"
+    return f"- `{call}`: {summary(value, name)}"
 
 
 def page() -> str:
@@ -94,7 +93,7 @@ def page() -> str:
     parts = [HEAD]
     for title, names in GROUPS.items():
         rows = [row(name, getattr(vg, name)) for name in names.split()]
-        parts.append("\n".join([f"## {title}\n", "| name | |", "|---|---|", *rows, ""]))
+        parts.append("\n".join([f"## {title}\n", *rows, ""]))
     parts.append(MIDDLE.strip("\n") + "\n")
     for room in ROOMS:
         names = ", ".join(

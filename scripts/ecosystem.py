@@ -3,7 +3,7 @@
 Every tests/ecosystem/smoke_NAME.py, and every examples/training/NAME_ppo.py, which must solve
 its task, says in its head (PEP 723) what it needs. That, and this project, are installed into
 an environment of its own, .venv-ecosystem/NAME, which stays for the next time. Then it runs,
-and its line goes into the table of docs/ecosystem.md.
+and its line goes into the list of docs/ecosystem.md.
 """
 
 from __future__ import annotations
@@ -120,17 +120,20 @@ def row(name: str, test: Path, share: Path | None) -> tuple[str, ...]:
 
 
 def read(page: Path) -> dict[str, tuple[str, ...]]:
-    """Return the rows of a page's table by the name of their test."""
+    """Return package, version, what was run, result and day by the name of a page's test."""
+    found = re.findall(
+        r"^- `(\w+)`: (\S+) (\S+), ([\w-]+): (.*)$", page.read_text("utf-8"), re.MULTILINE
+    )
     rows = {}
-    for line in page.read_text("utf-8").splitlines() if page.exists() else ():
-        cells = [k.strip() for k in line.strip("|").split("|")]
-        if line.startswith("| `"):
-            rows[cells[0].strip("`")] = tuple(cells[1:])
+    for name, package, version, day, said in found:
+        failed = said.startswith(("fails: ", "not installed: "))
+        ran, result = ("", said) if failed else (said, "passes")
+        rows[name] = (package, version.strip("-"), ran, result, day)
     return rows
 
 
 def write(page: Path, rows: dict[str, tuple[str, ...]]) -> None:
-    """Write the table; the text around it stays.
+    """Write the list; the text around it stays.
 
     Args:
         page: file with the marks `<!-- table -->` and `<!-- end -->`.
@@ -139,12 +142,9 @@ def write(page: Path, rows: dict[str, tuple[str, ...]]) -> None:
     head, _, rest = page.read_text("utf-8").partition("<!-- table -->")
     tail = rest.partition("<!-- end -->")[2]
     lines = [
-        "| test | package | version | what was run | result | on |",
-        "|---|---|---|---|---|---|",
+        f"- `{name}`: {package} {version or '-'}, {day}: {ran or result}"
+        for name, (package, version, ran, result, day) in sorted(rows.items())
     ]
-    for name, cells in sorted(rows.items()):
-        texts = [f"`{name}`", *(k.replace("|", "/") for k in cells)]
-        lines.append("| " + " | ".join(texts) + " |")
     table = "\n".join(lines)
     page.write_text(f"{head}<!-- table -->\n{table}\n<!-- end -->{tail}", encoding="utf-8")
 

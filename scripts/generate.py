@@ -36,15 +36,15 @@ PLACE = DOCS / "environments"
 _JETS = 6  # numbers of an action that are the jets' wrench
 
 SHARED_INFO = {
-    "randomized/...": "also of reset: parameters drawn for this episode, by effect and name",
-    "reward/...": "terms of the reward; they sum to it exactly, in their order",
+    "randomized/...": "also of reset: parameters drawn for this episode",
+    "reward/...": "terms of the reward",
     "success": "whether the episode would count as solved if it ended here",
     "success_once": "whether it would have at any time",
     "clipped": "actions of this episode that were out of [-1, 1]",
-    "diverged": "whether the numbers ran away: the episode has failed",
-    "stopped": "laboratory: whether a safety stop froze the platform: the episode has failed",
+    "diverged": "whether the numbers ran away",
+    "stopped": "whether a safety stop of the laboratory froze the platform",
     "dump": "with the argument `dump`: run log of an episode that diverged",
-    "energy/E_mean": "at the end: mean energy E of the base over the episode and its tail [J]",
+    "energy/E_mean": "at the end: mean energy E of the base over episode and tail [J]",
     "energy/E_res": "at the end: E at the end [J]",
     "energy/E_peak": "at the end: largest E during the episode [J]",
     "energy/E_strain_peak": "at the end: largest strain energy of the base [J]",
@@ -402,9 +402,7 @@ def _index() -> str:
         rows.append(
             (
                 f"[ves/{name}-v0]({name}.md)",
-                f"{_first_line(type(task).__doc__)} Observation"
-                f" {sum(f.size for f in task.fields())}, action {env.action_space.shape[0]}"
-                f" ({task.control.kind}), {task.duration:g} s.",
+                f"{_first_line(type(task).__doc__)} {task.duration:g} s.",
             )
         )
     text = (PLACE / "README.md").read_text("utf-8")

@@ -18,19 +18,19 @@ def test_every_test_says_what_it_needs_and_is_on_the_page():
         assert bool(ran and version) == (result == "passes") and day.count("-") == 2, name
 
 
-def test_the_table_is_written_between_its_marks(tmp_path):
+def test_the_list_is_written_between_its_marks(tmp_path):
     page = tmp_path / "page.md"
     page.write_text("head\n<!-- table -->\nold\n<!-- end -->\ntail\n")
     rows = {
-        "b": ("p", "1", "a | b", "passes", "2026-01-01"),
+        "b": ("p", "1", "a: b", "passes", "2026-01-01"),
         "a": ("q", "", "", "fails: x", "d"),
     }
     ecosystem.write(page, rows)
     text = page.read_text()
-    assert text.startswith("head\n<!-- table -->\n| test ") and text.endswith(
+    assert text.startswith("head\n<!-- table -->\n- `a`: q ") and text.endswith(
         "<!-- end -->\ntail\n"
     )
-    assert ecosystem.read(page) == {**rows, "b": ("p", "1", "a / b", "passes", "2026-01-01")}
+    assert ecosystem.read(page) == rows
 
 
 def test_a_test_without_its_needs_is_refused(tmp_path):

@@ -73,11 +73,13 @@ class BerthingContact(ArmTask):
     - An error of the observed funnel, up to `blur` along each axis of space. The funnel guides
       a probe that is off by as much.
 
-    Cost: what is missing at the end, between 1 and a half until the latch has closed, then down
-    to nothing as the client comes to `rest`. It is `arm_task.gap` of the way from the ball to
-    the funnel's end; what is across the axis counts four times, because a straight way ends at
-    the rim and pushes the client away. Then `gentle` times the mean of the contact's force and
-    `energy` times the mean of the base's energy E.
+    Cost:
+
+    - What is missing at the end, between 1 and a half until the latch has closed, then down to
+      nothing as the client comes to `rest`. It is `arm_task.gap` of the way from the ball to the
+      funnel's end. What is across the axis counts four times: a straight way ends at the rim.
+    - `gentle` times the mean of the contact's force.
+    - `energy` times the mean of the base's energy E.
 
     The controller `resolved` aims 3 cm beyond the end of the funnel as observed. Of 100 starts
     of seed 0 it solves all, and 6 where the funnel does not push.

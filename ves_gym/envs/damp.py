@@ -24,8 +24,8 @@ class Damp(ArmTask):
     """The base is displaced and released, the arm at rest; damp it by moving the arm.
 
     In thesis 4.3.2 Y(0) is 0.1 m along x, y and z, 82 J in the bent beam's springs. Here the
-    direction is drawn, uniform over the sphere, and the displacement stores `energy`: 25 J on
-    the bent beam are 0.06 m along x or z and 0.11 m along y. The joints start anywhere in
+    direction is drawn, uniform over the sphere, and the displacement stores `energy`. On the
+    bent beam 25 J are 0.06 m along x or z and 0.11 m along y. The joints start anywhere in
     `home` +- `span`, about the thesis's (45, 0, 0) deg.
 
     Control: `torque` on top of the joint damping of the PPED gains (eq. 4.5b); `pd_gains`, the

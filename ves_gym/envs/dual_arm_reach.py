@@ -26,9 +26,9 @@ class DualArmReach(FreeFlyerReach):
     first six are another arm's, whose task is the reaction. No other actuator acts on the
     satellite. Solved: as there; both arms have come to rest.
 
-    The controller `compensating` plans for both arms, `resolved` locks the second: the first
+    The controller `compensating` plans for both arms, `resolved` locks the second. The first
     leaves 0.03 of the base's mean energy and 0.11 of the mean turn that the second does (20
-    starts of seed 0, all solved by both).
+    starts of seed 0).
     """
 
     compiled: ClassVar[bool] = True

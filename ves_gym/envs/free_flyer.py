@@ -23,8 +23,8 @@ _TRIES = 6  # candidate targets per episode; the first that is far enough counts
 class FreeFlyerReach(ArmTask):
     """Bring the tool to a point fixed in space, the satellite turning as little as it can.
 
-    No force acts on the base from outside, so its momentum stays zero and it turns and shifts
-    as the arm moves, the nominal 500 kg cube by up to 6 cm and 4 deg. The arm's start and the
+    No force acts on the base from outside, so its momentum stays zero. It turns and shifts as
+    the arm moves, the nominal 500 kg cube by up to 6 cm and 4 deg. The arm's start and the
     target, by forward kinematics on the base at rest, are drawn from `home` +- `span`. The
     elbow stays bent by 60 deg, so that the target is within reach however the base has moved.
     The target is `away` or more from the tool's start.
@@ -34,8 +34,8 @@ class FreeFlyerReach(ArmTask):
     to 0.2 on a good motion (this project). Solved: for the last `hold` seconds the tool has
     been within `tolerance` of the target and no joint faster than `rest`.
 
-    Measured in space, 1000 starts of seed 0: a reference pulled to the inverse kinematics of
-    the target as the base sees it costs 0.44, no motion 1.29, random actions 1.80.
+    Measured in space, 1000 starts of seed 0: a reference pulled to the target's inverse
+    kinematics costs 0.44, no motion 1.29, random actions 1.80.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q", "target")

@@ -39,24 +39,27 @@ class PayloadTransfer(ArmTask):
     """Fetch a floating payload of unknown mass and berth it at rest, on a base that sways.
 
     The payload floats at rest in space. The latch closes by itself once the tool is within its
-    reach of the grapple fixture (2 cm) and slower against it than `catch`: an exact inelastic
-    impulse, after which the last link carries the payload. The berth, a point fixed in space,
-    takes it once the fixture has been within `tolerance` and slower than `rest` for `hold`
-    seconds. The latch then opens, and the episode is solved.
+    reach of the grapple fixture (2 cm) and slower against it than `catch`. That is an exact
+    inelastic impulse, after which the last link carries the payload. The berth, a point fixed
+    in space, takes it once the fixture has been within `tolerance` and slower than `rest` for
+    `hold` seconds. The latch then opens, and the episode is solved.
 
     The mass is drawn between the ends of `mass` on a logarithmic scale, the centre of mass up
     to `off_centre` from the middle along each axis. Neither is observed: servo, feed-forward,
     energies E and gravity estimate know the arm alone. Angles of start, payload and berth are
-    drawn as in task reach; both legs are straight quintics of a third of the episode, within
+    drawn as in task reach. Both legs are straight quintics of a third of the episode, within
     the speed limits and at least `away` long.
 
-    Cost: what is missing at the end, between 1 and a half until the payload is carried, then
-    down to nothing until it is berthed (`arm_task.gap`, up to `far`; a speed counts as the way
-    that it makes in `brake`); and `thrift` times E_mean over that expected of the two straight
-    legs, at least a quarter of its median.
+    Cost:
+
+    - What is missing at the end, between 1 and a half until the payload is carried, then down to
+      nothing until it is berthed (`arm_task.gap`, up to `far`). A speed counts as the way that it
+      makes in `brake`.
+    - `thrift` times E_mean over that expected of the two straight legs, at least a quarter of its
+      median.
 
     Arms with slender wrists need lighter payloads (`mass`). In the laboratory a stand carries
-    the payload until the latch closes; then its weight, which the gravity estimate does not
+    the payload until the latch closes. Then its weight, which the gravity estimate does not
     know, is emulated as a force of the arm on the base.
     """
 

@@ -38,13 +38,15 @@ class PoseReach(ArmTask):
     tool has been within `tolerance` of the place and within `turned` of the orientation, and
     slower than `rest` and `turning`.
 
-    Cost: what is missing at the end to the place and, with the weight `attitude`, to the
-    orientation (`arm_task.gap`, of a distance and of the sine of half an angle); and `thrift`
-    times E_mean over that expected of the straight motion in half the time
-    (`scales.straight_energy`), at least a quarter of its median.
+    Cost:
 
-    Of 100 starts of seed 0 the controller `resolved-pose` solves, in space and in the
-    laboratory, 100 and 100 with the PUMA, 98 and 98 with the iiwa14, 100 and 96 with the UR5e.
+    - What is missing at the end to the place and, with the weight `attitude`, to the orientation
+      (`arm_task.gap`, of a distance and of the sine of half an angle).
+    - `thrift` times E_mean over that expected of the straight motion in half the time
+      (`scales.straight_energy`), at least a quarter of its median.
+
+    The controller `resolved-pose` solves 96 to 100 of 100 starts with the PUMA, the iiwa14 and
+    the UR5e, in space and in the laboratory.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q", "pose")

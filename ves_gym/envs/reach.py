@@ -63,13 +63,15 @@ class Reach(ArmTask):
 
     The arm's motion sways the base by centimetres, so the joints must compensate for it. Joint
     angles of start and target are uniform in the box of the planning benchmark reach100. A
-    straight quintic must reach those of the target in half the time within the speed limits,
-    and they must be `dexterous`, so that the target stays within reach while the base sways.
+    straight quintic must reach those of the target in half the time within the speed limits.
+    They must be `dexterous`, so that the target stays within reach while the base sways.
     Solved: the tool has been within `tolerance` of the target for the last `hold` seconds.
 
-    Cost: what is missing to the target at the end (`arm_task.gap`, from `tolerance` to `far`),
-    and `thrift` times E_mean over that expected of a straight motion to the target in half the
-    time (`scales.straight_energy`), at least a quarter of its median.
+    Cost:
+
+    - What is missing to the target at the end (`arm_task.gap`, from `tolerance` to `far`).
+    - `thrift` times E_mean over that expected of a straight motion in half the time
+      (`scales.straight_energy`), at least a quarter of its median.
     """
 
     options: ClassVar[tuple[str, ...]] = ("q", "target")

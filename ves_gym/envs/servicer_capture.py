@@ -64,10 +64,10 @@ class ServicerCapture(ArmTask):
 
     The target is a free rigid body: its centre of mass rests, and it tumbles. The latch closes
     by itself once the tool is within its reach of the grapple fixture (2 cm and 5 deg, the
-    tool's axes along the fixture's), slower against it than `catch` and turning slower than
-    `catch_turn`: an exact inelastic impulse. From then on the last link carries the target, and
-    arm and wheels take over its angular momentum. Wheels store it; jets remove it, for
-    propellant.
+    tool's axes along the fixture's). It must be slower against it than `catch` and turn slower
+    than `catch_turn`. That is an exact inelastic impulse. From then on the last link carries
+    the target, and arm and wheels take over its angular momentum. Wheels store it; jets remove
+    it, for propellant.
 
     Solved: the target has been carried for the last `hold` seconds. Meanwhile it and the base
     turned slower than `rest` in space, the joints slower than `settled`. The base's attitude
@@ -80,10 +80,13 @@ class ServicerCapture(ArmTask):
     scale, its inertia in proportion. Neither is observed: servo, feed-forward and energies E
     know the arm alone.
 
-    Cost: what is missing at the end, between 1 and a half until the target is carried
-    (`arm_task.gap` of distance and turn), then down to nothing as target, base and joints come
-    to rest; `turn` times the mean angle of the base; `energy` times the mean of its energy E;
-    `fuel` times the propellant.
+    Cost:
+
+    - What is missing at the end, between 1 and a half until the target is carried (`arm_task.gap`
+      of distance and turn), then down to nothing as target, base and joints come to rest.
+    - `turn` times the mean angle of the base.
+    - `energy` times the mean of its energy E.
+    - `fuel` times the propellant.
 
     The vehicle is `servicer-flexible` without its pointing law. With
     `vehicle="servicer-flexible"` and `base_control=None` the law commands wheels and jets, and

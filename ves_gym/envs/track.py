@@ -44,16 +44,17 @@ class Track(ArmTask):
     """Follow a closed path in space with the tool, from rest to rest, `rounds` times.
 
     A path is where the tool goes on a base at rest when every joint swings sinusoidally, once
-    or twice per round: ellipses and Lissajous figures bent by the arm's kinematics. So every
-    point of it can be reached within the joint limits, at rates of at most `pace` of the
-    joints' limits; the remainder is for the base's sway. The phase runs by the quintic law. The
-    path starts in the box of the planning benchmark reach100 and is used when it is `dexterous`
-    all along. Solved: at the deadline the root mean square of the tool's distance from where it
-    was to be is within `tolerance`.
+    or twice per round. So every point of it can be reached within the joint limits, at rates of
+    at most `pace` of the joints' limits; the remainder is for the base's sway. The phase runs
+    by the quintic law. The path starts in the box of the planning benchmark reach100 and is
+    used when it is `dexterous` all along. Solved: at the deadline the root mean square of the
+    tool's distance from where it was to be is within `tolerance`.
 
-    Cost: the mean of what is missing to where the tool is to be (`arm_task.gap`, in `far`), and
-    `thrift` times E_mean over that expected of the joint motion that the path was made of
-    (`scales.motion_energy`).
+    Cost:
+
+    - The mean of what is missing to where the tool is to be (`arm_task.gap`, in `far`).
+    - `thrift` times E_mean over that expected of the joint motion that the path was made of
+      (`scales.motion_energy`).
     """
 
     options: ClassVar[tuple[str, ...]] = ("q",)
@@ -236,9 +237,9 @@ class Seam(Track):
     brakes (`mechanics.boom`). At the start the flange is displaced along a direction drawn
     uniformly over the sphere: the boom stores `energy` and sways through the episode. The seam
     begins at the tool, is `length` of the arm's reach long, and bends by up to `bend` in all or
-    not at all. `rounds` counts passes along it, forth and back, by the quintic law. Of twenty
-    seams drawn, the last six shorter, the first counts that the arm can follow on a base at
-    rest, at rates of at most `pace` of the joints' limits, `dexterous`.
+    not at all. `rounds` counts passes along it, forth and back, by the quintic law. Twenty
+    seams are drawn, the last six shorter. The first counts that is `dexterous` and that the arm
+    can follow on a base at rest, at rates of at most `pace` of the joints' limits.
 
     Observation, reward and success are those of task `track`.
     """
