@@ -76,8 +76,9 @@ class BerthingContact(ArmTask):
     Cost:
 
     - What is missing at the end, between 1 and a half until the latch has closed, then down to
-      nothing as the client comes to `rest`. It is `arm_task.gap` of the way from the ball to the
-      funnel's end. What is across the axis counts four times: a straight way ends at the rim.
+      nothing as the client comes to `rest`. It is `arm_task.gap` of the way from the ball to
+      the funnel's end. What is across the axis counts four times: a straight way ends at the
+      rim.
     - `gentle` times the mean of the contact's force.
     - `energy` times the mean of the base's energy E.
 

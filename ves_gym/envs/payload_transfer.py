@@ -52,11 +52,11 @@ class PayloadTransfer(ArmTask):
 
     Cost:
 
-    - What is missing at the end, between 1 and a half until the payload is carried, then down to
-      nothing until it is berthed (`arm_task.gap`, up to `far`). A speed counts as the way that it
-      makes in `brake`.
-    - `thrift` times E_mean over that expected of the two straight legs, at least a quarter of its
-      median.
+    - What is missing at the end, between 1 and a half until the payload is carried, then down
+      to nothing until it is berthed (`arm_task.gap`, up to `far`). A speed counts as the way
+      that it makes in `brake`.
+    - `thrift` times E_mean over that expected of the two straight legs, at least a quarter of
+      its median.
 
     Arms with slender wrists need lighter payloads (`mass`). In the laboratory a stand carries
     the payload until the latch closes. Then its weight, which the gravity estimate does not

@@ -40,8 +40,8 @@ class PoseReach(ArmTask):
 
     Cost:
 
-    - What is missing at the end to the place and, with the weight `attitude`, to the orientation
-      (`arm_task.gap`, of a distance and of the sine of half an angle).
+    - What is missing at the end to the place and, with the weight `attitude`, to the
+      orientation (`arm_task.gap`, of a distance and of the sine of half an angle).
     - `thrift` times E_mean over that expected of the straight motion in half the time
       (`scales.straight_energy`), at least a quarter of its median.
 

@@ -82,8 +82,9 @@ class ServicerCapture(ArmTask):
 
     Cost:
 
-    - What is missing at the end, between 1 and a half until the target is carried (`arm_task.gap`
-      of distance and turn), then down to nothing as target, base and joints come to rest.
+    - What is missing at the end, between 1 and a half until the target is carried
+      (`arm_task.gap` of distance and turn), then down to nothing as target, base and joints
+      come to rest.
     - `turn` times the mean angle of the base.
     - `energy` times the mean of its energy E.
     - `fuel` times the propellant.
