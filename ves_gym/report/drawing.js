@@ -24,9 +24,10 @@ function swatch(planner, plain = false) {
   return svg("svg", { class: "swatch", viewBox: "0 0 22 12", "aria-hidden": "true" }, line);
 }
 
-/** A canvas made sharp for this screen: its context in CSS pixels, and its size. */
+/** A canvas made sharp for this screen: its context in CSS pixels (or its paper), and its size. */
 function sharp(canvas) {
   const { clientWidth: w, clientHeight: h } = canvas;
+  if (canvas.paper) return { ctx: canvas.paper, w, h };
   const ratio = devicePixelRatio || 1;
   if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio)) {
     canvas.width = Math.round(w * ratio);

@@ -117,6 +117,7 @@ function refresh() {
     path.ways[name] = sampleMotion(path.motions[name], WAY).q;
   }
   todo.ends = false;
+  rememberSoon();
   showEnergies();
   showMotions(coarse);
   workOnMap();
@@ -262,6 +263,11 @@ function makePairs() {
 
 // ------------------------------------------------------------------------ two motions
 
+function showDuration() {
+  $("duration").value = path.duration;
+  $("duration-out").textContent = `${number(path.duration, 2)} s`;
+}
+
 function fillChoices() {
   ["a", "b"].forEach((letter, side) => {
     const select = $(`motion-${letter}`);
@@ -337,8 +343,6 @@ function begin() {
   if (floats(data.machine)) {
     $("map-kind").replaceChildren(el("option", { value: "raw" }, "turn of the base per joint motion"));
   }
-  $("duration").value = path.duration;
-  const showDuration = () => { $("duration-out").textContent = `${number(path.duration, 2)} s`; };
   showDuration();
   $("duration").addEventListener("input", (event) => {
     path.duration = Number(event.target.value);
@@ -368,6 +372,7 @@ function begin() {
   document.body.dataset.drawn = performance.now().toFixed(0); // ms until there is a picture
   if (entries.length) choose(0, entries[0].name);
   if (entries.length > 1) choose(1, entries[1].name);
+  connectShare();
   requestAnimationFrame(() => setTimeout(checkReferences, 0));
 }
 
@@ -377,5 +382,5 @@ begin();
 globalThis.vesStudio = {
   data, path, film, chart, opened, inertiaMatrix, inverseDynamics, jointPositions, baseModes, couplingCell, couplingBlock,
   principal, motionThrough, straightMotion, sampleMotion, simulateMotion, readItems, caseOfDrawn, setPoint, refresh, seek,
-  legLengths, legSpeeds, legPeaks,
+  legLengths, legSpeeds, legPeaks, stateOfPage, pictureOfMap, pictureOfCharts,
 };

@@ -36,7 +36,7 @@ from ves_gym.system.system import System
 SCHEMA = "ves-studio/1"
 _SCRIPTS = (  # one module, in this order
     "dom drawing studio_dynamics studio_motion studio_base scene platform player studio_map"
-    " studio_charts studio_files studio"
+    " studio_charts studio_files studio_share studio"
 )
 SHOWN = 4.0  # s after the motion that the page shows
 _RECORD = 0.0125  # s between samples of the motions that the page's energies are compared with

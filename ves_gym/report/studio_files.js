@@ -126,9 +126,7 @@ function caseOfDrawn() {
 }
 
 function saveDrawn() {
-  const address = URL.createObjectURL(new Blob([caseOfDrawn()], { type: "application/toml" }));
-  el("a", { href: address, download: "case.toml" }).click();
-  setTimeout(() => URL.revokeObjectURL(address), 1000);
+  download(caseOfDrawn(), "application/toml", "case.toml");
 }
 
 /** A number as TOML writes one that need not be whole. */
