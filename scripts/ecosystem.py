@@ -20,6 +20,10 @@ import venv
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from scripts.marks import filled  # noqa: E402 - run as a file, the root is not on the path
+
 SMOKE = ROOT / "tests" / "ecosystem"
 EXAMPLES = ROOT / "examples" / "training"
 PLACE = ROOT / ".venv-ecosystem"
@@ -139,14 +143,12 @@ def write(page: Path, rows: dict[str, tuple[str, ...]]) -> None:
         page: file with the marks `<!-- table -->` and `<!-- end -->`.
         rows: cells after the first, by the name of the test.
     """
-    head, _, rest = page.read_text("utf-8").partition("<!-- table -->")
-    tail = rest.partition("<!-- end -->")[2]
     lines = [
         f"- `{name}`: {package} {version or '-'}, {day}: {ran or result}"
         for name, (package, version, ran, result, day) in sorted(rows.items())
     ]
     table = "\n".join(lines)
-    page.write_text(f"{head}<!-- table -->\n{table}\n<!-- end -->{tail}", encoding="utf-8")
+    page.write_text(filled(page.read_text("utf-8"), {"table": table}), encoding="utf-8")
 
 
 def main() -> int:

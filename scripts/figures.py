@@ -24,12 +24,13 @@ sys.path.insert(0, str(ROOT))
 
 import ves_gym as vg  # noqa: E402 - run as a file, the root is not on the path
 from scripts import training, wiring  # noqa: E402
+from scripts.marks import filled  # noqa: E402
 from ves_gym._util.params import ParameterError, write_bytes, write_text  # noqa: E402
 from ves_gym.cli.main import main as ves_gym  # noqa: E402
 
 PICTURES = ROOT / "docs" / "pictures"
 PAGE = ROOT / "CONTRIBUTING.md"
-MARK = "<!-- pictures -->"
+MARK = "pictures"
 KEYS = ((0.5, "q", 1.5), (1.5, "a", 1.5), (3.0, "s", 1.0), (4.5, "w", 1.0), (6.0, "d", 1.0))
 FPS, SECONDS = 10, 8.0  # of teleop.gif
 
@@ -233,13 +234,12 @@ FIGURES: dict[str, Figure] = {
 
 def page() -> str:
     """Text of CONTRIBUTING.md with the table of the pictures as they are made now."""
-    head, _, tail = PAGE.read_text("utf-8").split(MARK)
     rows = [
         f"| `{name}` | {figure.source} | `make figures ARGS={name}` |"
         for name, figure in FIGURES.items()
     ]
     table = "\n".join(("| picture | shows | again |", "|---|---|---|", *rows))
-    return f"{head}{MARK}\n{table}\n{MARK}{tail}"
+    return filled(PAGE.read_text("utf-8"), {MARK: table})
 
 
 def main(names: list[str]) -> int:

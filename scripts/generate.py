@@ -11,6 +11,7 @@ import dataclasses
 import functools
 import inspect
 import re
+import sys
 import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -30,7 +31,12 @@ from ves_gym.envs.registration import IDS
 from ves_gym.envs.task import Task
 from ves_gym.mechanics.vehicle import VEHICLES
 
-DOCS = Path(__file__).parents[1] / "docs"
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from scripts.marks import filled  # noqa: E402 - run as a file, the root is not on the path
+
+DOCS = ROOT / "docs"
 PLACE = DOCS / "environments"
 
 _JETS = 6  # numbers of an action that are the jets' wrench
@@ -422,12 +428,7 @@ def _index() -> str:
         "calibrations": _calibrations(),
         "info": _list((f"`{k}`", v) for k, v in SHARED_INFO.items()),
     }
-    for mark, block in blocks.items():
-        head, found, old = text.partition(f"<!-- {mark} -->\n")
-        assert found, f"README.md has no place for {mark}"
-        after = old.partition("<!-- end -->")[2]
-        text = f"{head}<!-- {mark} -->\n{block}\n<!-- end -->{after}"
-    return text
+    return filled(text, blocks)
 
 
 def main() -> None:

@@ -16,8 +16,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from scripts.marks import filled  # noqa: E402 - run as a file, the root is not on the path
+
 PAGE = ROOT / "docs" / "install.md"
-MARK = "<!-- platforms -->"
+MARK = "platforms"
 PLATFORMS = {  # column -> uv's name
     "Linux x86-64": "x86_64-manylinux_2_28",
     "Linux arm64": "aarch64-manylinux_2_28",
@@ -116,8 +120,7 @@ def main() -> None:
     if len(sys.argv) != 2:
         sys.exit(__doc__)
     text = table(sys.argv[1])
-    head, _, tail = PAGE.read_text("utf-8").split(MARK)
-    PAGE.write_text(f"{head}{MARK}\n{text}\n{MARK}{tail}", encoding="utf-8")
+    PAGE.write_text(filled(PAGE.read_text("utf-8"), {MARK: text}), encoding="utf-8")
 
 
 if __name__ == "__main__":

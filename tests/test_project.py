@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from scripts.marks import BLOCK
+
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "ves_gym"
 LINKS = ("envs", "planners", "baselines")
@@ -91,7 +93,7 @@ def test_what_the_benchmark_needs_is_part_of_everything():
 def test_a_page_says_what_has_wheels_where():
     """Rows and columns are those that `make platforms` asks about, no cell is made up."""
     script = runpy.run_path(str(ROOT / "scripts" / "platforms.py"))
-    table = script["PAGE"].read_text("utf-8").split(script["MARK"])[1].strip()
+    table = dict(BLOCK.findall(script["PAGE"].read_text("utf-8")))[script["MARK"]].strip()
     head, _, *rows = [
         [k.strip() for k in row.strip("|").split("|")] for row in table.split("\n")
     ]
