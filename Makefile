@@ -46,9 +46,11 @@ benchmark: $(RUN) ## run the planning benchmark; the whole of it: make benchmark
 policies: $(DEV) ## train every released policy again, going on where it stopped (90 min)
 	$(BIN)/python scripts/training.py --train out/train
 	$(BIN)/python scripts/training.py out/train
+	$(BIN)/python scripts/results.py
 
 leaderboard: $(DEV) ## answer what the board lacks; write its page
 	$(BIN)/python scripts/leaderboard.py $(ARGS)
+	$(BIN)/python scripts/results.py
 
 figures: $(DEV) ## make the documentation's pictures again; one: make figures ARGS=wiring.svg
 	$(BIN)/python scripts/figures.py $(ARGS)

@@ -25,11 +25,13 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from benchmarks import store
 from ves_gym._util.params import Array, Mask
 from ves_gym.baselines.comparison import line_up
 from ves_gym.baselines.controllers import Controller
@@ -164,7 +166,9 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--seed", type=int, default=20_000)
     parser.add_argument("--feasible", action="store_true", help="episodes that oracle solves")
+    parser.add_argument("--json", type=Path, help="write medians and shares to this file")
     args = parser.parse_args()
+    rows: list[list[object]] = []
     span = args.episodes, args.seed
     columns = "median    mean  decile  arrived   solved described        s"
     print(f"machine        controller     {columns}")
@@ -186,6 +190,12 @@ def main() -> None:
             mine = on_machine(machine, group[0], *span)
             found = row(only(mine, counted), only(straight, counted), expected[counted])
             print(f"{machine:14s} {label:12s} {found}", flush=True)
+            worst = float(np.quantile(found.ratio, 0.9))
+            shares = [f"{100 * k:.0f} %" for k in (found.arrived, found.solved)]
+            rows.append([machine, f"`{label}`", float(np.median(found.ratio)), worst, *shares])
+    if args.json:
+        heads = ["machine", "controller", "median", "worst decile", "arrived", "solved"]
+        store(args.json, heads, rows)
 
 
 if __name__ == "__main__":

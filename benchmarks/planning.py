@@ -1,7 +1,7 @@
 """Planning time by the number of joints: processor time of each planner on reach100.
 
 On the arms that come with the package, bent beam, motor drive, the third of the durations that
-the suite asks of each. `python -m benchmarks.planning` prints the table of docs/results.md.
+the suite asks of each. `--json docs/results/planning.json` stores the table.
 """
 
 from __future__ import annotations
@@ -9,7 +9,9 @@ from __future__ import annotations
 import argparse
 import statistics
 import time
+from pathlib import Path
 
+from benchmarks import store
 from ves_gym.mechanics.arm_library import arm_names, get_arm
 from ves_gym.planners.query import solve
 from ves_gym.planners.registry import get_planner
@@ -54,13 +56,16 @@ def main() -> None:
     parser.add_argument("--arms", default=",".join(arm_names()), help="like ur5e,iiwa14")
     parser.add_argument("--planners", default=",".join(PLANNERS), help="like direct,refined")
     parser.add_argument("--count", type=int, default=COUNT, help="queries timed")
+    parser.add_argument("--json", type=Path, help="write the table to this file")
     args = parser.parse_args()
-    arms = args.arms.split(",")
-    print("| planner | " + " | ".join(f"{k}, {get_arm(k).n}" for k in arms) + " |")
-    print("|---|" + "---|" * len(arms))
+    arms, rows = args.arms.split(","), []
+    print("planner", *(f"{k}, {get_arm(k).n} joints" for k in arms), sep="  ")
     for name in args.planners.split(","):
-        row = [planning_seconds(name, arm, args.count) for arm in arms]
-        print(f"| `{name}` | " + " | ".join(f"{s:.2f}" for s in row) + " |", flush=True)
+        seconds = [planning_seconds(name, arm, args.count) for arm in arms]
+        print(name, *(f"{s:.2f}" for s in seconds), sep="  ", flush=True)
+        rows.append([f"`{name}`", *seconds])
+    if args.json:
+        store(args.json, ["seconds", *(f"`{k}`" for k in arms)], rows)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ residual, joint by joint, which are told the laws. UR10e and Panda: no logs of t
 from __future__ import annotations
 
 import argparse
-import json
 import time
 import tomllib
 from collections.abc import Callable, Sequence
@@ -22,6 +21,7 @@ from typing import Any
 import numpy as np
 
 import ves_gym as vg
+from benchmarks import store
 from ves_gym._util.params import Array
 from ves_gym._util.recordings import read_columns
 from ves_gym.diagnosis.data.measured_run import Run, run_of_signals
@@ -166,6 +166,18 @@ def told(name: str, result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def _rows(name: str, result: dict[str, Any]) -> list[list[Any]]:
+    """A row for each joint and law that was published."""
+    rows = []
+    for law, by in result["laws"].items():
+        own = by["least squares"] or [None] * len(by["found"])
+        each = zip(by["found"], by["published"], own, strict=True)
+        for joint, numbers in enumerate(each, 1):
+            where = f"{law}, joint {joint}" if len(by["found"]) > 1 else law
+            rows.append([f"{name}: {result['verdict']}", where, *numbers])
+    return rows
+
+
 def main() -> None:
     """Diagnose, print, and write JSON when asked."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -178,7 +190,10 @@ def main() -> None:
         results[name] = judged(name, args.folder)
         print(told(name, results[name]), flush=True)
     if args.json:
-        args.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+        columns = ["machine, verdict", "law", "found", "published", "least squares"]
+        store(
+            args.json, columns, [row for k, found in results.items() for row in _rows(k, found)]
+        )
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import store
 from ves_gym._util.params import Array, write_text
 from ves_gym.planners.benchmark import run_benchmark
 from ves_gym.planners.suites import Suite, transfer
@@ -39,7 +40,9 @@ def main() -> None:
     parser.add_argument("--planners", default="refined,robust,robust-worst")
     parser.add_argument("--out", type=Path, default=Path("out/transfer"))
     parser.add_argument("--machines", action="store_true", help="a median for every machine")
+    parser.add_argument("--json", type=Path, help="write worst deciles to this file")
     args = parser.parse_args()
+    rows: list[list[Any]] = []
     planners = ["straight", *args.planners.split(","), KNOWN]
     suite = transfer(System(), args.vehicle, args.queries)
     for duration in args.durations:
@@ -52,6 +55,10 @@ def main() -> None:
             p: np.array([[table[p, m, q] for q in names] for m in machines]) for p in planners
         }
         _print(args.vehicle, duration, machines, energy, args.machines)
+        rows += _rows(duration, energy)
+    if args.json:
+        columns = ["duration", "planner", "ratio", "excess", "price"]
+        store(args.json, columns, rows)
 
 
 def _answered(
@@ -79,6 +86,22 @@ def _answered(
         folder.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps(stored, indent=1))
     return {(p, m, question): e for p, by in stored.items() for m, e in by.items()}
+
+
+def _rows(duration: float, energy: dict[str, Array]) -> list[list[Any]]:
+    """Planners with worst deciles of ratio and excess, and the median of the price."""
+    straight, ideal, nominal = (energy[k] for k in ("straight", KNOWN, "refined"))
+    return [
+        [
+            f"{duration:g} s",
+            f"`{name}`",
+            float(np.quantile(E / straight, 0.9)),
+            float(np.quantile((E - ideal) / straight, 0.9)),
+            float(np.median(E[0] / nominal[0])),
+        ]
+        for name, E in energy.items()
+        if name != "straight"
+    ]
 
 
 def _print(

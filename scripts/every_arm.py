@@ -1,11 +1,12 @@
-"""Every planner and every command on every arm that comes with the package: docs/results.md.
+"""Every planner and every command on every arm that comes with the package.
 
     python scripts/every_arm.py [--arms ur5e,iiwa14] [--only planners]
 
 A cell says what came out and the seconds of processor time it took: of planners E_mean over
 the straight line's (predicted) on the arm's first question of reach100, third duration, bent
 beam; of commands "ok", or the sentence with which they refuse. Cells are stored in
-out/every-arm.json as they are done, so a run that was stopped goes on; --again forgets them.
+docs/results/every-arm.json as they are done, so a run that was stopped goes on; --again forgets
+them. `scripts/results.py` writes them into docs/results.md.
 """
 
 from __future__ import annotations
@@ -28,10 +29,8 @@ from ves_gym.planners.registry import PLANNERS
 from ves_gym.planners.suites import reach100, reach_durations
 from ves_gym.system.system import System
 
-PAGE = Path(__file__).parents[1] / "docs" / "results.md"
 WORK = Path("out/every-arm")
-CELLS = Path("out/every-arm.json")
-START, END = "<!-- every arm -->", "<!-- end -->"
+CELLS = Path(__file__).parents[1] / "docs" / "results" / "every-arm.json"
 # Commands that ask no arm, and why.
 NO_ARM = {
     "leaderboard": "its problems have arms of their own",
@@ -92,7 +91,7 @@ def commands(arm: str) -> dict[str, list[str]]:
         "simulate --poses": ["simulate", *poses, *of],
         "calibrate": ["calibrate", str(folder / "poses.csv"), *out],
         "evaluate": ["evaluate", task, "--controller", f"zero,{controller}", *one, *of],
-        "train": ["train", "ves/PumaReach-v0", "--steps", "2000", "--seeds", "0", *of, *out],
+        "train": ["train", "PumaReach-ppo", "--steps", "2000", "--seeds", "0", *of, *out],
         "teleop": ["teleop", "--keys", str(keys), "--duration", "0.5", *of, *out],
         "diagnose": ["diagnose", str(log), "--final", "0", "--most", "1", "--no-free-run",
                      "--no-figures", *out],
@@ -126,9 +125,10 @@ def cell(entry: dict[str, Any] | None, notes: list[str]) -> str:
     return f"ok, {time_taken}"
 
 
-def table(cells: dict[str, Any]) -> str:
-    """Return the page's part from the cells done."""
-    arms, notes = arm_names(), []
+def table() -> str:
+    """Return the table of the cells that are stored, and its notes."""
+    cells, arms = json.loads(CELLS.read_text("utf-8")), arm_names()
+    notes: list[str] = []
     rows: dict[str, list[str]] = {}
     for kind in ("planner", "command"):
         names = dict.fromkeys(k.split("|")[2] for k in cells if k.startswith(f"{kind}|"))
@@ -144,7 +144,7 @@ def table(cells: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Fill in the cells that are missing, then write the page."""
+    """Fill in the cells that are missing."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--arms", default=",".join(arm_names()))
     parser.add_argument("--only", choices=("planners", "commands"))
@@ -174,8 +174,6 @@ def main() -> None:
         CELLS.parent.mkdir(parents=True, exist_ok=True)
         write_text(CELLS, json.dumps(cells, indent=1) + "\n")
         print(key, cells[key], flush=True)
-    head, rest = PAGE.read_text("utf-8").split(START)
-    write_text(PAGE, f"{head}{START}\n{table(cells)}\n{END}{rest.split(END)[1]}")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """Fill the board in docs/leaderboard: `python scripts/leaderboard.py [--workers N]`.
 
 Every entry of the table below that docs/leaderboard/entries lacks is answered and added, then
-docs/leaderboard/index.html and the README's table are written. Stopped at any moment, it goes
-on where it was.
+docs/leaderboard/index.html is written. Stopped at any moment, it goes on where it was.
+`scripts/results.py` writes the README's table of them.
 
     --track T       only entries of this track; repeatable
     --problem P     only entries of this problem; repeatable
@@ -27,7 +27,7 @@ from concurrent.futures import as_completed
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ves_gym._util.own import import_own
 from ves_gym._util.params import ParameterError
@@ -53,7 +53,6 @@ from ves_gym.leaderboard.verify import add, make_entry
 
 ROOT = Path(__file__).parents[1]
 PLACE = ROOT / FOLDER
-README = ROOT / "README.md"
 SHOWN = "bent-2s"  # problem of the README's table, and methods, one of each kind
 KINDS = ("refined", "calm", "shaped-zv", "drake-torque", "ompl-qt", "straight")
 PEER_FILES = ROOT / "examples" / "peers"
@@ -192,8 +191,9 @@ def repeat(count: int) -> int:
     return refused
 
 
-def readme(board: dict[str, Any]) -> str:
-    """Text of the README with the table of one problem, as the board has it."""
+def methods_compared() -> str:
+    """Return the README's table of one problem, as the board has it."""
+    board = make_board(read_board(PLACE / "entries"))
     (group,) = (
         group
         for track in board["tracks"]
@@ -206,8 +206,7 @@ def readme(board: dict[str, Any]) -> str:
             amounts = f"{entry['score'][0]:.3g} | {entry['acceleration']:.2g}"
             price = f"{100 * entry['success'][0]:.0f} % | {entry['seconds']:.2g} s"
             rows.append(f"| `{entry['name']}` | {amounts} | {price} |")
-    head, mark, tail = README.read_text("utf-8").partition("<!-- board -->\n")
-    return "".join((head, mark, "\n".join(rows), "\n", tail[tail.index("<!-- end -->") :]))
+    return "\n".join(rows)
 
 
 def main(words: Sequence[str]) -> int:
@@ -239,10 +238,7 @@ def main(words: Sequence[str]) -> int:
     finally:  # of what is there, also when it was stopped
         entries = read_board(args.board)
         page = args.board.with_name("index.html")
-        board = make_board(entries)
-        write_page(board, page)
-        if args.board == PLACE / "entries":
-            README.write_text(readme(board), encoding="utf-8")
+        write_page(make_board(entries), page)
         print(f"{len(entries)} entries; written {page}")
 
 

@@ -22,7 +22,7 @@ def filled(text: str, blocks: dict[str, str]) -> str:
         raise ValueError(f"no block {', '.join(sorted(missing))} among {sorted(found)}")
 
     def block(match: re.Match[str]) -> str:
-        inside = blocks.get(match[1], match[2].rstrip("\n"))
-        return f"<!-- {match[1]} -->\n{inside}\n<!-- end -->"
+        mine = match[1] in blocks
+        return f"<!-- {match[1]} -->\n{blocks[match[1]]}\n<!-- end -->" if mine else match[0]
 
     return BLOCK.sub(block, text)

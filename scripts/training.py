@@ -1,16 +1,15 @@
-"""Train the policies of the package, release them, and write docs/results.md from them.
+"""Train the policies of the package, release them, and store what they reach.
 
 `python scripts/training.py RUNS [NAME ...]` takes the runs in RUNS (all configurations, or
 those named): learning curves to docs/training, the best policy of each to the package, its
 figures on the test episodes to docs/training/NAME.json, an animation to docs/pictures.
 `--measure [NAME ...]` in place of RUNS measures released policies again. Without arguments the
-page and the figure of the curves are written again from what is there.
+figure of the curves is drawn again. `scripts/results.py` writes the tables of docs/results.md.
 
 `--train RUNS [NAME ...]` trains first, all seeds of each, as many at once as there are
 processors; runs that are there go on from their checkpoints. `--missing RUNS` says what no
 policy is released of and why, and how many hours all of it takes. `--rewards RUNS [NAME ...]`
-measures what RUNS has of PPO's seeds, released or not, and writes docs/training/rewards.json,
-the page's table of what is learned from rewards alone.
+measures what RUNS has of PPO's seeds, released or not, and writes docs/training/rewards.json.
 """
 
 from __future__ import annotations
@@ -310,18 +309,17 @@ def _summary(config: TrainConfig) -> dict[str, Any]:
     return {one["name"]: one["summary"] for one in results(config)["controllers"]}
 
 
-def page() -> str:
-    """Text of docs/results.md."""
+def policies() -> str:
+    """Return the tables of the released policies."""
     done = [c for c in configs() if (PLACE / f"{c.name}.json").exists()]
-    head, tail = (DOCS / "results.md").read_text("utf-8").split("<!-- tables -->")[::2]
-    tables = "\n\n".join((_runs(done), _figures(done)))
-    text = f"{head}<!-- tables -->\n{tables}\n<!-- tables -->{tail}"
-    head, tail = text.split("<!-- rewards -->")[::2]
-    return f"{head}<!-- rewards -->\n{_rewards()}\n<!-- rewards -->{tail}"
+    return "\n\n".join((_runs(done), _figures(done)))
 
 
-def _rewards() -> str:
-    """One seed with its interval, or the median of several with the least and the most."""
+def rewards() -> str:
+    """Return the table of what rewards alone taught.
+
+    One seed with its interval, or the median of several with the least and the most.
+    """
     rows = []
     for name, one in json.loads(REWARDS.read_text("utf-8")).items():
         seeds = list(one["seeds"].values())
@@ -419,7 +417,6 @@ def main(words: Sequence[str]) -> None:
         measure(config)
         animate(config)
     draw_curves([c for c in configs() if (PLACE / f"{c.name}.json").exists()])
-    write_text(DOCS / "results.md", page())
 
 
 if __name__ == "__main__":

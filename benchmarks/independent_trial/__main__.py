@@ -9,6 +9,7 @@ import json
 import sys
 from pathlib import Path
 
+from benchmarks import store
 from benchmarks.independent_trial import answers, cases, compare, write
 
 
@@ -27,12 +28,14 @@ def main(arguments: list[str] | None = None) -> int:
     for name, text in (("answer", "diagnose cases"), ("score", "compare with the truth")):
         command = commands.add_parser(name, help=text)
         command.add_argument("folder", type=Path, metavar="DIR")
+        if name == "score":
+            command.add_argument("--json", type=Path, help="write the counts to this file")
     options = parser.parse_args(arguments)
     if options.command == "answer":
         answer(options.folder)
         return 0
     if options.command == "score":
-        score(options.folder)
+        score(options.folder, options.json)
         return 0
     if options.command == "compare":
         compare.table(options.folder)
@@ -61,8 +64,8 @@ def answer(folder: Path) -> None:
             print(f"{case.name}  {given['verdict']}", flush=True)
 
 
-def score(folder: Path) -> None:
-    """Print a line for each answer, and the table."""
+def score(folder: Path, file: Path | None = None) -> None:
+    """Print a line for each answer, and the table; store its counts."""
     judged = []
     for path in sorted((folder / "answers").glob("*.json")):
         truth = json.loads((folder / "truth" / path.name).read_text())
@@ -71,6 +74,8 @@ def score(folder: Path) -> None:
         told = ", ".join(f"{n['kind']} {n['slot']}" for n in judged[-1][1]["names"])
         print(f"{path.stem}  {answers.judge(*judged[-1])}: {hidden}; said: {told}")
     print(answers.table(judged))
+    if file is not None:
+        store(file, ["case", *answers.MARKS], answers.counts(judged))
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from benchmarks.independent_trial.arm import GRAVITY
 Truth = dict[str, Any]
 Answer = dict[str, Any]
 
+MARKS = ("right", "class", "partly", "wrong", "unknown", "silent", "alarm", "refused")
 # what the package calls effects of `catalogue.LIBRARY`: the first is strict, all are its class
 KINDS: dict[str, tuple[str, ...]] = {
     "Coulomb friction": ("joint/coulomb", "joint/friction", "joint/stribeck"),
@@ -179,24 +180,33 @@ def _is(effect: dict[str, Any], name: dict[str, Any], most: int | None) -> bool:
     return not (at_joint and one_place) or name["slot"] == f"joint {effect['place']}"
 
 
+def counts(judged: list[tuple[Truth, Answer]]) -> list[list[str]]:
+    """Return judgements by machine, kind of case and size: a case, and how many of `MARKS`."""
+    rows: dict[tuple[str, str, float], list[str]] = {}
+    for truth, given in judged:
+        size = truth["multiple"] or truth["tolerance_factor"]
+        rows.setdefault((_where(truth), truth["kind"], size), []).append(judge(truth, given))
+    return [
+        [f"{where}: {kind} {size:g}", *(str(told.count(mark)) for mark in MARKS)]
+        for (where, kind, size), told in sorted(rows.items())
+    ]
+
+
+def _where(truth: Truth) -> str:
+    return "laboratory" if truth["system"].endswith("emulated") else "space"
+
+
 def table(judged: list[tuple[Truth, Answer]]) -> str:
-    """Return counts of judgements by machine, kind of case and size, as Markdown.
+    """Return `counts` as Markdown.
 
     Below: of space and laboratory, how many names that are more than 95 % sure are true, and
     the processor time.
     """
-    marks = ("right", "class", "partly", "wrong", "unknown", "silent", "alarm", "refused")
-    lines = [f"| case | {' | '.join(marks)} |", "|---" * (len(marks) + 1) + "|"]
-    rows: dict[tuple[str, str, float], list[str]] = {}
+    lines = [f"| case | {' | '.join(MARKS)} |", "|---" * (len(MARKS) + 1) + "|"]
+    lines += [f"| {' | '.join(row)} |" for row in counts(judged)]
     parts: dict[str, list[tuple[Truth, Answer]]] = {}
     for truth, given in judged:
-        where = "laboratory" if truth["system"].endswith("emulated") else "space"
-        size = truth["multiple"] or truth["tolerance_factor"]
-        rows.setdefault((where, truth["kind"], size), []).append(judge(truth, given))
-        parts.setdefault(where, []).append((truth, given))
-    for (where, kind, size), told in sorted(rows.items()):
-        counts = " | ".join(str(told.count(mark)) for mark in marks)
-        lines.append(f"| {where}: {kind} {size:g} | {counts} |")
+        parts.setdefault(_where(truth), []).append((truth, given))
     for where, part in sorted(parts.items()):
         sure = [
             _is_true(truth, name)

@@ -14,16 +14,20 @@ absolutely. Another processor may differ in the last digits, and where a search 
 import json
 import math
 import tempfile
+import tomllib
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from benchmarks.trial import scoring
 from benchmarks.trial.cases import draw
-from benchmarks.trial.targets import Cases
+from benchmarks.trial.targets import Cases, targets
 from benchmarks.trial.write import write_case
 
 FILE = Path(__file__).parents[2] / "tests" / "golden" / "diagnoses.json"
+SETS = Path(__file__).with_name("sets.toml")
+MARKS = ("right", "class", "partly", "wrong", "unknown", "silent")  # by their first letters
 CLOSE = 1e-6
 NEGLIGIBLE = 1e-5
 
@@ -42,6 +46,26 @@ def labelled() -> Cases:
         drawn = asdict(draw(found["secrets"][number], int(index)))
         out.append(({**drawn, "effects": case["effects"]}, case))
     return out
+
+
+def cases_judged() -> str:
+    """Return the rows of what a trial must show, of the cases stored, as Markdown."""
+    return targets(labelled())
+
+
+def sets_judged() -> str:
+    """Return how the answers of `sets.toml` were judged, by category and gap, as Markdown."""
+    counts: Counter[tuple[str, float, str]] = Counter()
+    for one in tomllib.loads(SETS.read_text("utf-8"))["set"].values():
+        for index, letter in enumerate(one["judged"]):
+            case = draw(one["secret"], index)
+            counts[case.category, case.gap, letter] += 1
+    lines = ["| | " + " | ".join(MARKS) + " |", "|---" * (len(MARKS) + 1) + "|"]
+    for category, gap in sorted({key[:2] for key in counts}):
+        size = f", {gap:g} times the noise" if gap else ""
+        cells = [str(counts[category, gap, mark[0]]) for mark in MARKS]
+        lines.append(f"| {category}{size} | {' | '.join(cells)} |")
+    return "\n".join(lines)
 
 
 def made_again(name: str) -> dict[str, Any]:

@@ -74,8 +74,3 @@ def test_a_policy_beats_doing_nothing_and_chance(config):
     found = evaluate(policy, config.env, **some)
     assert beats(found, evaluate(Zero(), config.env, **some))
     assert beats(found, evaluate(Random(), config.env, **some))
-
-
-def test_the_page_is_up_to_date():
-    """Else: `python scripts/training.py`."""
-    assert (ROOT / "docs" / "results.md").read_text("utf-8") == training.page()

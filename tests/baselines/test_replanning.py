@@ -71,7 +71,7 @@ def test_a_machine_as_described_is_left_to_the_plan() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("machine", "arrived", "ratio"), [("unknown", 0.9, 0.45), ("known", 0.95, 0.35)]
+    ("machine", "arrived", "ratio"), [("unknown-laboratory", 0.9, 0.45), ("known", 0.95, 0.35)]
 )
 def test_held_out_machines(machine: str, arrived: float, ratio: float) -> None:
     """Claim: `adaptive` arrives in 90 of 100 episodes on unknown machines in the laboratory, at

@@ -76,7 +76,7 @@ def test_predicted_is_simulated_and_refined_pays(name, seconds):
 @pytest.mark.slow
 @pytest.mark.parametrize("seconds", [2.0, 4.0])
 def test_with_its_pointing_law_on_no_plan_is_worse(seconds):
-    """Ten queries of reach100; prints what docs/results.md says."""
+    """Ten queries of reach100."""
     suite = reach100(System(), "servicer-flexible", 10, durations=(seconds,))
     predicted, left = [], []
     for _, asked in suite.queries:
