@@ -351,7 +351,7 @@ def test_nothing_in_a_file_is_executed(tmp_path):
         ("a.matrix", "no matrix", "cannot be read as .matrix"),
         ("a.op4", f"{2:8d}{2:8d}{6:8d}{4:8d}KAA     1P,3E23.16\n", "must be real"),
         ("a.op4", op4({"KAA": STIFF})[:3000], "cannot be read as .op4"),
-        ("a.pch", "GRID           1", "at least one matrix, got none"),
+        ("a.bdf", "CBAR,11,1,1,2,1.,0.,0.", "bulk data without DMIG.*EXTSEOUT.*DMIGPCH"),
         ("a.pch", "DMIG    K              0       6       4       0", "must be real"),
         ("a.pch", "DMIG    K              0       9       2       0", "must be square"),
         ("a.pch", "DMIG    K              1       1", "must begin with its header"),
@@ -369,6 +369,36 @@ def test_files_that_are_not_what_they_say_are_refused(name, text, message, tmp_p
     (tmp_path / name).write_text(text)
     with pytest.raises(ParameterError, match=message):
         read_matrices(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda text: text.replace(first(text), f"{'NaN':>16}", 1),
+            r"line 5: .*got '101 1 NaN'",
+        ),
+        (
+            lambda text: text.replace(first(text), f"{'NaN':>17}", 1),
+            r"line 5: .*got '101 1 Na N'",
+        ),
+        (lambda text: text[: text.index("MAAX") - 30], r"line \d+: .*is it cut off\?"),
+        (
+            lambda text: text[: text.index("DMIG    MAAX")],
+            ".*got KAAX alone: is the file cut off",
+        ),
+    ],
+)
+def test_a_spoiled_punch_file_is_refused_by_its_line(change, message, tmp_path):
+    """A number that is none, one a column off, a file that ends within a number or a matrix."""
+    (tmp_path / "a.pch").write_text(change(dmig({"KAAX": STIFF, "MAAX": MASS})))
+    with pytest.raises(ParameterError, match=rf"a\.pch: {message}"):
+        read_structure(tmp_path / "a.pch", interface=109, held=CLAMP, units="m-kg-s")
+
+
+def first(text):
+    """The number of a punch file's first term, in its field of 16."""
+    return text.splitlines()[4][40:]
 
 
 def test_a_large_structure_is_judged_by_the_sparse_solver(tmp_path, monkeypatch):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import math
 import os
 import re
 from collections.abc import Callable
@@ -228,29 +229,48 @@ def _full(path: Path) -> list[NamedMatrix]:
 # ------------------------------------------------------------------------- NASTRAN DMIG
 
 
+_WIDE = 56  # columns of a line with a term in fields of 16
+
+
 def _dmig(path: Path) -> list[NamedMatrix]:
     forms: dict[str, int] = {}
     terms: dict[str, list[tuple[Label, Label, float]]] = {}
     refused: dict[str, str] = {}  # load vectors and others beside the matrices, and why
-    for fields in _entries(path):
-        name = fields[0].upper()
-        numbers = fields[1:]
-        if name not in forms:  # the first entry of a name is its header: 0, form, type
-            if int(numbers[0]) != 0:
-                raise ValueError(f"DMIG {name} must begin with its header entry")
-            forms[name], terms[name] = int(numbers[1]), []
-            if int(numbers[2]) not in (1, 2):
-                refused[name] = f"must be real (type 1 or 2), got {numbers[2]}"
-            elif forms[name] not in (1, 6):
-                refused[name] = f"must be square (form 1 or 6), got {numbers[1]}"
-            continue
-        if name in refused:
-            continue
-        column = (int(numbers[0]), int(numbers[1] or 0))
-        for k in range(3, len(numbers), 4):
-            if numbers[k]:
-                row = (int(numbers[k]), int(numbers[k + 1] or 0))
-                terms[name].append((row, column, _number(numbers[k + 2])))
+    for records in _entries(path):
+        name = records[0][1][0].upper()
+        for at, (place, fields) in enumerate(records):
+            try:
+                if at == 0 and name not in forms:  # its header: 0, form, type
+                    if int(fields[1]) != 0:
+                        raise ValueError(f"DMIG {name} must begin with its header entry")
+                    forms[name], terms[name] = int(fields[2]), []
+                    if int(fields[3]) not in (1, 2):
+                        refused[name] = f"must be real (type 1 or 2), got {fields[3]}"
+                    elif forms[name] not in (1, 6):
+                        refused[name] = f"must be square (form 1 or 6), got {fields[2]}"
+                    break
+                if name in refused:
+                    break
+                if at == 0:
+                    column = (int(fields[1]), int(fields[2] or 0))
+                for k in range(0 if at else 4, len(fields), 4):
+                    if fields[k]:
+                        row = (int(fields[k]), int(fields[k + 1] or 0))
+                        if not math.isfinite(value := _number(fields[k + 2])):
+                            raise ValueError(f"{value:g} is not finite")
+                        terms[name].append((row, column, value))
+            except ValueError as error:
+                got = " ".join(filter(None, fields))
+                raise ParameterError(
+                    f"line {place}: expected node, component and a finite number of DMIG"
+                    f" {name}, got {got!r} ({error})"
+                ) from None
+    if not forms:
+        raise ParameterError(
+            "bulk data without DMIG matrices: expected mass and stiffness as DMIG, which"
+            " NASTRAN punches (KAAX, MAAX) with EXTSEOUT(STIFFNESS,MASS,DMIGPCH,EXTID=1) in"
+            " the case control, or PARAM,EXTOUT,DMIGPCH in the bulk data"
+        )
     labels = sorted({k for entry in terms.values() for i, j, _ in entry for k in (i, j)})
     index = {label: i for i, label in enumerate(labels)}
     out = [NamedMatrix(name, why) for name, why in refused.items()]
@@ -269,11 +289,12 @@ def _dmig(path: Path) -> list[NamedMatrix]:
     return out
 
 
-def _entries(path: Path) -> list[list[str]]:
-    """Fields of each DMIG entry after its keyword, continuations joined; 8 or 4 a line."""
-    entries: list[list[str]] = []
-    open_entry = False
-    for raw in path.read_text("ascii", errors="replace").splitlines():
+def _entries(path: Path) -> list[list[tuple[int, list[str]]]]:
+    """Each DMIG entry: the number and the fields of its first line, keyword left out, and of
+    its continuations; 8 or 4 fields a line."""
+    entries: list[list[tuple[int, list[str]]]] = []
+    open_entry, content = False, path.read_text("ascii", errors="replace")
+    for k, raw in enumerate(content.splitlines(), start=1):
         text = raw.split("$")[0].rstrip()
         if not text:
             continue
@@ -283,7 +304,14 @@ def _entries(path: Path) -> list[list[str]]:
             entries.append([])
         open_entry = begins or (open_entry and (head == "" or head[0] in "+*"))
         if open_entry:
-            entries[-1] += _fields(text, wide=head.endswith("*") or head.startswith("*"))
+            wide = head.endswith("*") or head.startswith("*")
+            entries[-1].append((k, _fields(text, wide)))
+    ended = open_entry and text and not content.endswith(("\n", "\r"))
+    if ended and wide and "," not in text and len(raw) < _WIDE:
+        raise ParameterError(
+            f"line {k}: expected node, component and number in {_WIDE} columns, got"
+            f" {text.strip()!r}, with which the file ends: is it cut off?"
+        )
     return entries
 
 

@@ -212,7 +212,8 @@ def _find(
             raise ParameterError(
                 f"{source}: expected a mass and a stiffness matrix (M=FILE K=FILE where each"
                 " has a file; --names M=...,K=..., in Python names=, where names do not tell),"
-                f" got {', '.join(matrices)}"
+                f" got {', '.join(matrices)}{' alone: is the file cut off?' if out else ''}"
+                + "".join(f"; left: {text}" for text in next(iter(matrices.values())).left)
             )
     for key in "MK":
         if key not in out:
