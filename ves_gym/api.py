@@ -682,7 +682,7 @@ def _system(system: System | None) -> System:
 def _case(
     motion: Motion | Plan | Case, system: System | None, servo: JointServo | None
 ) -> Case:
-    """What is to be played, with a motion."""
+    """Return the case to be simulated, with a motion."""
     from ves_gym.planners.case import Case
     from ves_gym.planners.query import Plan
 

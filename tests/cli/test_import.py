@@ -120,9 +120,11 @@ def test_processes_that_plan_know_it_too(call, mine):
 
 
 def test_a_controller_goes_by_module_and_class(call, mine):
+    """Its table is cut nowhere and no wider than 80 characters, as the benchmark's is."""
     words = ("evaluate", "PumaDamp-v0", "--episodes", "2", "--controller")
     status, out, err, _ = call(*words, "zero,own_file:Brake")
     assert (status, err) == (0, "") and "brake" in out
+    assert max(map(len, out.split("written: ")[0].split("\n"))) <= 80 and "…" not in out
 
 
 def test_installed_packages_bring_planners_and_controllers(call, mine):

@@ -44,33 +44,33 @@ def import_own(name: str) -> ModuleType:
     return loaded
 
 
-def own_object(text: str, known: Collection[str] = (), group: str = "") -> Any:
-    """Return the object that a word of the command line names, or the word where it is known.
+def own_object(text: str, names: Collection[str] = (), group: str = "") -> Any:
+    """Return the object that a word of the command line names, or the word where it is one.
 
     The word of a file never comes here: nothing that is read is run.
 
     Args:
         text: `module:Name`, the module as `import_own` takes it; a class is made into an
             object. Any other word is returned as it is.
-        known: names that mean something already, before a colon, too.
+        names: that mean something already, before a colon, too.
         group: entry points `ves_gym.GROUP` of installed packages, whose names are taken, too.
 
     Raises:
         ParameterError: no such module or name, or a class that needs arguments.
     """
-    if text.partition(":")[0] in known:
+    if text.partition(":")[0] in names:
         return text
     entries = {k.name: k.value for k in installed(group)} if group and ":" not in text else {}
     module, _, name = entries.get(text, text).rpartition(":")
     if not (module and name.isidentifier()):
         return text
-    names = vars(import_own(module))
-    if name not in names:
-        raise ParameterError(f"{module} has nothing called {name}{did_you_mean(name, names)}")
-    if not isinstance(names[name], type):
-        return names[name]
+    objects = vars(import_own(module))
+    if name not in objects:
+        raise ParameterError(f"{module} has nothing called {name}{did_you_mean(name, objects)}")
+    if not isinstance(objects[name], type):
+        return objects[name]
     try:
-        return names[name]()
+        return objects[name]()
     except Exception as error:
         why = f"{type(error).__name__}: {error}"
         raise ParameterError(f"{text} cannot be made without arguments: {why}") from error

@@ -168,7 +168,7 @@ def require_one_of(name: str, value: object, choices: Collection[str]) -> None:
     """Raise ParameterError where a value is none of the choices; it lists them."""
     if value not in choices:
         raise ParameterError(
-            f"{name} must be one of {', '.join(choices)}, got {value!r}"
+            f"{name} must be one of {', '.join(choices)}, got {value!r:.80}"
             f"{did_you_mean(value, choices)}"
         )
 

@@ -183,7 +183,7 @@ def _is_number(cell: str, mark: str) -> bool:
 
 
 def _mark(lines: Sequence[str]) -> str:
-    """What stands between cells: that which makes most of them, and most cells, numbers."""
+    """Return the separator that makes most cells, and the largest share of them, numbers."""
 
     def score(mark: str) -> tuple[float, int]:
         cells = [cell for line in lines[1:] or lines for cell in _cells(line, mark) if cell]
@@ -194,7 +194,7 @@ def _mark(lines: Sequence[str]) -> str:
 
 
 def _heads(sample: Sequence[list[str]]) -> int:
-    """How many rows stand before those of numbers: names, which may be numbers in part, and
+    """Return the number of rows before those of numbers: names, possibly numbers in part, and
     rows without a number."""
     if not sample or all(_is_cell(cell) for cell in sample[0]):
         return 0

@@ -87,7 +87,7 @@ class ArmFeatures:
 
     @property
     def size(self) -> int:
-        """How many there are."""
+        """Return the number of features."""
         return 5 * self._arm.n + (3 if self.turn < 0 else 21)
 
     def __str__(self) -> str:

@@ -141,7 +141,7 @@ class Closing:
 
 
 class ClosingPose(Closing):
-    """What `Closing` is for places, for poses: to the nearest configuration that has it there.
+    """`Closing` for poses: to the nearest configuration that has the tool there.
 
     In closed form, of arms with a spherical wrist; else of a sample for the base at rest,
     corrected. Through control joint_velocity.

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ves_gym._util.own import require_interface
-from ves_gym._util.params import ParameterError, write_result
+from ves_gym._util.params import ParameterError, require_one_of, write_result
 from ves_gym._util.statistics import Estimate
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.tables import table
@@ -47,14 +47,9 @@ class ControllerComparison(Viewable):
         return len(self.evaluations)
 
     def __getitem__(self, name: str) -> Evaluation:
-        for evaluation in self.evaluations:
-            if evaluation.name == name:
-                return evaluation
-        names = [evaluation.name for evaluation in self.evaluations]
-        raise ParameterError(
-            f"controller must be one of {', '.join(names)}, got {name!r}"
-            f"{did_you_mean(name, names)}"
-        )
+        named = {evaluation.name: evaluation for evaluation in self.evaluations}
+        require_one_of("controller", name, named)
+        return named[name]
 
     def ratio(self, controller: str, reference: str, measure: str = "E_mean") -> Estimate:
         """Return the median over the episodes of an energy over the reference's."""
@@ -90,9 +85,9 @@ class ControllerComparison(Viewable):
         title = f"{first.id}, {len(set(seeds))} episodes from seed {min(seeds)}"
         return (
             table(head, rows, title=title, width=80)
-            + "\nreturn: interquartile mean; E_mean: median; ratio, E_peak, E_int: median of"
-            f" E_mean, E_peak, E_int over\nthat of {first.name} in the same episode. In"
-            " brackets: 95 % intervals."
+            + "\nreturn: interquartile mean; E_mean: median; ratio, E_peak, E_int: medians of\n"
+            f"E_mean, E_peak, E_int over {first.name}'s in the same episode; in brackets 95 %\n"
+            "intervals."
         )
 
     def __str__(self) -> str:

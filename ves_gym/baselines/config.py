@@ -14,9 +14,9 @@ from ves_gym._util.params import (
     read_table,
     require_choice,
     require_least,
+    require_one_of,
     to_plain,
 )
-from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.evaluate import spec_of
 from ves_gym.baselines.policy import ACTIVATIONS, task_name
 
@@ -134,11 +134,7 @@ def find_configs(env: str, algorithm: str | None = None) -> list[TrainConfig]:
     every = released_configs()
     chosen = [c for c in every if algorithm in (None, c.label, c.algorithm)]
     if not chosen:
-        names = sorted({c.label for c in every})
-        raise ParameterError(
-            f"algorithm must be one of {', '.join(names)}, got {algorithm!r}"
-            f"{did_you_mean(algorithm, names)}"
-        )
+        require_one_of("algorithm", algorithm, sorted({c.label for c in every}))
     matching = [c for c in chosen if c.env == env]
     if not matching:
         twin = env.replace("Emulated-v", "-v")

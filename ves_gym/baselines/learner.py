@@ -38,7 +38,7 @@ _LATE = 0.6  # share of an episode
 
 @dataclass(frozen=True, kw_only=True)
 class ImitationConfig:
-    """How long to imitate, and how."""
+    """Length and settings of imitation."""
 
     rounds: int = 20  # each an episode of every environment
     expert_rounds: int = 10  # over which the controller's share of the actions falls to none

@@ -35,7 +35,7 @@ REWARDS, OBSERVATIONS = 1e-9, 1e-6
 
 @dataclass(frozen=True)
 class Replay:
-    """How far stored episodes are from those of a fresh environment."""
+    """Differences of stored episodes from those of a fresh environment."""
 
     episodes: int
     steps: int

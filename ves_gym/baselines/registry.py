@@ -5,8 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any, NamedTuple
 
-from ves_gym._util.params import ParameterError
-from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.params import require_one_of
 from ves_gym.baselines.controllers import FOLLOW, Controller
 from ves_gym.envs.registration import IDS
 from ves_gym.mechanics.servo import HIGH_GAINS, PPED_GAINS
@@ -111,9 +110,5 @@ def get_controller(name: str, seed: int = 0) -> Controller:
     Raises:
         ParameterError: unknown name.
     """
-    if name not in CONTROLLERS:
-        raise ParameterError(
-            f"controller must be one of {', '.join(CONTROLLERS)}, got {name!r}"
-            f"{did_you_mean(name, CONTROLLERS)}"
-        )
+    require_one_of("controller", name, CONTROLLERS)
     return CONTROLLERS[name].make(seed)

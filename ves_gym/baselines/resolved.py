@@ -164,7 +164,7 @@ class Resolved:
         return reference_action(env, env.task.control, target, self.follow)
 
     def _target(self, env: VesVectorEnv) -> Array:
-        """Where the reference is to be at the period's end (n, 3, joints)."""
+        """Return position, rate and acceleration at the period's end (n, 3, joints)."""
         s, arm, dt = env.batch.scene, env.task.system.arm, env.batch.dt
         before, present, then = (row_of_step(env, self._plan, k) for k in (0, 1, 2))
         y: Array = s.y_seen + dt * s.yd_seen  # of the base at the period's end
@@ -196,7 +196,7 @@ class Resolved:
         return out
 
     def _follow_funnel(self, env: VesVectorEnv) -> tuple[Array, Array]:
-        """How far (n, 3) the path's end is from where it was planned, and its velocity."""
+        """Return the path's end less the planned one (n, 3) [m], and its velocity."""
         s, dt = env.batch.scene, env.batch.dt
         t = LatchTarget.of(s.payload)
         off = t.fixture + s.goal[:, 11:] + dt * t.fixture_velocity - s.goal[:, :3]

@@ -68,10 +68,9 @@ def coupling_map(
         files.append(folder / f"map_q{i}_q{j}.npz")
         section.save(files[-1])
 
-    def figures() -> dict[Path, Any]:
+    def figures() -> dict[str, Any]:
         vehicle = vehicle_name(system.vehicle)
-        data = [map_data(vehicle, section, []) for section in maps]
-        return {folder / "map": coupling_figure(data, [])}
+        return {"map": coupling_figure([map_data(vehicle, k, []) for k in maps], [])}
 
     plain = {
         "schema": "ves-map/1",
@@ -81,7 +80,8 @@ def coupling_map(
         "others": maps[0].others,
         "maps": [section.to_dict() for section in maps],
     }
-    return Answer(text="\n".join(map(str, maps)), plain=plain, files=files, figures=figures)
+    text = "\n".join(map(str, maps))
+    return Answer(text=text, plain=plain, files=files, figures=figures, folder=folder)
 
 
 def _bounds(value: str) -> Bounds:
@@ -99,7 +99,7 @@ def pped(
     **how: Any,
 ) -> Answer:
     """Search joint gains, compare them with the thesis's, simulate, draw."""
-    arm, folder = at.case.system.arm, at.folder("out/pped")
+    arm = at.case.system.arm
     if q is None:
         usual = np.deg2rad([45.0, 0.0, 0.0]) if arm.n == 3 and not arm.sliding else 0.0
         q = np.clip(usual, arm.column("q_min"), arm.column("q_max"))
@@ -115,10 +115,8 @@ def pped(
     return Answer(
         text=comparison,
         plain=comparison.to_dict(),
-        figures=lambda: {
-            folder / f"pped_{name}": figure
-            for name, figure in damping_figures(comparison).items()
-        },
+        figures=lambda: damping_figures(comparison),
+        folder=at.folder("out/pped"),
     )
 
 
@@ -130,7 +128,7 @@ def emulation_check(
     no_search: bool = False,
 ) -> Answer:
     """Judge the emulation before it runs; negative if it is unstable."""
-    system, folder = at.case.system, at.folder("out/emulation-check")
+    system = at.case.system
     if system.mode != "emulated":
         raise ParameterError(f"emulation-check is about --mode emulated, got {system.mode}")
     q = system.arm.home if q is None else q
@@ -140,10 +138,8 @@ def emulation_check(
     return Answer(
         text=check,
         plain=check.to_dict(),
-        figures=lambda: {
-            folder / name: figure
-            for name, figure in emulation_figures(system, q, servo).items()
-        },
+        figures=lambda: emulation_figures(system, q, servo),
+        folder=at.folder("out/emulation-check"),
         negative=not check.stable,
     )
 
@@ -235,7 +231,8 @@ def structure(
         text=summary,
         plain=summary.to_dict(),
         files=[path, case],
-        figures=(lambda: {folder / "modes": mode_figure(vehicle)}) if drawn else None,
+        figures=(lambda: {"modes": mode_figure(vehicle)}) if drawn else None,
+        folder=folder,
         then=[["simulate", "--case", case]],
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import ves_gym.api as vg
-from ves_gym.cli.flags import Answer, Context, Flag, log_file
+from ves_gym.cli.flags import LOG, Answer, Context
 from ves_gym.cli.machine import MACHINE
 from ves_gym.cli.simulate import GAINS
 from ves_gym.mechanics.servo import JointServo
@@ -31,8 +31,6 @@ def fmu(at: Context, *, gains: JointServo | None = None) -> Answer:
 
 
 TABLE = {
-    "export mcap": (mcap, (
-        Flag("LOG", read=log_file, help="a run log, .csv or .parquet, or a case with one"),
-    )),
+    "export mcap": (mcap, (LOG,)),
     "export fmu": (fmu, (GAINS, *MACHINE)),
 }  # fmt: skip

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 
 from ves_gym._util.optional import require
-from ves_gym._util.params import Array, ParameterError
-from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.params import Array, ParameterError, require_one_of
 from ves_gym.report.figures import FORMATS
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ UNITS = {"deg": math.pi / 180, "deg/s": math.pi / 180, "deg/s^2": math.pi / 180}
 
 
 class Place(NamedTuple):
-    """Where a value stands: its option, and the arm whose joints it is about."""
+    """Context of a value: its option, and the arm whose joints it is about."""
 
     name: str  # --goal
     arm: Arm | None = None
@@ -173,11 +172,7 @@ def one_of(*choices: str) -> Read:
     """Read one of some names."""
 
     def reader(value: str, place: Place) -> str:
-        if value not in choices:
-            raise ParameterError(
-                f"{place.name} must be one of {', '.join(choices)}, got {value!r}"
-                f"{did_you_mean(value, choices)}"
-            )
+        require_one_of(place.name, value, choices)
         return value
 
     return reader
@@ -276,6 +271,7 @@ log_file = read(_log)  # the name of a run log, or of a case: that of its log
 
 WORKERS = Flag("--workers", "N", integer(1), "processes; default one per processor")
 FORMAT = Flag("--format", "F", one_of(*FORMATS), f"of the pictures: {', '.join(FORMATS)} (png)")
+LOG = Flag("LOG", read=log_file, help="a run log, .csv or .parquet, or a case with one")
 PICTURES = (Flag("--no-figures", help="no pictures"), FORMAT)  # `main` reads and draws them
 START = Flag("--start", "A,B,C", joints, "joint angles [deg] (default 0,0,0)")
 GOAL = Flag("--goal", "A,B,C", joints, "joint angles [deg]")
@@ -298,7 +294,7 @@ class Context:
     machine: dict[str, Any] = field(default_factory=dict)  # those options that were given
 
     def folder(self, name: str | Path) -> Path:
-        """Where files go: --out, or what is usual."""
+        """Return the folder for files: --out, else this default."""
         return self.out or Path(name)
 
     def log(self, path: Path) -> list[Path]:
@@ -320,13 +316,14 @@ class Context:
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What a command has done: its text, its JSON, its files, and what comes next."""
+    """Result of a command: its text, its JSON, its files, and the commands that follow."""
 
     text: object = ""  # printed by `str`
     plain: Mapping[str, Any] | None = None  # None: there is no result
     files: Sequence[Path | str] = ()
     # names of files without their suffix -> matplotlib's figures, drawn where they are wanted
-    figures: Callable[[], Mapping[Path, Any]] | None = None
+    figures: Callable[[], Mapping[str, Any]] | None = None
+    folder: Path = Path()  # of the figures
     then: Sequence[Sequence[str | Path]] = ()  # commands that go on from here
     negative: bool = False
 

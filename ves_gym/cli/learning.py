@@ -128,7 +128,7 @@ def card(
         write_text(path, policy_card(name, evaluation))
         rows.append({"policy": name, "path": str(path)})
     plain = {"schema": "ves-policy-command/1", "cards": rows}
-    return Answer(text="\n".join(row["path"] for row in rows), plain=plain)
+    return Answer(plain=plain, files=[row["path"] for row in rows])
 
 
 # ----------------------------------------------------------------------------- data sets

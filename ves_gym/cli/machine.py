@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ves_gym._util.params import ParameterError
+from ves_gym._util.params import ParameterError, require_one_of
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.cli.flags import Flag, Place, grouped, number, read, say
 from ves_gym.hardware.leg_servo import LEG_SERVOS, LegServo, leg_clock
@@ -92,11 +92,7 @@ def parse_effect(text: str) -> Effect:
     matrices and may be written around the latter as well, [[1, 0], [0, 1]].
     """
     kind, _, assignments = text.partition(":")
-    if kind not in EFFECTS:
-        raise ParameterError(
-            f"--effect must be one of {', '.join(sorted(EFFECTS))}, got {kind!r}"
-            f"{did_you_mean(kind, EFFECTS)}"
-        )
+    require_one_of("--effect", kind, sorted(EFFECTS))
     fields = {f.name: f for f in dataclasses.fields(EFFECTS[kind])}  # type: ignore[arg-type]
     values: dict[str, Any] = {}
     for part in _NEXT.split(assignments) if assignments.strip() else ():

@@ -212,7 +212,8 @@ def _carry_out(args: argparse.Namespace) -> int:
             if missing := lacking("drawing", "matplotlib"):
                 answer = replace(answer, text=f"{answer.text}\nno pictures: {missing}")
             else:
-                drawn = write_figures(answer.figures(), form)
+                named = {answer.folder / name: k for name, k in answer.figures().items()}
+                drawn = write_figures(named, form)
                 answer = replace(answer, files=[*answer.files, *drawn])
     return _print(answer, at.json)
 
@@ -238,7 +239,7 @@ def _print(answer: Answer, file: str | None) -> int:
 
 
 class Bars:
-    """What verbs take as `progress`: the last number it is called with is the fraction done.
+    """Progress bars, which verbs take as `progress`: the last number is the fraction done.
 
     What stands before the fraction names a bar of its own, what is after it stands beside it.
     Bars are for a terminal; a pipe gets nothing.

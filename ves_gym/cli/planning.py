@@ -226,7 +226,8 @@ def benchmark(
         text="\n".join(lines),
         plain=plain,
         files=files,
-        figures=lambda: {folder / k: figure for k, figure in benchmark_figures(result).items()},
+        figures=lambda: benchmark_figures(result),
+        folder=folder,
     )
 
 

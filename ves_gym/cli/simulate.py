@@ -131,9 +131,8 @@ def simulate(
         text="\n".join([*lines, str(summary)]),
         plain={**summary.to_dict(), "log": str(path)},
         files=[*files, beside],
-        figures=lambda: {
-            path.with_suffix(""): run_figure(recorded, case.system, motion.duration, space)
-        },
+        figures=lambda: {path.stem: run_figure(recorded, case.system, motion.duration, space)},
+        folder=path.parent,
         then=[["view", beside]],
         negative=summary.stop is not None or not summary.trusted,
     )

@@ -106,7 +106,7 @@ def merge(at: Context, folder: tuple[str, ...], *, parquet: bool = False) -> Ans
     units = {row["unit"] for row in rows}
     kinds = dict(Counter(row["kind"] for row in rows))
     plain = {"schema": "ves-merge/1", "path": str(path), "units": len(units), "rows": kinds}
-    return Answer(text=f"{len(rows)} rows of {len(units)} units: {path}", plain=plain)
+    return Answer(text=f"{len(rows)} rows of {len(units)} units", plain=plain, files=[path])
 
 
 TABLE = {

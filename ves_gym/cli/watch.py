@@ -11,12 +11,12 @@ from typing import Any
 
 from ves_gym._util.params import Array, ParameterError
 from ves_gym.cli.flags import (
+    LOG,
     START,
     Answer,
     Context,
     Flag,
     Place,
-    log_file,
     number,
     read,
     say,
@@ -185,8 +185,7 @@ def _script(driven: Teleop, file: str, seconds: float | None) -> None:
 
 TABLE = {
     "view": (view, (
-        Flag("LOG", read=log_file, many=True,
-             help="a run log, .csv or .parquet, or a case with one"),
+        replace(LOG, many=True),
         Flag("--gif", "FILE", _movie, "draw into a GIF", against="target"),
         Flag("--mp4", "FILE", _movie, "draw into an MP4", against="target"),
         Flag("--rerun", "FILE", _movie,

@@ -235,7 +235,7 @@ def _named(explanation: Explanation) -> str:
 
 
 def _written(candidates: Sequence[Candidate]) -> str:
-    """What is written without a name, in words."""
+    """Return the unnamed candidates in words."""
     bases = ", ".join(c.slot for c in candidates if c.kind == BaseUnknown.kind)
     at = [c for c in candidates if c.kind != BaseUnknown.kind]
     joints = ", ".join(dict.fromkeys(c.slot for c in at))

@@ -46,7 +46,7 @@ def require_alike(template: System, other: System, which: str) -> None:
 
 
 def _alike(system: System) -> dict[str, Any]:
-    """What systems of one batch have alike, by what it is called; number of joints first."""
+    """Return what systems of one batch must share, by name; number of joints first."""
     arm, actual, vehicle = system.arm, system.actual, system.vehicle
     out: dict[str, Any] = {
         "number of joints": arm.n,

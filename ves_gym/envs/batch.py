@@ -77,7 +77,7 @@ def checked(action: Any, shape: tuple[int, ...]) -> Array:
 
 
 class _Rewired(Exception):
-    """What was drawn asks for blocks or memory that the emulation loops do not have yet."""
+    """The drawn systems need blocks or memory that the emulation loops do not have yet."""
 
 
 def _code_of(sim: Simulator) -> object:

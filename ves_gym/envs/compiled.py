@@ -205,7 +205,7 @@ def functions(shape: Shape, probe: bytes | None = None) -> dict[str, CompiledFun
 
 
 class FormulaError(ParameterError):
-    """What a task or control says is a formula cannot be followed with symbols."""
+    """A task or control is declared a formula and cannot be traced with symbols."""
 
 
 def _followed(task: Task, make: Callable[[], casadi.Function]) -> casadi.Function:
@@ -227,7 +227,7 @@ def _followed(task: Task, make: Callable[[], casadi.Function]) -> casadi.Functio
 
 
 def _graphs(shape: Shape) -> dict[str, Callable[[], casadi.Function]]:
-    """What makes the graph of each piece: `keep`, `move`, `follow`, `close`, and wires."""
+    """Return the makers of each piece's graph: `keep`, `move`, `follow`, `close`, and wires."""
     makers = {"keep": _carry_over, "move": _move, "follow": _follow, "close": _close}
     out: dict[str, Callable[[], casadi.Function]]
     out = {name: partial(make, shape) for name, make in makers.items()}

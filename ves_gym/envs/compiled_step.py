@@ -80,7 +80,7 @@ class CompiledStep:
 
     @classmethod
     def possible(cls, sim: Simulator, task: Task) -> bool:
-        """Whether a period is a program: formulas, the kernel, nothing acts from Python."""
+        """True if a period is a program: formulas, the kernel, nothing acts from Python."""
         acts = sim.base_actuators is not None and task.base_control is None
         acts = acts or sim.joint_delays is not None or sim.gravity_gradient is not None
         floats = isinstance(sim.backend, KernelBackend) and sim.backend.floating

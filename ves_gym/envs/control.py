@@ -12,8 +12,15 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError, Vector, finite, require_positive, unit
-from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.params import (
+    Array,
+    ParameterError,
+    Vector,
+    finite,
+    require_one_of,
+    require_positive,
+    unit,
+)
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.kinematics import frames, tool_motions
 from ves_gym.mechanics.servo import FREE, OWN_GAINS, JointServo, own_gains
@@ -439,11 +446,7 @@ class Gains(Control):
 
 def get_control(name: str) -> Control:
     """A control of default settings by name."""
-    if name not in CONTROLS:
-        raise ParameterError(
-            f"control must be one of {', '.join(CONTROLS)}, got {name!r}"
-            f"{did_you_mean(name, CONTROLS)}"
-        )
+    require_one_of("control", name, CONTROLS)
     return CONTROLS[name]()
 
 

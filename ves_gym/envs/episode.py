@@ -277,7 +277,7 @@ def scaled_observation(task: Task, s: Scene, scale: Array) -> Array:
 
 
 class Beginnings:
-    """What the simulations' next episodes begin with.
+    """Initial values of the simulations' following episodes.
 
     Random numbers are those of an episode's seed, index and number, so that it begins alike
     whatever else is drawn. Where one simulation ends after another, the beginnings of others

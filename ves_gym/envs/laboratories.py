@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ves_gym._util.params import Array, ParameterError
-from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.params import Array, ParameterError, require_one_of
 from ves_gym.envs.randomize import Range, effect_at, ranges_of
 from ves_gym.hardware.platform import PoseServo
 from ves_gym.mechanics.servo import JointServo
@@ -44,11 +43,7 @@ def laboratory(name: str, system: System) -> Laboratory:
     Raises:
         ParameterError: an unknown name, or a system that has no laboratory.
     """
-    if name not in LABORATORIES:
-        raise ParameterError(
-            f"laboratory must be one of {', '.join(LABORATORIES)}, got {name!r}"
-            f"{did_you_mean(name, LABORATORIES)}"
-        )
+    require_one_of("laboratory", name, LABORATORIES)
     if system.mode != "emulated" or system.emulator_settings.operation != "microgravity":
         got = system.mode if system.mode != "emulated" else system.emulator_settings.operation
         raise ParameterError(

@@ -13,7 +13,7 @@ from ves_gym.envs.task import Field
 
 
 class Privileged:
-    """What decides an episode and no sensor shows, for every simulation of a batch.
+    """Values that decide an episode and no sensor shows, for every simulation of a batch.
 
     The return so far and the time left, the true motion of the base with its internal modes,
     the mass and centre of mass of a payload, and what was drawn of the machine. No policy sees

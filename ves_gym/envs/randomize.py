@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.params import Array, ParameterError, from_plain
+from ves_gym._util.params import Array, ParameterError, from_plain, require_one_of
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.mechanics.spatial import matvec
 from ves_gym.system.deviations import LoopParameters
@@ -46,11 +46,7 @@ class Range:
     shared: str | None = None
 
     def __post_init__(self) -> None:
-        if self.effect not in EFFECTS:
-            raise ParameterError(
-                f"randomize: effect must be one of {', '.join(sorted(EFFECTS))}, got"
-                f" {self.effect!r}{did_you_mean(self.effect, EFFECTS)}"
-            )
+        require_one_of("randomize: effect", self.effect, sorted(EFFECTS))
         names = [f.name for f in dataclasses.fields(EFFECTS[self.effect])]  # type: ignore[arg-type]
         if self.parameter not in names:
             raise ParameterError(

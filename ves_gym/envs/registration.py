@@ -22,7 +22,7 @@ ENTRY_POINT = "ves_gym.envs.env:VesEnv"
 
 
 class Registered(NamedTuple):
-    """What is filed of a task: its id in space, and in the laboratory that emulates it."""
+    """Entry of a task: its id in space, and in the laboratory that emulates it."""
 
     task: str
     steps: int  # control periods of an episode: no task's module is loaded to tell them

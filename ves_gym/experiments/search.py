@@ -26,8 +26,8 @@ from ves_gym._util.params import (
     read_table,
     require_choice,
     require_least,
+    require_one_of,
 )
-from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.tables import table as text_table
 from ves_gym.experiments.spec import Spec, units_of
 from ves_gym.experiments.sweep import Progress, do_units, opened
@@ -246,11 +246,7 @@ def _value(root: Path, units: list[Unit], objective: str) -> float | None:
     values = []
     for unit in units:
         summary = read_result(root / "results" / f"{unit.id}.json")["summary"]
-        if objective not in summary:
-            raise ParameterError(
-                f"objective must be one of {', '.join(summary)}, got {objective!r}"
-                f"{did_you_mean(objective, summary)}"
-            )
+        require_one_of("objective", objective, summary)
         values.append(summary[objective])
     return None if None in values or not values else sum(values) / len(values)
 

@@ -11,8 +11,7 @@ from collections.abc import Callable
 import numpy as np
 import scipy
 
-from ves_gym._util.params import Array, ParameterError
-from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.params import Array, ParameterError, require_one_of
 from ves_gym.mechanics.spatial import AXES, body_wrench, matvec, rate_matrix, solve
 from ves_gym.mechanics.vehicle import BaseModel
 
@@ -115,11 +114,7 @@ def require_admittance(base: BaseModel, form: str) -> None:
     Raises:
         ParameterError: unknown form, or one that cannot hold this vehicle, or no mass.
     """
-    if form not in FORMS:
-        raise ParameterError(
-            f"admittance form must be one of {', '.join(FORMS)}, got {form!r}"
-            f"{did_you_mean(form, FORMS)}"
-        )
+    require_one_of("admittance form", form, FORMS)
     M, D, K = base.full()
     if form == "decoupled" and not base.m:
         sets = coupled_axes(M, D, K)

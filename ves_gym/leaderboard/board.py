@@ -135,7 +135,7 @@ def _of(entry: Entry) -> Plain:
 
 
 def command(entry: Entry) -> str:
-    """What repeats an entry of the board, from the root of a clone."""
+    """Return the command that repeats an entry of the board, from the root of a clone."""
     words = ["ves-gym leaderboard verify", f"{PLACE}/entries/{entry.file}"]
     peer = re.fullmatch(r"(\w+):\w+", str(entry.about.get("code")))  # of ours has dots
     if peer:

@@ -10,8 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ves_gym._util.params import ParameterError
-from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.params import ParameterError, require_one_of
 from ves_gym.baselines.comparison import policy_files
 from ves_gym.baselines.policy import Policy, load_policy, released
 from ves_gym.baselines.registry import CONTROLLERS, get_controller
@@ -128,11 +127,7 @@ def _built_in(problem: Problem, name: str, seed: int) -> Any:
         return get_controller(name, seed)
     if problem.track == "paths":
         return get_planner(name)
-    if name not in TUNERS:
-        raise ParameterError(
-            f"gains must be one of {', '.join(TUNERS)}, got {name!r:.80}"
-            f"{did_you_mean(name, TUNERS)}"
-        )
+    require_one_of("gains", name, TUNERS)
     return tuner(name)
 
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 
-from ves_gym._util.params import ParameterError
+from ves_gym._util.params import ParameterError, require_one_of
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.planners.suites import REACH_SEED
 
@@ -123,11 +123,7 @@ def problems(track: str) -> tuple[str, ...]:
         "tasks": [*(k for k in ids if k not in damping), *UNKNOWN],
         "damping": [GAINS, *damping],
     }
-    if track not in named:
-        raise ParameterError(
-            f"track must be one of {', '.join(SCORES)}, got {track!r:.80}"
-            f"{did_you_mean(track, SCORES)}"
-        )
+    require_one_of("track", track, SCORES)
     return tuple(name + part for name in named[track] for part in ("", QUICK))
 
 

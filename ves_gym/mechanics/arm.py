@@ -227,7 +227,7 @@ class Arm:
 
     @cached_property
     def feet(self) -> tuple[Root, ...]:
-        """Where each arm begins, one without others."""
+        """Return the root of each arm, one without others."""
         out, first = [], 0
         for limb in self.beside or ():
             out.append(Root.at(first, limb.mount))
@@ -236,7 +236,7 @@ class Arm:
 
     @cached_property
     def roots(self) -> tuple[Root, ...]:
-        """Where the chains of `joints` begin: of each arm, and of each follower beside one."""
+        """Return roots of the chains of `joints`: of each arm and each follower beside one."""
         if not self.followers:
             return self.feet
         at = {part: row for row, part in enumerate(self._rows)}
@@ -250,7 +250,7 @@ class Arm:
 
     @cached_property
     def coupling(self) -> JointCoupling | None:
-        """How `joints` follow those that are driven; None: they are these."""
+        """Return the coupling of `joints` to the driven ones; None: they are the same."""
         if not self.followers:
             return None
         driven, rows = iter(range(self.n)), {}

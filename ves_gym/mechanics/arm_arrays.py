@@ -41,7 +41,7 @@ class JointCoupling(NamedTuple):
 
 
 class JointFrame(NamedTuple):
-    """Where a link's frame lies beyond its joint, as in `Link`."""
+    """Position of a link's frame beyond its joint, as in `Link`."""
 
     d: float  # m
     a: float  # m
@@ -64,7 +64,7 @@ class LinkBodies(NamedTuple):
 
 
 class Root(NamedTuple):
-    """Where an arm's first joint is in the platform-top frame, before it turns."""
+    """Pose of an arm's first joint in the platform-top frame, before it turns."""
 
     first: int  # place of this joint among those of all arms
     rotation: Array  # (3, 3)
@@ -86,7 +86,7 @@ def spans(roots: Sequence[Root], n: int) -> tuple[slice, ...]:
 
 
 class Chain(NamedTuple):
-    """What `dynamics` asks of an arm: joints, where each arm begins, and masses."""
+    """Data of an arm for `dynamics`: joints, the root of each arm, and masses."""
 
     joints: tuple[JointFrame, ...]
     roots: tuple[Root, ...]  # one, of a single arm

@@ -139,7 +139,7 @@ def _urdf_joint(
 
 
 def _mimic(arm: Arm, part: ArmPart, joint: Element) -> None:
-    """How a follower follows, for which URDF has words if it is one joint."""
+    """Add the <mimic> of a follower; URDF has it for one leader."""
     leaders = _leaders(arm, part)
     if len(leaders) > 1:
         names = ", ".join(leaders)

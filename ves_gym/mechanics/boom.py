@@ -23,10 +23,10 @@ from ves_gym._util.params import (
     Vector,
     finite,
     freeze_arrays,
+    require_one_of,
     require_positive,
     unit,
 )
-from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.threads import on_one_thread
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.chain import Joint, Lump, arm_of
@@ -496,8 +496,5 @@ BOOMS: dict[str, Boom] = {SHUTTLE_LIKE.name: SHUTTLE_LIKE}
 
 def get_boom(name: str) -> Boom:
     """Return a boom that comes with the package, by name."""
-    if name not in BOOMS:
-        raise ParameterError(
-            f"boom must be one of {', '.join(BOOMS)}, got {name!r}{did_you_mean(name, BOOMS)}"
-        )
+    require_one_of("boom", name, BOOMS)
     return BOOMS[name]

@@ -132,7 +132,7 @@ def _supported(a: str, b: str) -> bool:
 
 
 class Touch(NamedTuple):
-    """Where two shapes are nearest, in the target's axes."""
+    """Nearest points of two shapes, in the target's axes."""
 
     gap: Array  # (...,) m, negative where they overlap
     normal: Array  # (..., 3) out of the target's shape, on the tool's
@@ -298,7 +298,7 @@ class ContactModel:
 
 
 class ContactLoad(NamedTuple):
-    """What contact does."""
+    """Load of a contact."""
 
     base: Array  # (..., 6) generalised force on Y
     joints: Array  # (..., joints of the chain)

@@ -155,7 +155,7 @@ def _from_the_base(roots: Sequence[Root], starts: Sequence[Array], x: Array) -> 
 
 
 def _starts(roots: Sequence[Root], base: Array) -> list[Array]:
-    """What each arm starts with (..., 3): the base's, and nothing more than its carrier's."""
+    """Return the initial value (..., 3) of each arm: the base's, or zero on a carrier."""
     return [base if root.on is None else _NONE for root in roots]
 
 

@@ -110,7 +110,7 @@ class Model:
 
 
 class StateRate(NamedTuple):
-    """What follows from a state and what is put in."""
+    """Derivative of a state under its inputs."""
 
     rate: Array  # (..., 2 (6 + n + h)) of the state
     acceleration: Array  # (..., 6 + n) z''

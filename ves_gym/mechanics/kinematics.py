@@ -133,7 +133,7 @@ def _foot(
 
 
 def _swings(joints: tuple[JointFrame, ...], q: Array) -> tuple[Array, Array]:
-    """What x and y of a frame are multiplied with, and y and x, to be the next one's (n, 2).
+    """Return the factors (n, 2) that take x and y of a frame to those of its successor.
 
     x' = c x + s y and y' = c y - s x, of the angles of the DH table; where alpha is a right
     angle the second is -sin(alpha) y', which is where z comes to lie.

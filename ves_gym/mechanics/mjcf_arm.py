@@ -137,7 +137,7 @@ class MjcfTree(Tree):
         slope: float,
         curve: tuple[float, ...],
     ) -> Tie | None:
-        """What says that one sum of joints is start + slope times another, both from rest, and
+        """Return that one sum of joints is start + slope times another, both from rest, and
         its second power on."""
         total = dict(sums[0])
         for name, part in sums[1].items():

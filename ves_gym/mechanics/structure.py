@@ -16,8 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from ves_gym._util.params import Array, ParameterError, finite
-from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.params import Array, ParameterError, finite, require_one_of
 from ves_gym._util.tables import table
 from ves_gym.mechanics.arm import Arm
 from ves_gym.mechanics.craig_bampton import Reduction, reduce
@@ -142,11 +141,7 @@ def read_structure(
     Raises:
         ParameterError: names the file and the number that is wrong.
     """
-    if units not in UNITS:
-        raise ParameterError(
-            f"units must be one of {', '.join(UNITS)}, got {units!r}"
-            f"{did_you_mean(units, UNITS)}"
-        )
+    require_one_of("units", units, UNITS)
     if rigid_modes not in range(7):
         raise ParameterError(f"rigid_modes must be 0 to 6, got {rigid_modes!r}")
     matrices, source = _find(files, names or {})

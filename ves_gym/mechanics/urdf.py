@@ -160,7 +160,7 @@ class UrdfTree(Tree):
         )
 
     def _range(self, element: Element, where: str) -> tuple[float, float]:
-        """Where a joint may go; 2 pi either way of one that turns and says nothing of it."""
+        """Return the range of a joint; 2 pi either way where one that turns states none."""
         kind, limit = element.get("type"), _child(element, "limit")
         turns = kind != "prismatic"
         if kind == "continuous" or (turns and limit.get("lower") is limit.get("upper") is None):

@@ -166,7 +166,7 @@ class MotionProblem:
         return np.vstack([self.first, points, [goal] * _FIXED])
 
     def _at_points(self, rows: Array) -> Array:
-        """What rows (N, m) of all control points are of the free ones, joint by joint (N, free,
+        """Return rows (N, m) of all control points as those of free ones, by joint (N, free,
         n)."""
         inner = rows[:, self._inner, None]
         out = np.broadcast_to(inner, (*inner.shape[:2], self.n))

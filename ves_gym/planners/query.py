@@ -93,7 +93,7 @@ class Plan(Viewable):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the machine has that the plan does not know, a sentence each."""
+        """Return parts of the machine that the plan ignores, a sentence each."""
         return notes(self.query, self.found and self.found.motion)
 
     def __repr__(self) -> str:
@@ -168,14 +168,14 @@ def solve(planner: Planner, query: Query, seed: int = 0) -> Plan:
     info: dict[str, Any] = {}
     with on_one_thread():
         try:
-            found = planner.find(query, seed)
+            returned = planner.find(query, seed)
         except NoPlan as error:
             failure: str | None = str(error)
         else:
-            if not (isinstance(found, tuple) and isinstance(found[0], Motion)):
+            if not (isinstance(returned, tuple) and isinstance(returned[0], Motion)):
                 what = f"find of planner {planner.name} must return (motion, info)"
-                raise TypeError(f"{what}, got {type(found).__name__}")
-            motion, info = found
+                raise TypeError(f"{what}, got {type(returned).__name__}")
+            motion, info = returned
             if query.free_joints:  # the answer is to the ends that it chose
                 query = replace(query, goal=motion.control[-1])
             predicted = predict(query.system, motion, query.servo, base=query.base, parts=FINE)

@@ -93,13 +93,13 @@ def own_planner(text: str) -> Planner:
     Raises:
         ParameterError: no such planner, or what is there is none.
     """
-    found = own_object(text, PLANNERS, "planners")
-    if isinstance(found, str):
-        return get_planner(found)
-    if type(PLANNERS.data.get(str(getattr(found, "name", "")))) is not type(found):
-        register_planner(found)  # which the module may have done itself
+    planner = own_object(text, PLANNERS, "planners")
+    if isinstance(planner, str):
+        return get_planner(planner)
+    if type(PLANNERS.data.get(str(getattr(planner, "name", "")))) is not type(planner):
+        register_planner(planner)  # which the module may have done itself
     CALLED.append((own_planner, text))
-    return get_planner(found.name)
+    return get_planner(planner.name)
 
 
 def bounded(planner: Planner, bounds: Mapping[str, float]) -> Planner:

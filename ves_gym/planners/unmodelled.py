@@ -84,7 +84,7 @@ def _of_the_base(system: System) -> list[str]:
 
 
 def _of_pointing(query: Query, vehicle: Satellite, motion: Motion) -> list[str]:
-    """Where the motion asks more of the pointing law than it, wheels and jets give."""
+    """Return sentences on where a motion exceeds the pointing law, wheels and jets."""
     law = vehicle.pointing
     if law is None:
         return []

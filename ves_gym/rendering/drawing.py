@@ -185,7 +185,7 @@ class Drawing:
                 _box(body, part.body.com, *part.body.box(), _PANEL)
 
     def _add_surfaces(self, spec: Any) -> None:
-        """What the tool touches with, and what it meets on the base or in space."""
+        """Add the surfaces of the tool, and those that it meets on the base or in space."""
         contact, arm = self.system.contact, self.system.arm
         if contact is None:
             return

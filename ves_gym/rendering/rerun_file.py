@@ -70,7 +70,7 @@ def write_rerun(
 
 
 class RecordingScene:
-    """What of a run is drawn: arrays (N, ...) on the log's clock, the base's motion
+    """Drawn data of a run: arrays (N, ...) on the log's clock, the base's motion
     magnified."""
 
     def __init__(self, log: RunLog, magnify: float = 1.0) -> None:
@@ -270,7 +270,7 @@ def _upright_to(way: Array) -> Array:
 
 
 def _plate(scene: RecordingScene, shapes: list[tuple[Capsule, ...]]) -> Any:
-    """What the arm stands on: the body of a satellite, or a plate."""
+    """Return the body under the arm: that of a satellite, or a plate."""
     import rerun as rr
 
     body = scene.system.base.body
@@ -322,7 +322,7 @@ def _blueprint(scenes: Mapping[str, RecordingScene]) -> Any:
 
 
 def _eye(points: Array) -> Any:
-    """Where a camera stands that sees points (N, 3)."""
+    """Return the position of a camera that sees points (N, 3)."""
     import rerun.blueprint as rrb
 
     low, high = points.min(axis=0), points.max(axis=0)

@@ -33,11 +33,11 @@ def damping_figures(comparison: GainComparison) -> dict[str, Figure]:
     locked = poles_in_space(mass, *base.full()[1:])
     names = [row.name for row in rows]
     figures = {
-        "poles": pole_figure([(row.name, row.damping.poles) for row in rows], locked),
-        "responses": response_figure(names, comparison.linear, comparison.simulated),
+        "pped_poles": pole_figure([(row.name, row.damping.poles) for row in rows], locked),
+        "pped_responses": response_figure(names, comparison.linear, comparison.simulated),
     }
     if comparison.maps:
-        figures["configurations"] = map_figure(comparison.maps)
+        figures["pped_configurations"] = map_figure(comparison.maps)
     return figures
 
 

@@ -14,7 +14,7 @@ _SCRIPTS = "dom drawing scene platform player player_page"  # in this order
 
 
 def can_play(log: RunLog) -> bool:
-    """Whether the page shows all that moves: one rigid arm, and no payload."""
+    """Return True if the page shows all that moves: one rigid arm, and no payload."""
     arm = system_of(log).arm
     return not arm.bends and len(arm.roots) == 1 and log.p is None
 

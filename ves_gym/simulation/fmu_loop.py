@@ -114,7 +114,7 @@ class LoopGraphs:
         return [changed.get(name, memory[name]) for name in memory], out
 
     def seen(self, x: Traced) -> dict[str, Array]:
-        """What a controller knows of a state: readings (6,), and `frozen` (1,)."""
+        """Return a controller's inputs of a state: readings (6,), and `frozen` (1,)."""
         memory = self.parted(x)
         weight = memory["weight"][0] if self.loop.estimate is not None else np.zeros(6)
         reading = memory["reading"][0]

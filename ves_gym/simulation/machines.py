@@ -56,7 +56,7 @@ class ControlPeriod:
 
 
 class Part:
-    """What acts beside the engine: before and after its steps, period by period.
+    """Part that acts beside the engine: before and after its steps, period by period.
 
     All that a part remembers is in arrays (n, ...), the leading axis its simulations.
     """
@@ -144,7 +144,7 @@ class NotingPart(Part):
 
     @property
     def events(self) -> list[Any]:
-        """What happened since the resets, in the order of the times."""
+        """Return the events since the resets, in the order of the times."""
         every = [e._replace(simulation=i) for i, es in enumerate(self.history) for e in es]
         return sorted(every, key=lambda event: event.time)
 

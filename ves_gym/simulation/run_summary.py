@@ -114,7 +114,7 @@ class RunSummary:
 
     @property
     def propellant(self) -> float | None:
-        """What a satellite's jets have used [kg]."""
+        """Return the propellant that a satellite's jets have used [kg]."""
         return None if self.log.propellant is None else float(self.log.propellant[-1, 0])
 
     def to_dict(self) -> dict[str, Any]:

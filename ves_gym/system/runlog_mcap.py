@@ -25,7 +25,7 @@ _NS = 10**9  # in a second
 
 
 class Topic(NamedTuple):
-    """What is written under one name: a message per sample."""
+    """Channel of one name: a message per sample."""
 
     name: str
     kind: str  # of its messages, like sensor_msgs/msg/JointState

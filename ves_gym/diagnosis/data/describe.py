@@ -72,7 +72,7 @@ class _Guess:
 
 @dataclass(frozen=True)
 class _Name:
-    """What the name of a column says."""
+    """Meaning of a column's name."""
 
     words: list[str]
     unit: str  # "": it says none
@@ -205,7 +205,7 @@ def _complete(recording: FileColumns) -> tuple[dict[str, Array], list[str]]:
 def _called(
     recording: FileColumns, complete: Mapping[str, Array], called: Sequence[str], source: str
 ) -> dict[str, _Name]:
-    """What the name of each column says; of one that stands again, nothing."""
+    """Return the meaning of each column's name; none for a repeated one."""
     columns = recording.columns
     if called and len(called) != len(columns):
         raise ParameterError(
@@ -428,7 +428,7 @@ def _rate_gain(position: Array, logged: Array, step: float, guess: _Guess) -> tu
 
 
 def _doubts(columns: Mapping[str, Array], guess: _Guess, kind: str, step: float) -> list[str]:
-    """What is to be told of a joint: a unit by its range, spikes, and, of a clock with even
+    """Return remarks on a joint: a unit by its range, spikes, and, for a clock with even
     steps (else 0), a rate that is not its position's."""
     name, rate = guess.columns["position"], guess.columns.get("velocity")
     gain, remark = _position_gain(columns[name], guess, kind)

@@ -87,7 +87,7 @@ def in_third(residuals: WhitenedResiduals, x: Array, third: int) -> Array:
 
 
 def _places(group: VarianceGroup, run: int) -> list[slice]:
-    """Where the numbers of one run stand in a group and in its copies."""
+    """Return the slices of one run's numbers in a group and in its copies."""
     mine = group.runs[run]
     shifts = [part.start - group.part.start for part in (group.part, *group.copies)]
     return [slice(mine.start + s, mine.stop + s) for s in shifts]

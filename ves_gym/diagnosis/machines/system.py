@@ -551,7 +551,7 @@ def _platform_of(loop: LoopParameters) -> tuple[float, float]:
 
 
 def _moved(system: System) -> Hashable:
-    """What makes a system's base the one that it is."""
+    """Return a key of a system's base: its vehicle and the effects on it."""
     return system.vehicle, tuple(e for e in system.effects if isinstance(e, BaseEffect))
 
 

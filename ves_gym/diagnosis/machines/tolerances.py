@@ -38,7 +38,7 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class StatedErrors:
-    """How well a `System` is described and measured, where that is not the usual way."""
+    """Errors of a `System`'s description and measurement, where not the usual ones."""
 
     schema: str = SCHEMA
     scale: float = 1.0  # of all tolerances

@@ -6,8 +6,7 @@ import warnings
 from typing import TYPE_CHECKING
 
 from ves_gym._util.optional import require
-from ves_gym._util.params import ParameterError
-from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.params import ParameterError, require_one_of
 from ves_gym.engine.backends.base import Backend, BackendWarning
 from ves_gym.mechanics.vehicle import orbit_of
 
@@ -27,11 +26,7 @@ def make_backend(name: str, system: System, n: int, threads: int) -> Backend:
         ParameterError: unknown name, `kernel` where it cannot be compiled, or MuJoCo for a
             system with contact or on an orbit.
     """
-    if name not in BACKENDS:
-        raise ParameterError(
-            f"backend must be one of {', '.join(BACKENDS)}, got {name!r}"
-            f"{did_you_mean(name, BACKENDS)}"
-        )
+    require_one_of("backend", name, BACKENDS)
     if name not in ("auto", "kernel", "mujoco"):
         require(f"backend {name}", "warp")
         from ves_gym.engine.backends.gpu_kernel import KINDS

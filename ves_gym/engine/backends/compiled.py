@@ -241,7 +241,7 @@ class CompiledBackend(ABC):
 
 
 class EngineContact:
-    """What the tool touches in n simulations. Poses in the engine's frame of space.
+    """Contact of the tool in n simulations. Poses in the engine's frame of space.
 
     Args:
         engine: that integrates it.

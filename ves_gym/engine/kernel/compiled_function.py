@@ -77,7 +77,7 @@ class CompiledFunction:
 
     @cached_property
     def digest(self) -> str:
-        """What its code is filed under."""
+        """Return the key of its code in the cache."""
         what = self.graph.serialize() if self._key is None else repr(self._key)
         return build.digest(f"{type(self).__name__} {self._in_place} {what}")
 

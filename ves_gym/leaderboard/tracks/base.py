@@ -27,7 +27,7 @@ def no_progress(stage: str, done: float) -> None:
 
 
 class Answers(NamedTuple):
-    """What was done, of each group and episode, and the seconds it took to plan, if known."""
+    """Answers of each group and episode, and the seconds of planning, if known."""
 
     recording: Recording
     seconds: Array | None = None  # (groups, episodes)

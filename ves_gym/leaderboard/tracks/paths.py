@@ -47,7 +47,7 @@ _MEASURES = (*_ENERGIES, "acceleration")
 
 
 class Played(NamedTuple):
-    """What a motion does to its base."""
+    """Effect of a motion on its base."""
 
     energies: Energies
     peaks: tuple[float, float]  # of the mount's acceleration: m/s^2, rad/s^2
@@ -119,7 +119,7 @@ def path_queries(problem: Problem, seeds: Seeds) -> list[Query]:
 
 @lru_cache(maxsize=16)
 def _lines(problem: Problem, seeds: Seeds) -> list[Played]:
-    """What the straight lines do, the same for whoever is compared with them."""
+    """Return the results of the straight lines, the same for all compared with them."""
     queries = path_queries(problem, seeds)
     lines = _played(queries, [q.straight for q in queries], judged=False)
     return [line for line in lines if line is not None]  # all of them: they are slow
@@ -173,7 +173,7 @@ def _motion(query: Query, control: Array) -> Motion | None:
 def _played(
     queries: Sequence[Query], motions: Sequence[Motion | None], judged: bool = True
 ) -> list[Played | None]:
-    """What the motions that there are do, None where the arm does not do them.
+    """Return the results of the motions, None where there is none or the arm fails to play it.
 
     With `judged` what the arm does at every physics step, and the energy account, decide.
     """
