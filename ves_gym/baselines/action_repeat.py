@@ -32,11 +32,11 @@ class ActionRepeat(gym.vector.VectorEnv[Any, Any, Any]):
     """A `VesVectorEnv` whose actions are held, and whose episodes begin anew in the same step.
 
     Gymnasium's vector interface with same-step autoreset, for learners that have no such option
-    of their own. A step does no Python work per environment but for those whose episode ended.
-    Their info holds `endings` (a list of `Endings`), and by name `final_obs` and `episode`
-    ({"r", "l"}: return without `reward_scale`, length in control periods) with their masks.
-    Deadlines are part of the tasks: nothing is truncated. `stepping` is the time [s] spent in
-    the environment.
+    of their own: `final_obs` and `final_info` with their masks where an episode ended, else the
+    info of the last control period. Beside them are `episode` ({"r", "l"}: return without
+    `reward_scale`, length in control periods) with its mask, and `endings`, a list of
+    `Endings`. Deadlines are part of the tasks: nothing is truncated. `stepping` is the time [s]
+    spent in the environment.
 
     Args:
         env: its autoreset mode is not used.
@@ -82,6 +82,7 @@ class ActionRepeat(gym.vector.VectorEnv[Any, Any, Any]):
         actions = batch.check(actions)
         reward, done = np.zeros(n), np.zeros(n, bool)
         endings: list[Endings] = []
+        final: dict[str, Any] = {}
         for _ in range(self.hold):
             gained, ended, _, info = batch.step(actions, done if done.any() else None)
             reward = (
@@ -89,24 +90,24 @@ class ActionRepeat(gym.vector.VectorEnv[Any, Any, Any]):
             )
             if ended.any():
                 endings.append(self._endings(ended, info))
+                final = _replaced(final, info, ended) if done.any() else info
                 done |= ended
-        final = self._final_info(endings, done) if endings else {}
         if endings:
+            last, e = self.env.with_privileged(final), batch.episodes
+            info = {
+                **info,
+                "endings": endings,
+                "final_obs": self.observe(),
+                "final_info": last,
+                "episode": {"r": e.total.copy(), "l": e.steps.copy()},
+                **dict.fromkeys(("_final_obs", "_final_info", "_episode"), done),
+            }
             batch.reset(np.flatnonzero(done))
-        observation = self.observe()
+            info.update(batch.randomized())
+        observation, info = self.observe(), self.env.with_privileged(info)
         self.stepping += time.perf_counter() - start
         scaled = (self.reward_scale * reward).astype(np.float32)
-        return observation, scaled, done, np.zeros(n, bool), final
-
-    def _final_info(self, endings: list[Endings], done: Mask) -> dict[str, Any]:
-        final, e = self.observe(), self.env.batch.episodes
-        return {
-            "endings": endings,
-            "final_obs": final,
-            "_final_obs": done,
-            "episode": {"r": e.total.copy(), "l": e.steps.copy()},
-            "_episode": done,
-        }
+        return observation, scaled, done, np.zeros(n, bool), info
 
     def observe(self) -> Any:
         """Present observations, (n, o) or the dictionary of a goal variant."""
@@ -127,3 +128,12 @@ class ActionRepeat(gym.vector.VectorEnv[Any, Any, Any]):
             success=info["success"][ids],
             energies={k: v[ids] for k, v in info.items() if k.startswith("energy/")},
         )
+
+
+def _replaced(before: dict[str, Any], after: dict[str, Any], rows: Mask) -> dict[str, Any]:
+    """Info of an earlier period, its rows (n,) of these simulations those of a later one."""
+    blank = {name: np.zeros_like(values) for name, values in (before | after).items()}
+    out = {name: values.copy() for name, values in (blank | before).items()}
+    for name, values in (blank | after).items():
+        out[name][rows] = values[rows]
+    return out

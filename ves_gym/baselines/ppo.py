@@ -235,7 +235,7 @@ class PPO:
             self.on_endings(ended)
         new, self.beside = flat(observation), self._beside()
         self.rows = self.stack.after(self.rows, new)
-        if info:
+        if over.any():
             ids = np.flatnonzero(over)
             self.rows[ids] = self.stack.first(new[ids])
         return reward, over

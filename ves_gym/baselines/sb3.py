@@ -63,7 +63,7 @@ class Sb3VecEnv(VecEnv):
     def step_wait(self) -> tuple[Any, Any, Mask, list[dict[str, Any]]]:
         """Observations, rewards (float32), dones and infos."""
         observation, reward, done, _, info = self.decisions.step(self._actions)
-        infos = self._nothing.copy() if info else self._nothing
+        infos = self._nothing.copy() if done.any() else self._nothing
         for ended in info.get("endings", ()):
             self.on_endings(ended)
             self._annotate(infos, ended)

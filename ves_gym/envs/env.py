@@ -76,7 +76,7 @@ class Episodic:
     def _batch(self) -> Batch:
         return Batch(self.task, self.num_envs, **self._engine)
 
-    def _with_privileged(self, info: dict[str, Any]) -> dict[str, Any]:
+    def with_privileged(self, info: dict[str, Any]) -> dict[str, Any]:
         """Return an info with what critics may know, where `privileged` is set."""
         return info | {"privileged": self.batch.privileged()} if self._tells else info
 
@@ -188,7 +188,7 @@ class VesEnv(Episodic, gym.Env[Any, Any]):  # type: ignore[misc]
             self.batch.seed(_ONE, seed, index)
         self.batch.reset(_ONE, {k: v[None] for k, v in options.items()})
         self._ready, self._over = True, False
-        info = {k: v[0] for k, v in self._with_privileged(self.batch.randomized()).items()}
+        info = {k: v[0] for k, v in self.with_privileged(self.batch.randomized()).items()}
         if self.render_mode == "human":
             self.render()
         return self._observation(), info
@@ -207,7 +207,7 @@ class VesEnv(Episodic, gym.Env[Any, Any]):  # type: ignore[misc]
             k: v.item()
             if v.dtype.kind in "bi" and v.ndim == 1
             else v[0]  # floats stay NumPy's,
-            for k, v in self._with_privileged(
+            for k, v in self.with_privileged(
                 info
             ).items()  # which are floats too: TorchRL reads their dtype
             if k[0] != "_"

@@ -120,7 +120,7 @@ class VesVectorEnv(  # type: ignore[misc]
         self.batch.reset(ids, {k: v[ids] for k, v in options.items()})
         self._over[ids] = False
         self._ready = True
-        return self._observation(), self._with_privileged(self.batch.randomized())
+        return self._observation(), self.with_privileged(self.batch.randomized())
 
     def _seed(self, seed: Any, ids: Any) -> None:
         if seed is None and not self._ready:
@@ -165,13 +165,13 @@ class VesVectorEnv(  # type: ignore[misc]
         ended = terminated | truncated
         self._over = ended
         if mode is AutoresetMode.SAME_STEP and ended.any():
-            final, last = self._observation(), dict(self._with_privileged(info))
+            final, last = self._observation(), dict(self.with_privileged(info))
             info["final_obs"], info["_final_obs"] = final, ended
             info["final_info"], info["_final_info"] = last, ended
             self.batch.reset(np.flatnonzero(ended))
             info.update(self.batch.randomized())
             self._over = np.zeros(self.num_envs, bool)
-        return self._observation(), reward, terminated, truncated, self._with_privileged(info)
+        return self._observation(), reward, terminated, truncated, self.with_privileged(info)
 
     @property
     def episode_id(self) -> npt.NDArray[np.uint64]:
