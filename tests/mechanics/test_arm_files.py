@@ -417,6 +417,9 @@ BAD_URDF = {  # what is said of each
     "link fore: no rigid body of 0 kg has": fore(0),
     "link 'fore': its mass: .* number >= 0, got 'x'": fore("x"),
     "what joint 'shoulder' moves is 432 m long .* look like mm": two(xyz=(0, 0, 432)),
+    "joint 'shoulder' goes to -143 rad, 22.8 turns: .* look like degrees": TWO.replace(
+        RANGE, 'lower="-143" upper="115"', 1
+    ),
     "link 'upper' has 4000 kg .* look like g ": two(HEAVY.replace("fore", "upper"), HEAVY),
     r"link 'fore' of 2 kg has an inertia of 1e\+05 .*kg mm\^2": fore(2, (1e5, 1e5, 1e5)),
     "link 'fore': its mesh 'package://x/f.stl' is not there": two(second=MESHED),
@@ -438,6 +441,16 @@ BAD_URDF = {  # what is said of each
 def test_a_bad_file_is_named_with_its_link(write, message):
     with pytest.raises(ParameterError, match=rf"arm\.urdf: {message}"):
         Arm.from_file(write(BAD_URDF[message]))
+
+
+def test_limits_in_degrees_may_be_meant_and_an_absent_end_is_said(write):
+    """Two turns of a wrist and 1e16 for no limit are no degrees; URDF's absent end is 0."""
+    for text, check in (("12.566", True), ("1e16", True), ("143", False)):
+        path = write(TWO.replace(RANGE, f'lower="-{text}" upper="{text}"', 1))
+        assert Arm.from_file(path, check=check).links[0].q_max == float(text)
+    arm = Arm.from_file(write(TWO.replace(RANGE, 'lower="-2.5"', 1)))
+    assert (arm.links[0].q_min, arm.links[0].q_max) == (-2.5, 0.0)
+    assert "no upper limit of shoulder, 0 taken, as URDF says" in arm.source
 
 
 def test_several_ends_ask_for_the_tip_and_what_is_beside_the_chain_stands_still(write):

@@ -73,7 +73,7 @@ def arm_flags(default: str) -> tuple[Flag, ...]:
         Flag("--repair", help="replace impossible inertias and ranges by the nearest possible,"
              " and list them"),
         Flag("--no-collision", help="leave the file's shapes out"),
-        Flag("--no-check", help="take numbers that look like g, mm or kg mm^2"),
+        Flag("--no-check", help="take numbers that look like g, mm, kg mm^2 or degrees"),
         Flag("--allow-outside", help="read meshes outside the file's folder and package"),
     )  # fmt: skip
     beside = (

@@ -467,7 +467,7 @@ class Arm:
             root: link or body that stands on the platform; default the file's, or the world.
             locked: angles [rad] of joints that stand still, by name; [m] of those that slide.
             collision: read shapes as capsules; False: capsules along the links.
-            check: refuse numbers that look like g, mm or kg mm^2.
+            check: refuse numbers that look like g, mm, kg mm^2 or degrees.
             rotors: inertia of rotors about their joints [kg m^2], by name, in place of the
                 file's: what a file of links that were identified or rounded lacks.
             allow_outside: read meshes that a URDF names outside its folder and its package.

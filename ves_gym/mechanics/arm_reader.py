@@ -21,11 +21,12 @@ from ves_gym.mechanics.chain import Joint, LinkMass, Lump, arm_of
 from ves_gym.mechanics.link import WEIGHTLESS, Capsule, rigid_moments
 from ves_gym.mechanics.side_by_side import side_by_side
 
-# Numbers beyond these look like mm, g and kg mm^2 (this project).
+# Numbers beyond these look like mm, g, kg mm^2 and degrees (this project).
 _REACH, _LEAST = 100.0, 1e-6  # m
 _DENSITY = 1e4  # kg/m^3: moving mass over the cube of the reach; a PUMA has 60
 _GYRATION = 10.0  # radius of gyration over the reach
 _SHAPE = 30.0  # of the arm's size; a gripper on its base link has less
+_TURNS = 12.6, 1e4  # rad either way: a wrist turns twice, and 1e16 stands for no limit
 _ROUND = 1e-12  # of an inertia's largest number
 
 
@@ -231,8 +232,16 @@ def _require_shapes(body: str, capsules: list[Capsule], size: float) -> None:
 
 
 def _require_plausible(joints: list[Joint], tool: Array, pieces: list[LinkMass]) -> float:
-    """Return the arm's size [m]; refuse lengths, masses and inertias that look like mm, g and
-    kg mm^2."""
+    """Return the arm's size [m]; refuse lengths, masses, inertias and ranges that look like mm,
+    g, kg mm^2 and degrees."""
+    for joint in joints:
+        farthest = max(joint.q_min, joint.q_max, key=abs)
+        if not joint.slides and _TURNS[0] < abs(farthest) < _TURNS[1]:
+            raise ParameterError(
+                f"joint {joint.name!r} goes to {farthest:.4g} rad,"
+                f" {abs(farthest) / math.tau:.3g} turns: limits must be in rad, these look like"
+                " degrees (--no-check, in Python check=False, takes them)"
+            )
     points = np.array([*(joint.origin for joint in joints), tool])
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     reach = float(steps.sum())

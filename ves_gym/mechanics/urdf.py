@@ -171,6 +171,10 @@ class UrdfTree(Tree):
                 f"{where} is prismatic and has no <limit lower= upper=>: hold it ({remedy})"
             )
         low, high = (number(limit, k, where, 0.0, inf=True) for k in ("lower", "upper"))
+        for end in ("lower", "upper"):
+            if limit.get(end) is None and not low == high == 0:
+                name = element.get("name")
+                self.repairs.append(f"no {end} limit of {name}, 0 taken, as URDF says")
         if turns:
             low, high = (float(np.clip(k, -ENDLESS, ENDLESS)) if math.isinf(k) else k
                          for k in (low, high))  # fmt: skip
