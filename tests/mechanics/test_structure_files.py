@@ -9,10 +9,17 @@ import scipy.linalg
 import scipy.sparse
 
 from ves_gym._util.params import ParameterError
+from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.craig_bampton import reduce
 from ves_gym.mechanics.flexible_base import Polyline
 from ves_gym.mechanics.matrix_files import read_matrices
-from ves_gym.mechanics.structure import UNITS, Structure, frequencies, read_structure
+from ves_gym.mechanics.structure import (
+    UNITS,
+    Structure,
+    frequencies,
+    read_structure,
+    vehicle_of,
+)
 from ves_gym.mechanics.vehicle import BENT_THESIS
 
 MASS, STIFF = map(scipy.sparse.csc_array, Polyline.of(BENT_THESIS).frame(4).matrices())
@@ -394,6 +401,22 @@ def test_a_spoiled_punch_file_is_refused_by_its_line(change, message, tmp_path):
     (tmp_path / "a.pch").write_text(change(dmig({"KAAX": STIFF, "MAAX": MASS})))
     with pytest.raises(ParameterError, match=rf"a\.pch: {message}"):
         read_structure(tmp_path / "a.pch", interface=109, held=CLAMP, units="m-kg-s")
+
+
+def test_the_summary_has_the_models_own_frequency_where_the_modes_retained_miss_it():
+    """Reference: scipy's eigenvalues of all freedoms that are not clamped."""
+    structure = Structure(MASS, STIFF, None, TIP, CLAMP)
+    summary = vehicle_of(structure, PUMA_560, modes=1, damping=0.01)
+    squares = scipy.linalg.eigh(STIFF.toarray()[6:, 6:], MASS.toarray()[6:, 6:])[0]
+    true = np.sqrt(squares[:7]) / (2 * np.pi)
+    assert summary.model[0] == pytest.approx(true, rel=1e-4)
+    rows = [row.split("│")[2] for row in str(summary).splitlines() if "│" in row]
+    off = np.abs(summary.alone / true - 1) > 0.01
+    assert 0 < off.sum() < 7
+    for row, value, wrong in zip(rows, true, off, strict=True):
+        assert (f"({value:.4g})" in row) == wrong == ("(" in row)
+    assert "from which 1 modes are more than 1 % off; --modes N keeps more" in str(summary)
+    assert "(" not in str(vehicle_of(structure, PUMA_560, modes=40, damping=0.01)).split("]")[1]
 
 
 def first(text):

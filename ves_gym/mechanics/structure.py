@@ -399,6 +399,7 @@ class StructureSummary:
     freedoms: int  # of the model
     alone: Array
     loaded: Array  # with the arm on it, in the middle of its range
+    model: Array  # (2, 6 + m) alone and with the arm, of all `FINE` modes of the model
 
     @property
     def fixed(self) -> Array:
@@ -416,20 +417,34 @@ class StructureSummary:
             "frequencies": self.alone.tolist(),
             "frequencies_with_arm": self.loaded.tolist(),
             "frequencies_held": self.fixed.tolist(),
+            "frequencies_of_model": self.model[0].tolist(),
+            "frequencies_of_model_with_arm": self.model[1].tolist(),
             "mass": float(reduced.M[0, 0]),
         }
 
     def __str__(self) -> str:
         reduced, fixed = self.vehicle.reduction(), self.fixed
-        rows = []
+        rows, missed = [], False
         for k in range(min(len(self.alone), _LISTED)):
-            last = f"{fixed[k]:.4g}" if k < len(fixed) else ""
-            rows.append([str(k + 1), f"{self.alone[k]:.4g}", f"{self.loaded[k]:.4g}", last])
+            cells = [str(k + 1)]
+            for kept, true in zip(
+                (self.alone[k], self.loaded[k]), self.model[:, k], strict=True
+            ):
+                wrong = abs(kept - true) > ERROR * max(true, 1e-3)
+                missed = missed or wrong
+                cells.append(f"{kept:.4g}" + (f" ({true:.4g})" if wrong else ""))
+            rows.append([*cells, f"{fixed[k]:.4g}" if k < len(fixed) else ""])
         head = ("mode", "alone", f"with {self.arm}", "interface held")
+        note = (
+            f"\n(in parentheses: of the whole model, from which {reduced.m} modes are more than"
+            f" {100 * ERROR:g} % off; --modes N keeps more, held up to"
+            f" {self.vehicle.fastest / (2 * np.pi):.4g} Hz)"
+        )
         return (
             f"{self.vehicle.source}: {self.freedoms} freedoms, {reduced.M[0, 0]:.4g} kg felt at"
             f" the interface; {reduced.m} internal modes retained\n"
             + table(head, rows, title="natural frequencies [Hz]", left=())
+            + (note if missed else "")
         )
 
 
@@ -461,11 +476,11 @@ def vehicle_of(
     poses = np.random.default_rng(0).uniform(low, high, (_POSES, arm.n))
     poses[0] = (low + high) / 2
     stood = inertia(arm, poses)[:, :6, :6]
-    if modes is None:
-        outside = np.r_[structure.interface, structure.held].astype(int)
-        heavy = np.delete(structure.mass.diagonal(), outside)
-        most = int((heavy > 1e-9 * heavy.max(initial=0.0)).sum())
-        modes = modes_needed(structure.reduce(min(FINE, most)), stood)
+    outside = np.r_[structure.interface, structure.held].astype(int)
+    heavy = np.delete(structure.mass.diagonal(), outside)
+    most = int((heavy > 1e-9 * heavy.max(initial=0.0)).sum())
+    fine = structure.reduce(max(min(FINE, most), modes or 0))
+    modes = modes_needed(fine, stood) if modes is None else modes
     drawn = None if line is None else np.asarray(line, float)
     reduced = structure.reduced(modes, centreline=drawn, nodes=nodes, diameter=diameter)
     base = FlexibleBase(
@@ -474,8 +489,10 @@ def vehicle_of(
         damping_ratio=damping,
         source=structure.source,
     )
-    alone, loaded = (frequencies(base.reduction(), H) for H in (np.zeros((6, 6)), stood[0]))
-    return StructureSummary(base, arm.name, int(structure.stiffness.shape[0]), alone, loaded)
+    reductions, stands = (base.reduction(), fine), (np.zeros((6, 6)), stood[0])
+    (alone, loaded), model = ([frequencies(k, H) for H in stands] for k in reductions)
+    size, most = int(structure.stiffness.shape[0]), len(alone)
+    return StructureSummary(base, arm.name, size, alone, loaded, np.array(model)[:, :most])
 
 
 def modes_needed(
