@@ -402,6 +402,8 @@ def test_list_names_everything(call):
     assert {"reach100", "thesis"} <= names["suites"]
     assert {"auto", "kernel", "mujoco"} <= names["backends"]
     assert names["commands"] == set(COMMANDS)
+    modes = {row["name"]: row["modes"] for row in result["effects"]}
+    assert modes["sensor/noise"] == ["emulated"] and "ideal" in modes["payload/mass"]
     assert "[Hz]" in out  # a unit in a heading is not markup
     rows = {row["name"]: row for row in result["environments"]}
     assert set(rows) == {k for k in gym.registry if k.startswith("ves/")}

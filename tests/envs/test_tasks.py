@@ -7,12 +7,14 @@ import pytest
 from tests.envs.runs import controlled
 from ves_gym._util.params import ParameterError
 from ves_gym.baselines.resolved import Resolved
+from ves_gym.effects import PayloadMass
 from ves_gym.envs.build import build_task
 from ves_gym.mechanics.vehicle import BENT_THESIS
 from ves_gym.system.system import System
 
 REFERENCES = "control must be acceleration or joint_velocity or tool_velocity or"
 BARE = System(vehicle=BENT_THESIS)
+MASS = PayloadMass(mass=2.0)
 SETTINGS = [
     ("reach", {"tolerance": 0.0}, "tolerance must be > 0"),
     ("reach", {"thrift": -1.0}, "thrift must be >= 0"),
@@ -30,6 +32,10 @@ SETTINGS = [
     ("damp", {"home": [3.0, 0, 0]}, "must start within the joint limits"),
     ("damp", {"energy": 0.0}, "energy"),
     ("lqr", {"control": "pd_gains"}, "control must be torque"),
+    ("damp", {"effects": ["payload/mass"]}, "must be an effect, .* got 'payload/mass'"),
+    ("damp", {"effects": MASS}, r"must be a list, such as .*, got PayloadMass\(mass=2"),
+    ("damp", {"effects": {"kind": "payload/mass"}}, "must be a list, .*, got {'kind'"),
+    ("damp", {"effects": [{"kind": "payload/mas"}]}, 'did you mean "payload/mass"'),
     ("lqr", {"effort": 0.0}, "effort"),
     ("free_flyer", {"control": "pd_gains"}, REFERENCES),
     ("pose_reach", {"arm": "puma560"}, r"6 joints or more .* got puma560 with 3"),

@@ -118,6 +118,7 @@ def _effects() -> Rows:
     return [
         {
             "name": kind,
+            "modes": list(effect.modes),
             "parameters": [parameter(f) for f in dataclasses.fields(effect)],  # type: ignore[arg-type]
             "summary": " ".join((effect.__doc__ or "").split("\n\n")[0].split()),
         }

@@ -184,12 +184,15 @@ def _system(
 
 
 def _effects(effects: Any) -> tuple[Effect, ...]:
-    if isinstance(effects, str):
-        raise ParameterError(f"effects must be a list, got {effects!r}")
+    how = '[ves_gym.effects.PayloadMass(mass=2.0)] or [{"kind": "payload/mass", "mass": 2.0}]'
+    if isinstance(effects, (str, Mapping)) or not isinstance(effects, Iterable):
+        raise ParameterError(f"effects must be a list, such as {how}, got {effects!r}")
     out = []
     for i, effect in enumerate(effects):
-        if not isinstance(effect, Effect):
+        if isinstance(effect, Mapping):
             effect = from_plain(Effect, effect, f"effects[{i}]")
+        if not isinstance(effect, Effect):
+            raise ParameterError(f"effects[{i}] must be an effect, as in {how}, got {effect!r}")
         out.append(effect)
     return tuple(out)
 

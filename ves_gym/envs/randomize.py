@@ -192,12 +192,7 @@ class Range:
 
     def check(self, system: System) -> None:
         """Raise ParameterError where the effect does not act in a system."""
-        modes = EFFECTS[self.effect].modes
-        if system.mode not in modes:
-            raise ParameterError(
-                f"randomize: effect {self.effect} acts in mode {', '.join(modes)}, got"
-                f" {system.mode}"
-            )
+        EFFECTS[self.effect].require_mode(system.mode)
 
     def __str__(self) -> str:
         first, second = (_brief(x) for x in self._pair)

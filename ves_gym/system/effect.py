@@ -103,6 +103,15 @@ class Effect:
             # lists and arrays become what can be compared and hashed
             object.__setattr__(self, field.name, nested_tuples(array.astype(float)))
 
+    @classmethod
+    def require_mode(cls, mode: str) -> None:
+        """Raise ParameterError where the effect does not act in a mode of a system."""
+        if mode not in cls.modes:
+            ids = "" if "ideal" in cls.modes else "; environments in it end in Emulated-v0"
+            raise ParameterError(
+                f"effect {cls.kind} acts in mode {', '.join(cls.modes)}, got mode {mode}{ids}"
+            )
+
     def check(self, system: System) -> None:
         """Raise ParameterError if the effect would do nothing in this system, or not fit it.
 

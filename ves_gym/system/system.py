@@ -136,11 +136,7 @@ class System:
         freeze_arrays(self)  # a list of effects has no hash
         require_types(self, "effects")
         for effect in self.effects:
-            if self.mode not in effect.modes:
-                raise ParameterError(
-                    f"effect {effect.kind} acts in mode {', '.join(effect.modes)},"
-                    f" got mode {self.mode}"
-                )
+            effect.require_mode(self.mode)
             effect.check(self)
 
     def _require_a_body_alone(self, vehicle: Satellite) -> None:
