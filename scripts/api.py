@@ -56,11 +56,11 @@ HEAD = """# Names
 shows arguments, shapes and errors. Bad input raises `vg.ParameterError`.
 
 A result prints in one line, shows itself in a notebook, and draws itself: `plot(ax=None)` takes
-matplotlib axes and returns them. `RunLog.plot` has three
-panels, or base energy alone in one; `CouplingMap.plot` takes `paths=[plan, ...]`,
-`Comparison.plot` `log=True`, that of `evaluate` `measure="E_int"`. Logs, motions, systems,
-vehicles and cases have `save` and `load` (vehicles: `get_vehicle`, cases: `load_case`); maps
-(.npz), comparisons, evaluations and a `Diagnosis` (.json) have `save`.
+matplotlib axes and returns them. `RunLog.plot` has three panels, or base energy alone in one;
+`CouplingMap.plot` takes `paths=[plan, ...]`, `Comparison.plot` `log=True`, that of `evaluate`
+`measure="E_int"`. Logs, motions, systems, vehicles and cases have `save` and `load` (vehicles:
+`get_vehicle`, cases: `load_case`); maps (.npz), comparisons, evaluations and a `Diagnosis`
+(.json) have `save`.
 """
 MIDDLE = """
 ## Rarer things

@@ -234,8 +234,8 @@ def _settings(task: Task) -> str:
     return _list(rows)
 
 
-def _info(env: VesEnv) -> str:
-    """Return the terms of the reward, and what `info` has beside what every task's has."""
+def _info(env: VesEnv, fail: str) -> str:
+    """Return the terms of the reward, failures, and what `info` has beside every task's."""
     _, begin = env.reset(seed=0)
     while True:
         *_, terminated, truncated, end = env.step(np.zeros(env.action_space.shape))
@@ -249,7 +249,7 @@ def _info(env: VesEnv) -> str:
     terms = ", ".join(f"`{k}`" for k in names)
     table = "\n\n" + _list(own) if own else ""
     return (
-        f"Terms of `reward/`: {terms}.{_objectives(env, tuple(names))}"
+        f"Terms of `reward/`: {terms}.{_objectives(env, tuple(names))}{fail}"
         f"{' `info` also has:' if own else ''}{table}"
     )
 
@@ -345,8 +345,7 @@ def _page(name: str) -> str:
 {picture}
 {rest}
 
-{_system(task)[0].upper() + _system(task)[1:]}.{_emulated(name)} The rest is [common to all
-tasks](README.md).
+{_system(task)[0].upper() + _system(task)[1:]}.{_emulated(name)} [All tasks](README.md).
 
 ## Observation
 
@@ -360,7 +359,7 @@ tasks](README.md).
 
 ## Reward and info
 
-{_info(_env(name, emulated=laboratory, duration=0.25))}{fail}
+{_info(_env(name, emulated=laboratory, duration=0.25), fail)}
 
 ## Settings
 

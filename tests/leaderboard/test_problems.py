@@ -103,4 +103,4 @@ def test_every_code_is_documented():
     for code in Code:
         assert f"| `{code.slug}` | {code.value} |" in page
     for track in SCORES:
-        assert f"| *{track}* |" in page
+        assert f"- *{track}* (" in page
