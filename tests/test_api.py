@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import doctest
 import inspect
 import json
 import re
@@ -14,6 +15,7 @@ import pytest
 
 import ves_gym as vg
 from tests.display import require_opengl
+from ves_gym import api
 from ves_gym.cli.main import main
 
 matplotlib.use("Agg")
@@ -316,6 +318,34 @@ def test_a_planner_of_one_s_own_has_a_name_everywhere(plan):
 def test_a_released_policy_is_loaded_by_name():
     pytest.importorskip("safetensors")
     assert vg.load_policy("BeamLQR/ppo").network.sizes[-1] == 3
+
+
+EXAMPLES = ("simulate", "plan", "compare", "coupling_map", "excitation", "evaluate", "train",
+            "energy", "calibrate", "check_emulation", "render", "export")  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(k, marks=[pytest.mark.slow] * (k == "train")) for k in EXAMPLES],
+)
+def test_the_example_of_a_verb_runs(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    if name == "export":
+        pytest.importorskip("rosbags")
+    if name == "render":
+        require_opengl()
+    (example,) = doctest.DocTestFinder(recurse=False).find(
+        inspect.unwrap(getattr(vg, name)), name, globs={"vg": vg}
+    )
+    assert example.examples
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
+    assert runner.run(example).failed == 0
+
+
+def test_every_verb_has_an_example():
+    """But `diagnose`, which takes minutes: tests here run that of its page."""
+    verbs = {k for k in vg.__all__ if inspect.isfunction(getattr(api, k, None))}
+    assert verbs - {"diagnose"} == set(EXAMPLES)
 
 
 # ------------------------------------------------------------------------------ pages

@@ -94,6 +94,11 @@ def simulate(
         ParameterError: a motion outside the joints' range, a plan without a motion, or
             a value out of its range.
         Divergence: the simulation left the meaningful range.
+
+    Example:
+        >>> log = vg.simulate(vg.Motion.straight([0, 0, 0], [1.0, 0.5, -0.5], 2.0), settle=3)
+        >>> float(log.t[-1])
+        5.0
     """
     from ves_gym.simulation.playback import play_motions
 
@@ -173,6 +178,11 @@ def plan(
     Raises:
         ParameterError: no goal, an unknown planner, ends outside the joints' range, or a tool
             pose out of reach.
+
+    Example:
+        >>> plan = vg.plan([0, 0, 0], [1.0, 0.5, -0.5], duration=2.0, planner="direct")
+        >>> plan.feasible
+        True
     """
     from ves_gym.mechanics.kinematics import ToolPose
     from ves_gym.planners.case import Case, speed_limits, whole_goal
@@ -241,6 +251,11 @@ def compare(
 
     Raises:
         ParameterError: an unknown planner, or none.
+
+    Example:
+        >>> plan = vg.plan([0, 0, 0], [1.0, 0.5, -0.5], planner="straight")
+        >>> vg.compare(plan, ["straight", "direct"]).rows[1].ratio < 0.1
+        True
     """
     from ves_gym.planners.comparison import compare_planners
     from ves_gym.planners.query import Plan
@@ -283,6 +298,10 @@ def coupling_map(
 
     Raises:
         ParameterError: no such joint, or a value out of its range.
+
+    Example:
+        >>> vg.coupling_map(points=9, q3=0.5).joints
+        (0, 1)
     """
     from ves_gym.planners.coupling_map import coupling_map as swept
 
@@ -398,6 +417,10 @@ def excitation(
 
     Raises:
         ParameterError: n or the duration is out of range.
+
+    Example:
+        >>> len(vg.excitation(3))
+        3
     """
     from ves_gym.diagnosis.excitation import excitation_motions
 
@@ -435,6 +458,11 @@ def evaluate(
 
     Raises:
         ParameterError: an unknown environment, controller or setting.
+
+    Example:
+        >>> compared = vg.evaluate("BeamLQR-v0", ["zero", "lqr"], episodes=2)
+        >>> compared.ratio("lqr", "zero").value < 1
+        True
     """
     from ves_gym.baselines.comparison import compare_controllers, line_up
     from ves_gym.baselines.evaluate import spec_of
@@ -483,6 +511,10 @@ def train(
 
     Raises:
         ParameterError: no such configuration, or `folder` holds a run and `resume` is false.
+
+    Example:
+        >>> vg.train("BeamLQR-v0", steps=4096, seeds=[0], folder="run")
+        <TrainingResult: ...>
     """
     from ves_gym.baselines.config import TrainConfig, choose_config
     from ves_gym.baselines.train import TrainingResult, train_seeds
@@ -518,6 +550,11 @@ def energy(log: RunLog, *, duration: float | None = None, tail: float = TAIL) ->
 
     Raises:
         ParameterError: the log is shorter than duration and tail, or names no system.
+
+    Example:
+        >>> motion = vg.Motion.straight([0, 0, 0], [1.0, 0.5, -0.5], 2.0)
+        >>> 0.3 < vg.energy(vg.simulate(motion)).E_mean < 0.5
+        True
     """
     return log_energies(log, duration=duration, tail=tail)
 
@@ -548,6 +585,11 @@ def calibrate(
 
     Raises:
         ParameterError: a log without readings, or poses that do not determine the parameters.
+
+    Example:
+        >>> lab = vg.System(mode="emulated")
+        >>> poses = vg.simulation.calibration_poses(lab.arm, 20)
+        >>> result = vg.calibrate(vg.simulation.weigh_poses(lab, *poses))
     """
     from ves_gym.simulation.calibration_summary import calibrated
 
@@ -577,6 +619,10 @@ def check_emulation(
 
     Raises:
         ParameterError: the system is not emulated, or its platform is position controlled.
+
+    Example:
+        >>> vg.check_emulation(search=False).stable
+        True
     """
     from ves_gym.simulation.stability import check_emulation as judged
 
@@ -613,6 +659,11 @@ def render(
     Raises:
         ParameterError: another suffix, or a value out of its range.
         RenderError: no OpenGL or display, or the extra `report` is not installed.
+
+    Example:
+        >>> log = vg.simulate(vg.Motion.straight([0, 0, 0], [0.5, 0, 0], 1.0), settle=0)
+        >>> vg.render(log, "run.gif", width=160, height=80, fps=5).name
+        'run.gif'
     """
     from ves_gym.rendering.render import View, show
     from ves_gym.rendering.render import render as draw
@@ -650,6 +701,11 @@ def export(
 
     Raises:
         ParameterError: another suffix, or something that the format has no words for.
+
+    Example:
+        >>> log = vg.simulate(vg.Motion.straight([0, 0, 0], [0.5, 0, 0], 1.0), settle=0)
+        >>> vg.export(log, "run.mcap").name
+        'run.mcap'
     """
     path, kind = Path(path), Path(path).suffix
     if isinstance(what, System) and kind == ".fmu":
