@@ -150,6 +150,39 @@ def test_bad_input_is_one_line_and_writes_nothing(line, refused, tmp_path):
     assert expected in refused(*words.split())
 
 
+WRITING = (
+    "plan --goal 60,40,-30", "simulate", "benchmark --quick", "map", "pped", "emulation-check",
+    "studio --goal 60,40,-30", "train PumaDamp-v0", "dataset make --all", "view nowhere.csv",
+    "doctor", f"structure {MAST} --interface 4 --units m-kg-s --damping 0.02",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("line", WRITING)
+def test_a_folder_that_cannot_be_filled_is_refused_before_work(
+    line, tmp_path, capsys, monkeypatch
+):
+    """A file in place of the folder, by --out, --json and where nothing is said."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").touch()
+    (tmp_path / "afile").touch()
+    ends = {
+        "--out afile": "--out must be a folder in which files can be made, got 'afile'",
+        "--out afile/sub": "--out must be a folder in which files can be made, got 'afile/sub'",
+        "--json afile/a.json": "the place of --json must be a folder in which files can be",
+    }
+    if line.split()[0] in ("plan", "benchmark", "map", "pped", "structure"):
+        ends[""] = "the default of --out must be a folder in which files can be made, got 'out/"
+    if line == "simulate":
+        ends["--log afile/a.csv"] = "the place of --log must be a folder in which files can be"
+    if line.startswith("structure"):
+        ends["--save afile/m.toml"] = "the place of --save must be a folder in which files can"
+    for words, sentence in ends.items():
+        assert main([*line.split(), *words.split()]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith(f"ves-gym: error: {sentence}"), words
+        assert error.count("\n") == 1 and "a file)" in error
+
+
 def test_files_of_systems_and_vehicles_are_checked(refused, tmp_path):
     (tmp_path / "system.toml").write_text("physics_d = 0.001\n")
     line = refused("simulate", "--system", "system.toml")

@@ -17,6 +17,7 @@ from ves_gym.cli.flags import (
     Answer,
     Context,
     Flag,
+    file_to_write,
     floats,
     integer,
     integers,
@@ -24,7 +25,6 @@ from ves_gym.cli.flags import (
     log_file,
     number,
     one_of,
-    path,
     pose,
     read,
     text,
@@ -99,7 +99,7 @@ def pped(
     **how: Any,
 ) -> Answer:
     """Search joint gains, compare them with the thesis's, simulate, draw."""
-    arm = at.case.system.arm
+    arm, folder = at.case.system.arm, at.folder("out/pped") if at.pictures else Path()
     if q is None:
         usual = np.deg2rad([45.0, 0.0, 0.0]) if arm.n == 3 and not arm.sliding else 0.0
         q = np.clip(usual, arm.column("q_min"), arm.column("q_max"))
@@ -116,7 +116,7 @@ def pped(
         text=comparison,
         plain=comparison.to_dict(),
         figures=lambda: damping_figures(comparison),
-        folder=at.folder("out/pped"),
+        folder=folder,
     )
 
 
@@ -133,13 +133,14 @@ def emulation_check(
         raise ParameterError(f"emulation-check is about --mode emulated, got {system.mode}")
     q = system.arm.home if q is None else q
     servo = at.case.servo if gains is None else gains
+    folder = at.folder("out/emulation-check") if at.pictures else Path()
     at.progress(0.0, "linearising the loop")
     check = vg.check_emulation(system, q, servo=servo, search=not no_search)
     return Answer(
         text=check,
         plain=check.to_dict(),
         figures=lambda: emulation_figures(system, q, servo),
-        folder=at.folder("out/emulation-check"),
+        folder=folder,
         negative=not check.stable,
     )
 
@@ -158,9 +159,9 @@ def calibrate(
         how["check"] = RunLog.load(check)
     elif "rezero" in how:
         raise ParameterError("--rezero is about a second log: give --check LOG")
-    matrix, zero = not keep_matrix, not keep_zero
+    matrix, zero, folder = not keep_matrix, not keep_zero, at.folder("out/calibrate")
     result = vg.calibrate(RunLog.load(poses), matrix=matrix, zero=zero, **how)
-    path = at.folder("out/calibrate") / "calibration.toml"
+    path = folder / "calibration.toml"
     write_table(path, result.calibration)
     return Answer(text=result, plain={**result.to_dict(), "log": str(poses)}, files=[path])
 
@@ -216,12 +217,13 @@ def structure(
     **source: Any,
 ) -> Answer:
     """Read, check and reduce the model; write the vehicle, a case of the arm on it, figures."""
+    folder = at.folder("out/structure")
     summary = vehicle_of(
         read_structure(_files(file), **source), arm, modes=modes, damping=damping,
         line=[point for _, point in points] or None, nodes=[node for node, _ in points],
         diameter=diameter,
     )  # fmt: skip
-    folder, vehicle = at.folder("out/structure"), summary.vehicle
+    vehicle = summary.vehicle
     path = save or folder / "vehicle.toml"
     vehicle.save(path)
     case = path.with_suffix(".case.toml")
@@ -310,7 +312,8 @@ TABLE = {
              row=True),
         Flag("--diameter", "M", number("m"), "of the drawn members [m]"),
         *arm_flags("puma560"),
-        Flag("--save", "FILE", path, "the vehicle, .toml or .json (default OUT/vehicle.toml)"),
+        Flag("--save", "FILE", file_to_write,
+             "the vehicle, .toml or .json (default OUT/vehicle.toml)"),
         *PICTURES,
     )),
 }  # fmt: skip

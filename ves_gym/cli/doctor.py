@@ -9,7 +9,6 @@ import importlib.metadata
 import os
 import platform
 import re
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -18,8 +17,9 @@ from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
 from ves_gym._util.optional import installed, require
+from ves_gym._util.params import ParameterError
 from ves_gym._util.tables import table
-from ves_gym.cli.flags import Answer, Context, Flag, one_of
+from ves_gym.cli.flags import Answer, Context, Flag, one_of, require_writable
 from ves_gym.rendering.opengl import (
     RenderError,
     attempt,
@@ -45,7 +45,7 @@ class Check(NamedTuple):
 def doctor(at: Context) -> Answer:
     """Return every finding; negative if a core check fails."""
     checks: list[Check] = []
-    for done, check in _checks(at.folder("out")):
+    for done, check in _checks(at.out or Path("out")):
         checks.append(check)
         at.progress(done, f"after {check.name}")
     bad = [check.name for check in checks if check.status == FAIL]
@@ -202,15 +202,11 @@ def check_processor() -> Check:
 
 def check_folder(out: Path) -> Check:
     """Check that results can be written."""
-    folder = out.absolute()
-    while not folder.exists():
-        folder = folder.parent
     try:
-        with tempfile.NamedTemporaryFile(dir=folder, prefix=".ves-gym-") as file:
-            file.write(b"x")
-    except OSError as error:
-        return Check("out folder", FAIL, f"{folder} cannot be written: {error.strerror}")
-    return Check("out folder", OK, f"{folder} can be written")
+        require_writable(out, "--out")
+    except ParameterError as error:
+        return Check("out folder", FAIL, str(error))
+    return Check("out folder", OK, f"{out.absolute()} can be written")
 
 
 def completion(at: Context, *, shell: str) -> Answer:

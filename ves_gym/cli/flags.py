@@ -7,7 +7,9 @@ between the two is here, and what a command receives and prints.
 from __future__ import annotations
 
 import math
+import os
 import sys
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -267,6 +269,40 @@ def _log(value: str) -> Path:
 
 log_file = read(_log)  # the name of a run log, or of a case: that of its log
 
+# --------------------------------------------------------------------- where files are made
+
+
+def require_writable(folder: Path, name: str) -> Path:
+    """Return a folder that is there or can be made; by this name refused where no file can be
+    made in it, before work begins."""
+    place = folder.absolute()
+    while not os.path.lexists(place):
+        place = place.parent
+    try:
+        with tempfile.TemporaryFile(dir=place):
+            return folder
+    except OSError as error:
+        why = "a file" if isinstance(error, NotADirectoryError) else error.strerror
+        raise ParameterError(
+            f"{name} must be a folder in which files can be made, got {str(folder)!r}"
+            f" ({place}: {why})"
+        ) from None
+
+
+def folder_to_fill(value: str, place: Place) -> Path:
+    """Read the name of a folder for files, or of a page in one."""
+    path = Path(value)
+    require_writable(path.parent if path.suffix == ".html" else path, place.name)
+    return path
+
+
+def file_to_write(value: str, place: Place) -> Path:
+    """Read the name of a file that a command makes; - stands for standard output."""
+    if value != "-":
+        require_writable(Path(value).parent, f"the place of {place.name}")
+    return Path(value)
+
+
 # ----------------------------------------------------------------- options of several commands
 
 WORKERS = Flag("--workers", "N", integer(1), "processes; default one per processor")
@@ -294,8 +330,8 @@ class Context:
     machine: dict[str, Any] = field(default_factory=dict)  # those options that were given
 
     def folder(self, name: str | Path) -> Path:
-        """Return the folder for files: --out, else this default."""
-        return self.out or Path(name)
+        """Return the folder for files: --out, else this default, refused if it cannot be."""
+        return self.out or require_writable(Path(name), "the default of --out")
 
     def log(self, path: Path) -> list[Path]:
         """Return the files of a run log that can be written there, beside the result --json."""
@@ -303,6 +339,7 @@ class Context:
             raise ParameterError(f"--log must end in .csv or .parquet, got {path.name!r}")
         if path.is_dir():
             raise ParameterError(f"--log must be a file to write, got the folder {str(path)!r}")
+        require_writable(path.parent, "the place of --log")
         if path.suffix == ".parquet":
             require("Parquet", "pyarrow")
             return [path]

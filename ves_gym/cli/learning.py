@@ -149,12 +149,12 @@ def make(
     if episodes is not None:
         chosen = [replace(recipe, episodes=episodes) for recipe in chosen]
     require("a data set", *PACKAGES)
-    rows = []
+    rows, folder = [], at.folder("out/datasets")
     for k, recipe in enumerate(chosen):
         at.progress(k / len(chosen), recipe.id)
         begin = time.perf_counter()
         dataset = d.make_dataset(recipe)
-        path = write_dataset(dataset, at.folder("out/datasets"))
+        path = write_dataset(dataset, folder)
         row = {
             "id": recipe.id,
             "folder": str(path),

@@ -91,7 +91,7 @@ def plan(
     **how: Any,
 ) -> Answer:
     """Plan, simulate beside the straight line; negative if the arm that plays it fails."""
-    case, lines = at.case, []
+    case, lines, folder = at.case, [], at.folder("out/plan")
     method = planner or get_planner("robust" if robust_from else DEFAULT)
     if robust_from is not None:
         file, uncertain = robust_from
@@ -128,7 +128,7 @@ def plan(
     answer = Answer(text=text, plain=report.to_dict(), negative=report.failure is not None)
     if planned.found is None:
         return answer
-    path = at.folder("out/plan") / "case.toml"
+    path = folder / "case.toml"
     replace(planned.case, log=str(path.with_name("run.csv"))).save(path)
     return replace(answer, files=[path], then=[["simulate", "--case", path]])
 
@@ -145,11 +145,10 @@ def _robust(method: Planner, uncertain: Uncertainty) -> Robust:
 
 def studio(at: Context, **how: Any) -> Answer:
     """Write the page; --out is its folder, or its name if that ends in .html."""
-    query = at.case.query
+    query, path = at.case.query, at.folder("out/studio")
     if query is not None:
         how = {name: getattr(query, name) for name in ("start", "goal", "duration")} | how
     page = Studio(at.case.system, seed=at.case.seed, **how)
-    path = at.folder("out/studio")
     path = path if path.suffix == ".html" else path / "studio.html"
     page.save(path)
     size = len(page.page.encode()) / 1e6
@@ -200,6 +199,7 @@ def benchmark(
         every = sorted({q.duration for _, q in chosen.queries})
         first, durations = first or _QUICK, durations or [every[len(every) // 2]]
     chosen = part_of(chosen, durations, first=first, skip=skip)
+    folder = at.folder(Path("out", chosen.name))
     queries = tuple((name, replace(q, weight=weight)) for name, q in chosen.queries)
     if bounds is not None:
         planners = list(dict.fromkeys([*(planners or chosen.planners), *bounds]))
@@ -212,7 +212,6 @@ def benchmark(
         **how,
     )
     result["quick"] = quick
-    folder = at.folder(Path("out", chosen.name))
     drawn = ("traces", "maps", "scenes")  # only the page has them
     plain = {key: value for key, value in result.items() if key not in drawn}
     files = [folder / "benchmark.json"]

@@ -19,6 +19,7 @@ from ves_gym.cli.flags import (
     Place,
     number,
     read,
+    require_writable,
     say,
     text,
 )
@@ -85,6 +86,7 @@ def view(
             text="open it in any browser", plain={**plain, "file": str(path)}, files=[path]
         )
     path = Path(at.out or "", movie) if movie else at.folder("out/view") / f"{log[0].stem}.gif"
+    require_writable(path.parent, "the place of the pictures")
     drawn = render(recorded, path, view, at.progress)
     text = f"{drawn['frames']} frames, drawn with {drawn['backend']}"
     return Answer(text=text, plain={**plain, "file": str(path), **drawn}, files=[path])
