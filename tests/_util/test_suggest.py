@@ -67,6 +67,16 @@ REFUSALS = {
 }
 
 
+def test_an_environment_with_a_slip_is_answered_by_its_id_alone():
+    """All ids are a wall; they come where none is close."""
+    with pytest.raises(ParameterError) as slip:
+        spec_of("ves/PumaDump")
+    text = "no environment 'ves/PumaDump'; did you mean \"ves/PumaDamp-v0\"?"
+    assert str(slip.value) == f"{text} (`ves-gym list environments`)"
+    with pytest.raises(ParameterError, match=r"known: ves/BeamLQR-v0, .*Capture-v0"):
+        spec_of("ves/Nothing-v0")
+
+
 @pytest.mark.parametrize("name", REFUSALS)
 def test_an_unknown_name_is_refused_with_the_closest_known_one(name):
     with pytest.raises(ParameterError, match=r"; did you mean \"[^\"]+\"\?"):

@@ -68,6 +68,13 @@ def test_an_action_is_held_from_each_episodes_start():
             observation = env.step(fresh)[0]
 
 
+def test_a_slip_in_a_released_name_gets_the_name():
+    with pytest.raises(
+        ParameterError, match="got 'PumaDamp/pp'; did you mean \"PumaDamp/ppo\""
+    ):
+        load_policy("PumaDamp/pp")
+
+
 def test_pickles_are_refused_unread(tmp_path):
     class Bomb:
         def __reduce__(self):

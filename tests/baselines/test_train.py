@@ -346,4 +346,5 @@ def test_a_bad_configuration_is_refused(changes, message):
 )
 def test_bad_hyperparameters_are_refused(config, changes, message, tmp_path):
     with pytest.raises(ParameterError, match=message):
-        run(replace(config, **changes), tmp_path)
+        run(replace(config, **changes), tmp_path / "run")
+    assert not (tmp_path / "run").exists()

@@ -501,6 +501,18 @@ def test_trains_a_policy_per_seed(call, tmp_path):
     ]
 
 
+def test_a_training_that_is_stopped_says_how_it_goes_on(call, monkeypatch):
+    def stopped(*args, **how):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("ves_gym.api.train", stopped)
+    status, _, err, _ = call("train", "PumaDamp-v0")
+    assert status == 130
+    assert err == "ves-gym: interrupted; with --resume the same command goes on\n"
+    monkeypatch.setattr("ves_gym.api.evaluate", stopped)
+    assert call("evaluate", "PumaDamp-v0")[2] == "ves-gym: interrupted\n"
+
+
 def test_policies_are_exported_with_cards(call, tmp_path):
     status, out, _, result = call("policy", "card", "PumaDamp/ppo", "--episodes", 2)
     assert status == 0 and "PumaDamp-ppo.md" in out

@@ -186,7 +186,7 @@ def run_episodes(
 
 
 def spec_of(id: str) -> EnvSpec:
-    """Return what is registered under an id; an unknown one is refused with the known ones.
+    """Return what is registered under an id; an unknown one is refused with the closest.
 
     Args:
         id: also "module:id", of a module that is imported: an id may come from a file, and
@@ -199,10 +199,12 @@ def spec_of(id: str) -> EnvSpec:
         )
     try:
         return gym.spec(plain)
-    except gym.error.Error as error:
+    except gym.error.Error:
         ids = sorted(k for k in gym.registry if k.startswith("ves/"))
+        hint = did_you_mean(id.rpartition("/")[2].partition("-v")[0], ids)
+        hint = hint or f"; known: {', '.join(ids)}"
         raise ParameterError(
-            f"{error}; known: {', '.join(ids)}{did_you_mean(id, ids)}"
+            f"no environment {id!r}{hint} (`ves-gym list environments`)"
         ) from None
 
 

@@ -36,6 +36,7 @@ from ves_gym._util.params import (
     write_bytes,
     write_text,
 )
+from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.version import __version__
 from ves_gym.baselines.arm_features import ArmFeatures
 from ves_gym.envs.vector import VesVectorEnv
@@ -270,9 +271,9 @@ def _json(path: str | os.PathLike[str]) -> Path:
     if path.suffix != ".json":
         names = [f"{k.parent.name}/{k.stem}" for k in sorted(RELEASED.glob("*/*.json"))]
         raise ParameterError(
-            f"{path}: a policy is a .json file with a .safetensors file beside it, or one of"
-            f" {', '.join(names)}, got {path.suffix!r}; pickles are not read (but see"
-            " baselines.from_sb3)"
+            "a policy is a .json file with a .safetensors file beside it, or one of"
+            f" {', '.join(names)}, got {str(path)!r}{did_you_mean(path.as_posix(), names)};"
+            " pickles are not read (but see baselines.from_sb3)"
         )
     return path
 

@@ -72,10 +72,10 @@ def train(
     """
     folder = Path(folder)
     _require_ready([folder], resume, tensorboard)
+    run = _Run(config, seed, folder, progress)  # refuses what it cannot train
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob(".*"):  # left by a write that was killed
         stale.unlink()
-    run = _Run(config, seed, folder, progress)
     events: Any = nullcontext(lambda row: None)
     if tensorboard is not None:
         events = _event_writer(Path(tensorboard, config.name, f"seed-{seed}"), run.rows)

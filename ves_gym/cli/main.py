@@ -299,7 +299,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except KeyboardInterrupt:
-        print("ves-gym: interrupted", file=sys.stderr)
+        hint = "; with --resume the same command goes on" if command == "train" else ""
+        print(f"ves-gym: interrupted{hint}", file=sys.stderr)
         return 130
     except OSError as error:  # of a file, no room for one among them
         named = error.filename is not None and error.strerror is not None
