@@ -263,3 +263,13 @@ def test_a_tools_pose_is_no_joint(tmp_path):
     table, text = described(tmp_path, columns)
     assert [j["position"]["column"] for j in table["joint"]] == ["actual_q_0"]
     assert "# Columns not used: actual_TCP_pose_0, joint_temperature_0" in text
+
+
+def test_german_words_for_commanded_and_actual(tmp_path):
+    """Soll is commanded, ist is actual; in longer words they are none."""
+    t, q = motion()
+    columns = {"t": t, "A1_soll_deg": q[:, 1], "A1_ist_deg": q[:, 0], "A1_ist_Nm": 0.0 * t}
+    columns |= {"list": t, "exist": t, "solltek": t}
+    table, text = described(tmp_path, columns)
+    assert [j["position"]["column"] for j in table["joint"]] == ["A1_ist_deg"]
+    assert "# Columns not used: A1_soll_deg, A1_ist_Nm, list, exist, solltek" in text

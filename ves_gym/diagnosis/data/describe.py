@@ -26,13 +26,14 @@ from ves_gym.diagnosis.machines.mjcf_mapping import SCHEMA
 
 _WORDS = {  # what a part of a column's name says
     "clock": ("t", "time", "timestamp", "stamp", "sec", "secs", "seconds"),
-    "position": ("q", "pos", "position", "angle", "ang", "theta", "qpos", "joint", "actual"),
+    "position": ("q", "pos", "position", "angle", "ang", "theta", "qpos", "joint", "actual",
+                 "ist"),
     "velocity": ("v", "dq", "qd", "vel", "velocity", "rate", "speed", "qvel"),
     "force": (
         "tau", "torque", "trq", "effort", "eff", "force", "current", "curr", "i", "cur", "load",
     ),
     "command": (
-        "cmd", "command", "des", "desired", "ref", "reference", "target", "goal", "set",
+        "cmd", "command", "des", "desired", "ref", "reference", "target", "goal", "set", "soll",
     ),
 }  # fmt: skip
 _AMPERE = ("current", "curr", "i", "cur")
