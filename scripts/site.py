@@ -21,7 +21,7 @@ sys.path.insert(0, str(ROOT))
 
 from scripts import api_pages, notebook_pages  # noqa: E402 - run as a file, the root is not on the path
 
-START = """<!doctype html><meta charset="utf-8"><title>ves_gym</title>
+START = """<!doctype html><html lang="en"><meta charset="utf-8"><title>ves_gym</title>
 <meta http-equiv="refresh" content="0; url=site/index.html">
 <a href="site/index.html">ves_gym</a>
 """
