@@ -67,7 +67,7 @@ def low_energy_waypoints(query: Query, near: Motion | None = None) -> list[Array
         return float(np.log(predict(system, through(x), servo).E_mean / E_straight))
 
     E_straight = predict(system, straight, servo).E_mean
-    found = minimize(
+    best = minimize(
         energy,
         points.ravel(),
         method="SLSQP",
@@ -75,8 +75,8 @@ def low_energy_waypoints(query: Query, near: Motion | None = None) -> list[Array
         constraints={"type": "ineq", "fun": lambda x: _room(arm, through(x)) - _ROOM},
         options={"maxiter": _LOOKS, "eps": 1e-4, "ftol": 1e-2},
     )
-    calmer = found.fun < 0 and _possible(arm, through(found.x))
-    return list(found.x.reshape(points.shape)) if calmer else []
+    calmer = best.fun < 0 and _possible(arm, through(best.x))
+    return list(best.x.reshape(points.shape)) if calmer else []
 
 
 def playable(system: System) -> System:
