@@ -4,7 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from ves_gym._util.params import ParameterError
+from ves_gym._util.params import ParameterError, read_table
+from ves_gym._util.reading import read_bytes
 from ves_gym._util.suggest import did_you_mean
 from ves_gym.baselines.evaluate import spec_of
 from ves_gym.baselines.registry import get_controller
@@ -12,9 +13,11 @@ from ves_gym.diagnosis.inference.candidates import without
 from ves_gym.engine.backends import make_backend
 from ves_gym.envs.build import build_task, get_task
 from ves_gym.leaderboard.problems import get_problem, problems
+from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.vehicle import get_vehicle, vehicle_from_plain
 from ves_gym.planners.registry import get_planner
 from ves_gym.planners.suites import get_suite
+from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
 PLANNERS = ("straight", "direct", "refined", "refined-long", "hotspot-q", "hotspot-qt")
@@ -81,3 +84,16 @@ def test_an_environment_with_a_slip_is_answered_by_its_id_alone():
 def test_an_unknown_name_is_refused_with_the_closest_known_one(name):
     with pytest.raises(ParameterError, match=r"; did you mean \"[^\"]+\"\?"):
         REFUSALS[name]()
+
+
+def test_a_file_that_is_not_there_has_the_closest_beside_it(tmp_path):
+    """Of the same ending; a table, bytes, an arm and a log all say so."""
+    for name in ("falcon.toml", "falcon.csv", "other.toml"):
+        (tmp_path / name).write_text("")
+    reads = {".toml": (read_table, read_bytes, get_arm), ".csv": (read_bytes, RunLog.load)}
+    for suffix, readers in reads.items():
+        for read in readers:
+            with pytest.raises(ValueError, match=rf'; did you mean "falcon{suffix}"\?$'):
+                read(tmp_path / f"falcom{suffix}")
+            with pytest.raises(ValueError, match=r"No such file or directory$"):
+                read(tmp_path / f"unlike{suffix}")

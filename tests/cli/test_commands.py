@@ -179,6 +179,7 @@ def test_a_path_around_obstacles_and_none_say_why(call, tmp_path):
         status, out, _, result = call(*line)
         assert status == 1 and not result["feasible"]
         assert result["failure"] in out and why in result["failure"]
+    assert "there are 1 s for the motion (after 0." in out and " s of planning)" in out
 
 
 def test_the_search_is_as_asked(call):

@@ -42,6 +42,7 @@ BAD = """
 frobnicate | frobnicate
 simulate --frobnicate | --frobnicate
 simulate --goal 1,2 | --goal must be 3 angles in degrees, got 2
+simulate --goal 1,2,nan | --goal must be 3 angles in degrees, like 0,-45,90, got '1,2,nan'
 simulate --goal 1,2,x | --goal must be 3 angles in degrees, like 0,-45,90
 simulate --goal 200,0,0 | joint 1 must be within
 simulate --arm nowhere.urdf | nowhere.urdf

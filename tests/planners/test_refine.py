@@ -67,7 +67,10 @@ def test_it_goes_around_obstacles():
 @pytest.mark.parametrize(
     ("duration", "message"),
     [
-        (0.4, "no motion: joint 1 needs 1.4 s at its speed limit, there are 0.4 s"),
+        (
+            0.4,
+            "no motion: joint 1 needs 1.4 s at its speed limit, there are 0.4 s for the",
+        ),
         (1.42, "of its limit"),  # hardly time to speed up, on the straight way
     ],
 )

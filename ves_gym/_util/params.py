@@ -26,7 +26,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ves_gym._util.suggest import did_you_mean
+from ves_gym._util.suggest import did_you_mean, why_unread
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -345,8 +345,7 @@ def read_table(path: str | os.PathLike[str]) -> dict[str, Any]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise ParameterError(f"{path}: cannot be read: {why}") from None
+        raise ParameterError(f"{path}: cannot be read: {why_unread(path, error)}") from None
     if path.suffix not in (".toml", ".json"):
         raise ParameterError(f"{path}: expected a .toml or .json file, got {path.suffix!r}")
     try:

@@ -28,6 +28,7 @@ import numpy as np
 
 from ves_gym._util.child_process import Child, ChildDied, serve
 from ves_gym._util.params import ParameterError
+from ves_gym._util.suggest import why_unread
 
 MOST = 1 << 28  # bytes of a file that is read whole, 256 MiB
 DEEPEST = 200  # levels of an XML file
@@ -54,7 +55,7 @@ def read_bytes(path: str | os.PathLike[str], most: int = MOST) -> bytes:
             raise ParameterError(f"must have at most {most >> 20} MiB, got {size >> 20} MiB")
         return Path(path).read_bytes()
     except OSError as error:
-        raise ParameterError(f"cannot be read: {error.strerror or error}") from None
+        raise ParameterError(f"cannot be read: {why_unread(path, error)}") from None
 
 
 def read_xml(path: str | os.PathLike[str]) -> Element:
@@ -106,7 +107,7 @@ def read_apart(reader: str, path: str | os.PathLike[str]) -> dict[str, Any]:
         inside = Path(path).iterdir() if os.path.isdir(path) else [path]
         size = sum(os.stat(file).st_size for file in inside)
     except OSError as error:
-        raise ParameterError(f"cannot be read: {error.strerror or error}") from None
+        raise ParameterError(f"cannot be read: {why_unread(path, error)}") from None
     memory, seconds = MEMORY + _OF_FILE * size, SECONDS + size / RATE
     allowed = {"memory": memory, "seconds": seconds}
     request = json.dumps({"reader": reader, "path": os.path.abspath(path), **allowed})

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Iterable
+from pathlib import Path
 
 _ALIKE = 0.6  # difflib's ratio: a slip or two in a short name, an ending left out
 _LONGEST = 80  # characters: what is longer comes from a file that is no name at all
@@ -32,6 +34,16 @@ def did_you_mean(name: object, choices: Iterable[str]) -> str:
         match = difflib.get_close_matches(word, ends, n=1, cutoff=_ALIKE)
         closest = ends[match[0]] if match and len(ends[match[0]]) == 1 else []
     return f'; did you mean "{names[closest[0]]}"?' if closest else ""
+
+
+def why_unread(path: str | os.PathLike[str], error: Exception) -> str:
+    """Return why a file cannot be read; if it is not there, with the closest name beside it."""
+    why, path = str(getattr(error, "strerror", None) or error), Path(path)
+    if not isinstance(error, FileNotFoundError) or not os.path.isdir(path.parent):
+        return why
+    beside = {Path(k).stem: k for k in os.listdir(path.parent) if Path(k).suffix == path.suffix}
+    closest = difflib.get_close_matches(path.stem, beside, n=1, cutoff=_ALIKE)
+    return f'{why}; did you mean "{beside[closest[0]]}"?' if closest else why
 
 
 def _plain(name: str) -> str:

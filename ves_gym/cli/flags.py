@@ -56,7 +56,10 @@ def read(convert: Callable[[str], Any], expected: str = "") -> Read:
 
 def floats(value: str) -> list[float]:
     """Numbers with commas between them."""
-    return [float(part) for part in value.split(",")]
+    out = [float(part) for part in value.split(",")]
+    if any(map(math.isnan, out)):
+        raise ValueError
+    return out
 
 
 text = read(str)

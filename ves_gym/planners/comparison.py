@@ -232,7 +232,7 @@ class PlanReport:
     def __str__(self) -> str:
         plan = self.plan
         if self.reference is None or self.simulated is None:
-            return f"{plan.planner}: {plan.failure} ({plan.seconds:.2f} s)"
+            return f"{plan.planner}: {plan.failure} (after {plan.seconds:.2f} s of planning)"
         rows: list[tuple[str, list[float]]] = []
         for name, value in plan.predicted.to_dict().items():
             played = (getattr(self.energies[k], name) for k in _SHOWN[1:])

@@ -295,7 +295,7 @@ def require_time(query: Query) -> None:
         limits = "speed limit" if query.a_max is None else "limits of speed and acceleration"
         raise NoPlan(
             f"no motion: joint {j + 1} needs {least[j]:.3g} s at its {limits}, there are"
-            f" {query.duration:g} s"
+            f" {query.duration:g} s for the motion"
         )
 
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from ves_gym._util.optional import lacking
 from ves_gym._util.params import Array, write_bytes
+from ves_gym._util.suggest import why_unread
 
 META_KEY = "ves_gym"  # of the Parquet schema's metadata
 DIGEST_KEY = "ves_gym_digest"  # beside it, in files that `save` wrote
@@ -91,7 +92,8 @@ def read_bytes(path: Path) -> bytes:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise RunLogError(f"expected a readable file, got {error.strerror or error}") from None
+        why = why_unread(path, error)
+        raise RunLogError(f"expected a readable file, got {why}") from None
     if not data:
         raise RunLogError("expected part of a run log, got an empty file")
     return data
