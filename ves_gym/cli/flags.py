@@ -308,6 +308,11 @@ def file_to_write(value: str, place: Place) -> Path:
 
 # ----------------------------------------------------------------- options of several commands
 
+FILES = (
+    Flag("--json", "FILE", lambda value, place: str(file_to_write(value, place)),
+         "write the result as JSON; -: print it in place of the text"),
+    Flag("--out", "DIR", folder_to_fill, "folder for files this command makes"),
+)  # fmt: skip
 WORKERS = Flag("--workers", "N", integer(1), "processes; default one per processor")
 FORMAT = Flag("--format", "F", one_of(*FORMATS), f"of the pictures: {', '.join(FORMATS)} (png)")
 LOG = Flag("LOG", read=log_file, help="a run log, .csv or .parquet, or a case with one")

@@ -22,17 +22,7 @@ from ves_gym._util.own import CALLED, IMPORTED, import_own
 from ves_gym._util.params import write_text
 from ves_gym._util.suggest import did_you_mean
 from ves_gym._util.version import __version__
-from ves_gym.cli.flags import (
-    Answer,
-    Context,
-    Flag,
-    Place,
-    file_to_write,
-    folder_to_fill,
-    integer,
-    say,
-    values,
-)
+from ves_gym.cli.flags import FILES, Answer, Context, Flag, Place, integer, say, values
 from ves_gym.report.figures import write_figures
 
 COMMANDS = {  # name -> its module, loaded when it is asked for, and what it does
@@ -73,9 +63,7 @@ def _registered_from(name: str, place: Place) -> str:
 
 
 EVERY = (  # options of every command
-    Flag("--json", "FILE", lambda value, place: str(file_to_write(value, place)),
-         "write the result as JSON; -: print it in place of the text"),
-    Flag("--out", "DIR", folder_to_fill, "folder for files this command makes"),
+    *FILES,
     Flag("--seed", "N", integer(), "default 0"),
     Flag("--import", "MODULE", _registered_from,
          "a module or .py file of your own, first: what it registers then goes by its name;"
