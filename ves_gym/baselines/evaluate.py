@@ -168,7 +168,7 @@ def run_episodes(
                 running[i] = queue.pop() if queue else -1
             begun = ended & (running >= 0)
             chosen = [
-                k if now else None for k, now in zip(running.tolist(), begun, strict=True)
+                k if begins else None for k, begins in zip(running.tolist(), begun, strict=True)
             ]
             observation = env.reset(seed=chosen, options={"reset_mask": ended})[0]
             if begun.any():

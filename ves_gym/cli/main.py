@@ -118,7 +118,7 @@ def examples() -> list[str]:
     return EXAMPLES.read_text("utf-8").rstrip().split("\n\n")
 
 
-def build_parser(*asked: str) -> argparse.ArgumentParser:
+def build_parser(*requested: str) -> argparse.ArgumentParser:
     """Return the parser; only modules of the requested commands are imported."""
     parser = _Parser(
         prog="ves-gym",
@@ -130,7 +130,7 @@ def build_parser(*asked: str) -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, (_, text) in COMMANDS.items():
         sub = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
-        if name not in asked:
+        if name not in requested:
             continue
         table = table_of(name)
         if name in table:

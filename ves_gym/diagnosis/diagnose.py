@@ -316,13 +316,13 @@ def diagnose(
     verdict = _verdict(explanations, bool(rows[0].unnamed), faint)
     if faulty:
         verdict = _verdict_despite_faults(verdict, faulty, explanations, machine)
-    shown = best.fit if verdict in (*NAMING_VERDICTS, UNKNOWN) else selection.null
+    fit = best.fit if verdict in (*NAMING_VERDICTS, UNKNOWN) else selection.null
     lap("verify")
     return Diagnosis(
         verdict=verdict,
         explanations=explanations,
-        gaps=gaps(residuals, shown, selection.null),
-        final=() if last is None else gaps(last, shown, selection.null, False),
+        gaps=gaps(residuals, fit, selection.null),
+        final=() if last is None else gaps(last, fit, selection.null, False),
         untestable=untestable(machine, runs),
         weak=tuple(c.name for c in faint),
         faults=faulty,

@@ -405,12 +405,12 @@ def payload_of(b: Array, bd: Array, com: Array) -> Array:
     return np.concatenate([origin, q, bd[..., :3], spin], axis=-1)
 
 
-def _floating(model: ContactModel, b: Array, bd: Array, here: Array, wrench: Array) -> Array:
+def _floating(model: ContactModel, b: Array, bd: Array, point: Array, wrench: Array) -> Array:
     """(..., 7) accelerations of a payload, which feels the opposite of the tool's wrench."""
     assert model.body is not None
     mass, com, inertia = model.body
     (q, spin), force = payload_attitude(b, bd), wrench[..., :3]
-    moment = -wrench[..., 3:] - cross(here - com, force) - cross(spin, matvec(inertia, spin))
+    moment = -wrench[..., 3:] - cross(point - com, force) - cross(spin, matvec(inertia, spin))
     J = inertia + 0.0 * moment[..., None]  # one for each simulation
     turn = solve_symmetric(J, moment[..., None])[..., 0]
     none = 0.0 * spin[..., :1]

@@ -319,8 +319,8 @@ def _joints(names: Mapping[str, _Name]) -> dict[str, _Guess]:
     """Columns by joint, in the order in which their positions come."""
     out: dict[str, _Guess] = {}
     for quantity in ("position", "velocity", "force"):
-        for name, said in names.items():
-            parts, unit = said.words, said.unit
+        for name, meaning in names.items():
+            parts, unit = meaning.words, meaning.unit
             kind = _kind(parts)
             if kind != quantity:
                 continue

@@ -165,13 +165,13 @@ def suspected_mistake(
 
     `others` are usual mistakes in the description: wording, and the machine without it.
     """
-    look = _Look(machine, run)
-    if dead := look.dead():
+    check = _Look(machine, run)
+    if dead := check.dead():
         return dead
-    lags = {abs(look.lag(p)) for p in look.ports}
+    lags = {abs(check.lag(p)) for p in check.ports}
     late = list(_late(run, [k for k in lags if k * run.dt >= _LATE[0]]))
-    usual = _mistakes(machine, run, others) if look.disagrees(_BAD) else ()
-    judged = (look.judged(mistake) for mistake in (*usual, *late))
+    usual = _mistakes(machine, run, others) if check.disagrees(_BAD) else ()
+    judged = (check.judged(mistake) for mistake in (*usual, *late))
     return max(filter(None, judged), key=lambda k: k[0], default=(0.0, None))[1]
 
 

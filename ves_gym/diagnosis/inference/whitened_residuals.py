@@ -401,8 +401,8 @@ class WhitenedResiduals:
                 self.machine.residuals(copy, ways, [port.name])[port.name]
                 for copy in (self._copy(i, port.exact) for i in range(len(self.runs)))
             ]
-            each = [x[of].reshape(-1, *x.shape[2:]) for x in noisy]  # model by model
-            copies = self.whitened(port.name, each, self._stated)
+            samples = [x[of].reshape(-1, *x.shape[2:]) for x in noisy]  # model by model
+            copies = self.whitened(port.name, samples, self._stated)
             added = copies.reshape(len(models), _COPIES, -1) - plain[:, None]
             out.append(added.reshape(len(models), -1))
         return np.concatenate(out, axis=1)

@@ -252,8 +252,8 @@ def _predicted(
         gains: (1, n) of the joints' servos.
         path: (r, P, nodes, 6) of r platforms, system by system.
     """
-    one: Any = SimpleNamespace(mass=np.ones(1))  # the block counts arms
-    numbers, entries = block.parameters(one, one), 2 * block.joints
+    single: Any = SimpleNamespace(mass=np.ones(1))  # the block counts arms
+    numbers, entries = block.parameters(single, single), 2 * block.joints
     (m, P), rows = H.shape[:2], len(path["y"])
 
     def step(arm: Array, H: Array, path: dict[str, Array]) -> tuple[Array, Array]:
@@ -268,16 +268,16 @@ def _predicted(
     pushed, read = step(at_rest, every, flat)
     units = np.tile(np.eye(entries), (m * P, 1))
     still = {k: np.zeros((len(units), *x.shape[2:])) for k, x in path.items()}
-    each = np.repeat(H.reshape(m * P, *H.shape[2:]), entries, axis=0)
-    turned, shown = step(units, each, still)
+    repeated = np.repeat(H.reshape(m * P, *H.shape[2:]), entries, axis=0)
+    turned, response = step(units, repeated, still)
     turned = turned.reshape(m, P, entries, entries).swapaxes(-1, -2)
-    shown = np.moveaxis(shown.reshape(m, P, entries, 12), 2, -1)  # (m, P, 12, entries)
+    response = np.moveaxis(response.reshape(m, P, entries, 12), 2, -1)  # (m, P, 12, entries)
     pushed, read = pushed.reshape(rows, P, entries), read.reshape(rows, P, 6, 2)
     of, hold = np.repeat(np.arange(m), rows // m), np.swapaxes(numbers["hold"], -1, -2)
     arm, filtered = np.zeros((rows, entries)), np.zeros((rows, 6, 2))
     out = np.empty((rows, P, 6))
     for k in range(P):
-        seen = matvec(shown[of, k], arm).reshape(rows, 6, 2)
+        seen = matvec(response[of, k], arm).reshape(rows, 6, 2)
         filtered = filtered @ hold + seen + read[:, k]
         arm = matvec(turned[of, k], arm) + pushed[:, k]
         out[:, k] = filtered[..., 0]

@@ -124,8 +124,8 @@ class ResidualMachine(Machine):
         for key, value in values.items():
             require_one_of("parameter", key, parameters)
             p = parameters[key]
-            given = finite(value, (len(p.entries),) if p.entries else (), key)
-            nominal = tuple(given.tolist()) if p.entries else float(given)
+            stated = finite(value, (len(p.entries),) if p.entries else (), key)
+            nominal = tuple(stated.tolist()) if p.entries else float(stated)
             parameters[key] = replace(p, nominal=nominal)
         return replace(self, parameters=parameters)
 
@@ -231,9 +231,9 @@ class ResidualMachine(Machine):
             self._require_noise(run)
             flat = {k: x.reshape(-1, *x.shape[-2:]) for k, x in run.signals.items()}
             count = len(next(iter(flat.values())))
-            one = all(x.ndim == 2 for x in run.signals.values())
+            single = all(x.ndim == 2 for x in run.signals.values())
             every = [{k: x[i] for k, x in flat.items()} for i in range(count)]
-            run.memory["copies"] = [run] if one else [run.with_signals(x) for x in every]
+            run.memory["copies"] = [run] if single else [run.with_signals(x) for x in every]
         return list(run.memory["copies"])
 
     def _require_noise(self, run: Run) -> None:

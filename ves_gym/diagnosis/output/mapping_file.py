@@ -62,8 +62,8 @@ def write_mapping(
         if model:
             write_text(near, model[2])
             table["model"] = near.name
-        again = read(table, target)[1]
-        deviation = difference(machine, machine.model(effects), again, again.nominal, runs)
+        reread = read(table, target)[1]
+        deviation = difference(machine, machine.model(effects), reread, reread.nominal, runs)
         require_same(deviation, target)
         if model:
             near.replace(folder / MODEL)
