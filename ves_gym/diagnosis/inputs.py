@@ -33,9 +33,12 @@ from ves_gym.system.effect import Effect
 from ves_gym.system.runlog import RunLog
 from ves_gym.system.system import System
 
-_MASSES = (  # what may be wrong with the masses described, factor that puts it right
-    ("are masses and inertias described in g, not kg", 1e-3),
-    ("are masses and inertias described in t, not kg", 1e3),
+_MASSES = (  # masses described, or all forces logged: no log tells which; the masses' factor
+    (
+        "are masses and inertias described in g, not kg, or torques logged in kN m, not N m",
+        1e-3,
+    ),
+    ("are masses and inertias described in t, not kg, or torques logged in N mm, not N m", 1e3),
 )
 
 

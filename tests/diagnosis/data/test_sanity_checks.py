@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from ves_gym.diagnosis.excitation import excitation_motions
 from ves_gym.diagnosis.inputs import _heavier, system_inputs
 from ves_gym.diagnosis.machines.joint_library import MjcfJoint
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
+from ves_gym.diagnosis.machines.mjcf_mapping import machine_of
 from ves_gym.effects import JointCoulomb
 from ves_gym.mechanics.arm_library import get_arm
 from ves_gym.mechanics.motion import Motion
@@ -244,11 +246,51 @@ def test_a_rate_in_degrees_is_asked_about():
     noise = 1e-6 * np.random.default_rng(0).standard_normal(q.shape)
     good, bad = (run_of_signals(t, {"q": q + noise, "v": x}, "run") for x in (v, np.rad2deg(v)))
     assert suspected_mistake(machine, good) is None
-    assert suspected_mistake(machine, bad).text == "is v in degrees, not rad"
-    with pytest.raises(
-        ParameterError, match=r"run: is v in degrees, not rad\? At port velocity"
-    ):
+    either = "is q, without its rate, in rad twice converted from degrees"
+    assert suspected_mistake(machine, bad).text == f"is v in degrees, not rad, or {either}"
+    with pytest.raises(ParameterError, match=rf"run: is v .*, or {either}\? At port velocity"):
         require_as_logged(machine, [good, bad])
+
+
+@pytest.fixture
+def mapped():
+    """A run of one joint whose file has names of its own, and units as asked."""
+    t = np.arange(3000) * 5e-3
+
+    def run(clock=1.0, band=12.0, seconds=15.0, **units):
+        table = {"schema": "ves-machine/1", "name": "one", "band": band, "joint": [{
+            "name": "a", "position": {"column": "A1_pos"}, "velocity": {"column": "A1_vel"},
+        }], "time": {"column": "stamp", "gain": clock}}  # fmt: skip
+        file, machine = machine_of(table, Path("map.toml"))
+        noise = 1e-6 * np.random.default_rng(0).standard_normal(t.shape)
+        pos, vel = units.get("pos", 1.0) * np.sin(t) + noise, units.get("vel", 1.0) * np.cos(t)
+        columns = {"stamp": t, "A1_pos": pos, "A1_vel": vel}
+        return machine, file.run({k: x[t < seconds] for k, x in columns.items()}, "run")
+
+    return run
+
+
+def test_a_question_names_the_column_of_the_file(mapped):
+    """And both of two that explain as well: without a model no log tells them apart."""
+    machine, run = mapped(pos=180 / np.pi, vel=180 / np.pi)
+    assert suspected_mistake(machine, run) is None
+    machine, run = mapped(vel=180 / np.pi)
+    asked = "run: is v (A1_vel) in degrees, not rad, or is q (A1_pos), without its rate, in rad"
+    assert suspected_mistake(machine, run).sentence.startswith(asked)
+
+
+@pytest.mark.parametrize(
+    ("read", "said"),
+    [
+        ({"clock": 1e-3}, "need 1.25 s; is the clock in s, read as ms?"),
+        ({"seconds": 1.0}, "0.995 s is too short, need 1.25 s$"),
+        ({"band": 500.0}, "at least 2000 Hz: take a band up to 50 Hz, or is the clock in ms?"),
+        ({"clock": 10.0}, "at least 48 Hz: take a band up to 5 Hz, or is the clock in ms?"),
+    ],
+)
+def test_a_clock_or_a_band_that_does_not_fit_is_asked_about(mapped, read, said):
+    with pytest.raises(ParameterError, match=said.replace("?", r"\?")):
+        mapped(**read)
 
 
 @pytest.mark.slow

@@ -37,7 +37,7 @@ REMEMBERED = 40  # of one kind: both ports of an arm ask, with one friction afte
 _SAME_CLOCK = 1e-3  # relative difference of steps
 _STILL = 1e-4  # rad/s: noise of a rate that turns no friction round, a hundredth of its creep
 _PER_BAND = 4.0  # samples per period of the band's top that derivatives need
-_SHORTEST = 15.0  # periods of the band's top: in less, slow motion is no more than a slope
+SHORTEST = 15.0  # periods of the band's top: in less, slow motion is no more than a slope
 
 
 def forget(remembered: dict[Any, Any], most: int = REMEMBERED) -> None:
@@ -289,15 +289,16 @@ def run_of_signals(
     stacked = np.concatenate(list(signals.values()), axis=1)
     dt, even = on_uniform_clock(t, stacked)
     if 1 / dt < _PER_BAND * band:
-        milli = "; is the clock in ms? s is expected" if 1e3 / dt >= _PER_BAND * band else ""
+        milli = ", or is the clock in ms? s is expected" if 1e3 / dt >= _PER_BAND * band else ""
         raise ParameterError(
             f"{name}: sampled at {1 / dt:.4g} Hz, comparing up to {band:g} Hz needs at least"
-            f" {_PER_BAND * band:g} Hz{milli}"
+            f" {_PER_BAND * band:g} Hz: take a band up to {1 / dt / _PER_BAND:.3g} Hz{milli}"
         )
-    shortest = max(4 * margin(dt, band) * dt, _SHORTEST / band)
+    shortest = max(4 * margin(dt, band) * dt, SHORTEST / band)
     if dt * len(even) < shortest:
+        milli = "; is the clock in s, read as ms?" if 1e-3 / dt >= _PER_BAND * band else ""
         raise ParameterError(
-            f"{name}: {t[-1] - t[0]:.3g} s is too short, need {shortest:.3g} s"
+            f"{name}: {t[-1] - t[0]:.3g} s is too short, need {shortest:.3g} s{milli}"
         )
     uniform, noise, at = {}, {}, 0
     stated = meta.get("noise_std", {})

@@ -8,8 +8,9 @@ description. Nothing is converted.
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -35,6 +36,7 @@ _NOISY = 2.0  # times noise drawn once, which scatters: what is below is no resi
 _MOVING = 0.1  # of the largest movement of its kind
 _HEARD = 3.0  # times the noise that a movement must have
 _LEAST = 0.02  # of a channel's movement: better does not count
+_TIE = 1e-6  # of the logarithm by which residuals fall
 _UNITS = (  # signal, what no such machine reaches, unit expected, unit it may be in
     ("q", 13.0, "rad", "degrees"),
     ("q_cmd", 13.0, "rad", "degrees"),
@@ -124,12 +126,17 @@ class Question:
     channel: str
     before: float  # residual, in parts of the channel's movement
     after: float
+    columns: Mapping[str, str] = field(
+        default_factory=dict
+    )  # "tau_1" and "tau" -> as the file says
 
     @property
     def sentence(self) -> str:
         """The question."""
+        names = {k: f"{k} ({name})" for k, name in self.columns.items()}
+        text = re.sub(r"\w+", lambda k: names.get(k[0], k[0]), self.text)
         return (
-            f"{self.run}: {self.text}? At port {self.port}, {self.channel}, {self.before:.0%}"
+            f"{self.run}: {text}? At port {self.port}, {self.channel}, {self.before:.0%}"
             f" of the signal is not explained as logged, and {self.after:.1%} would not be so;"
             " correct the log or the description, or say --as-logged"
         )
@@ -163,16 +170,23 @@ def suspected_mistake(
 ) -> Question | None:
     """Return the question about what explains a run best, if it does so far better.
 
+    A mistake elsewhere that explains it as well is asked about with it.
     `others` are usual mistakes in the description: wording, and the machine without it.
     """
     check = _Look(machine, run)
+    columns = run.meta.get("columns", {})
     if dead := check.dead():
-        return dead
+        return replace(dead, columns=columns)
     lags = {abs(check.lag(p)) for p in check.ports}
     late = list(_late(run, [k for k in lags if k * run.dt >= _LATE[0]]))
     usual = _mistakes(machine, run, others) if check.disagrees(_BAD) else ()
-    judged = (check.judged(mistake) for mistake in (*usual, *late))
-    return max(filter(None, judged), key=lambda k: k[0], default=(0.0, None))[1]
+    judged = [(*k, m) for m in (*usual, *late) if (k := check.judged(m))]
+    if not judged:
+        return None
+    gain, question, best = max(judged, key=lambda k: k[0])
+    equal = (m.text for k, _, m in judged if k > gain - _TIE and m.signals != best.signals)
+    text = ", or ".join([question.text, *itertools.islice(equal, 1)])
+    return replace(question, text=text, columns=columns)
 
 
 class _Look:
@@ -343,6 +357,8 @@ def _mistakes(
         yield from _units(have, slice(None), f"is {name}", () if all_joints else units)
         for i in range(n) if n > 1 and not all_joints else ():
             yield from _units(have, slice(i, i + 1), f"is {labels[i]}", units)
+    if "q" in run and "v" in run:
+        yield from _units(("q",), slice(None), "is q, without its rate,", _ANGLE)
     angles = tuple(k for k in _JOINT[:4] if k in run)
     yield from _units(angles, slice(None), "are all joint angles", _ANGLE if angles else ())
     first, last = slice(0, 3), slice(3, 6)

@@ -24,7 +24,13 @@ from ves_gym._util.params import (
 from ves_gym._util.reading import named
 from ves_gym._util.recordings import column_of
 from ves_gym._util.signals import downsampled, on_uniform_clock
-from ves_gym.diagnosis.data.measured_run import BAND, Run, require_steady, run_of_signals
+from ves_gym.diagnosis.data.measured_run import (
+    BAND,
+    SHORTEST,
+    Run,
+    require_steady,
+    run_of_signals,
+)
 from ves_gym.diagnosis.machines.joint_changes import CarriedBody, RateError, Shaft
 from ves_gym.diagnosis.machines.joint_library import MjcfJoint
 from ves_gym.diagnosis.machines.mjcf import MjcfMachine
@@ -201,8 +207,17 @@ class MachineFile:
             if getattr(self.joint[0], what)
         }
         t, signals, notes = read_signals(channels, self.time, columns, name)
-        meta = {"noise_std": self.noise.by_signal, "notes": notes}
+        meta = {"noise_std": self.noise.by_signal, "notes": notes, "columns": _named(channels)}
         return sampled_run(t, signals, name, self.band, meta)
+
+
+def _named(channels: Mapping[str, Sequence[Sequence[Column]]]) -> dict[str, str]:
+    """Return the file's columns of every signal and of its channels, "q_1" the first."""
+    out: dict[str, str] = {}
+    for key, listed in channels.items():
+        names = [" + ".join(c.column for c in parts) for parts in listed]
+        out |= {key: ", ".join(names), **{f"{key}_{i}": k for i, k in enumerate(names, 1)}}
+    return out
 
 
 def read_signals(
@@ -251,9 +266,10 @@ def sampled_run(
     t: Array, signals: dict[str, Array], name: str, band: float, meta: dict[str, Any]
 ) -> Run:
     """Return a run, down-sampled first to at most `_MOST_PER_BAND` times the band."""
-    rate = (len(t) - 1) / float(t[-1] - t[0])
+    seconds = float(t[-1] - t[0])
+    rate = (len(t) - 1) / seconds
     factor = int(rate // (_MOST_PER_BAND * band))
-    if factor > 1:
+    if factor > 1 and seconds > SHORTEST / band:  # else refused, as it was sampled
         widths = np.cumsum([x.shape[1] for x in signals.values()])[:-1]
         dt, even = on_uniform_clock(t, np.concatenate(list(signals.values()), axis=1))
         slow = downsampled(even, factor)
