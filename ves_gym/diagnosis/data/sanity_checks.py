@@ -31,6 +31,7 @@ _FAR = 0.2  # of it: what is left where a mistake is found
 _GOOD = 0.3  # of a channel's movement: more is no agreement
 _BETTER = {"admittance": 0.1}  # a computer's law on what it logs: it is right, or another is
 _SHIFTED = 0.1  # of a channel's movement: what a late recorder leaves of slow motion
+_FALLEN = 0.5  # of a residual with its noise: what is left where a mistake was
 _SPOILED = 1.2  # of a residual: others may not get worse
 _NOISY = 2.0  # times noise drawn once, which scatters: what is below is no residual
 _MOVING = 0.1  # of the largest movement of its kind
@@ -198,7 +199,8 @@ class _Look:
         self.ports = testable(machine, [run])
         self.heard = {p.name: _tells(run, p.signal) for p in self.ports}
         self._noise = {p.name: self._of_noise(p) for p in self.ports}
-        self.logged = {p.name: self.size(p, machine, self.run) for p in self.ports}
+        self._raw = {p.name: self._left(p, machine, self.run) for p in self.ports}
+        self.logged = {p.name: self.size(p, self.run, self._raw[p.name]) for p in self.ports}
 
     def _of_noise(self, port: Port) -> Array:
         """Size (c,) of what noise as logged makes of a residual."""
@@ -209,12 +211,15 @@ class _Look:
     def _residual(self, port: Port, machine: Machine, run: Run) -> Array:
         return machine.residuals(run, [machine.nominal], [port.name])[port.name][0]
 
-    def size(self, port: Port, machine: Machine, run: Run) -> Array:
-        """Return (c,) size of the residual beyond its noise, over that of the movement.
+    def _left(self, port: Port, machine: Machine, run: Run) -> Array:
+        """Return (c,) size of the residual, noise and all."""
+        return _size(run, self._residual(port, machine, run))
+
+    def size(self, port: Port, run: Run, residual: Array) -> Array:
+        """Return (c,) size of a residual beyond its noise, over that of the movement.
 
         It is 0 where a channel does not tell anything.
         """
-        residual = _size(run, self._residual(port, machine, run))
         signal = _size(run, _logged(run, port.signal))
         noise = _NOISY * self._noise[port.name]
         beyond = np.sqrt(np.maximum(residual**2 - noise**2, 0.0))
@@ -229,7 +234,7 @@ class _Look:
         """Return the channel that stands still to the last digit where it must move."""
         run = self.run
         for port in self.ports:
-            size = _size(run, self._residual(port, self.machine, run))
+            size = self._raw[port.name]
             moved = _size(run, _logged(run, port.signal)).max()
             least = np.maximum(_MOVING * moved, _NOISY * self._noise[port.name])
             for signal in {port.signal} | ({"q"} if port.name == "velocity" else set()):
@@ -277,12 +282,14 @@ class _Look:
             name, before = port.name, self.logged[port.name]
             if not question and not any(bad[p.name].any() for p in touched[i:]):
                 return None
-            after = self.size(port, mistake.machine or self.machine, run)
+            left = self._left(port, mistake.machine or self.machine, run)
+            after = self.size(port, run, left)
             allowed = _LEAST if mistake.late else _GOOD
             if (after > np.maximum(_SPOILED * before, allowed)).any():
                 return None
             # a channel that no longer stands out of its noise would agree with anything
             better = after < np.minimum(_FAR * before, _BETTER.get(name, _GOOD))
+            better &= left < _FALLEN * self._raw[name]
             healed = np.logical_and.reduce([bad[name], _tells(run, port.signal), better])
             ratio = np.maximum(before, _LEAST) / np.maximum(after, _LEAST)
             gain += float(np.log(ratio).sum())
