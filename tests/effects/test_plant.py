@@ -9,10 +9,12 @@ from tests.effects.values import effect
 from ves_gym._util.params import ParameterError
 from ves_gym.effects import (
     BaseDamping,
+    BaseMode,
     BaseStiffness,
     JointRotorInertia,
     PayloadMass,
 )
+from ves_gym.effects.base import modes_of
 from ves_gym.mechanics.arm_library import PUMA_560
 from ves_gym.mechanics.gravity import GRAVITY
 from ves_gym.mechanics.kinematics import joint_positions
@@ -142,6 +144,17 @@ def undamped():
     eye = tuple(map(tuple, np.eye(6).tolist()))
     none = tuple(map(tuple, np.zeros((6, 6)).tolist()))
     return MatrixVehicle(M=eye, D=none, K=eye)
+
+
+def test_a_mode_is_one_that_the_vehicle_has():
+    """No vehicle is pushed away by what holds it; its own modes never ask for that."""
+    foreign = BaseMode(error=-0.4, frequency=30.0, momentum=(100.0, 50.0, 3.0, 4.0, 5.0, 6.0))
+    with pytest.raises(ParameterError, match=r"base/mode needs a mode .* got 30 Hz"):
+        System(vehicle=BENT_THESIS, effects=(foreign,))
+    M, _, K = System(vehicle=BENT_THESIS).base.condensed()
+    for frequency, momentum in modes_of(M, K):
+        own = BaseMode(error=-0.5, frequency=frequency, momentum=tuple(momentum))
+        System(vehicle=BENT_THESIS, effects=(own,))
 
 
 def test_no_rotor_is_lighter_than_nothing():

@@ -186,8 +186,15 @@ class BaseMode(BaseEffect):
     )
 
     def check(self, system: System) -> None:
-        """Nothing holds a satellite."""
+        """Nothing holds a satellite, and no base has less stiffness than none."""
         _require_held(self, system)
+        squares = np.linalg.eigvalsh(self.base(system.base).K)
+        if squares[0] < -_HELD * squares[-1]:
+            raise ParameterError(
+                f"effect {self.kind} needs a mode that the base has, got {self.frequency:g} Hz"
+                f" and a momentum along which error = {self.error:g} takes more stiffness than"
+                " there is"
+            )
 
     @classmethod
     def candidates(cls, scope: Scope) -> Iterator[Candidate]:
