@@ -10,6 +10,7 @@ import pytest
 
 from tests.envs.walks import IDS, SHORT, flat, part
 from ves_gym._util.params import ParameterError, from_plain
+from ves_gym.mechanics.gravity import minimal_model
 from ves_gym.simulation.simulator import Simulator
 from ves_gym.system.effect import EFFECTS, Effect
 
@@ -29,7 +30,8 @@ def random_effects(name, noise):
         for field in dataclasses.fields(cls):
             low, high = field.metadata["bounds"]
             null = field.metadata["null"]
-            any_size = 9 if kind == "gravity/moment" else system.arm.n  # its regressor
+            regressor = kind == "gravity/moment"
+            any_size = minimal_model(system.arm).size if regressor else system.arm.n
             shape = [any_size if k is None else k for k in field.metadata["shape"]]
             if null is None:
                 value = noise.uniform(low, high, shape)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -158,6 +158,12 @@ class MjcfMachine(Machine):
         """Return the library as far as it applies, each effect in the units of its joint."""
         out = joint_candidates(self.joints, [p.name for p in self.ports])
         if self.bodies is not None:
+            names = [j.name for j in self.joints]
+            rotor = dict(zip(names, self.joint_properties["armature"], strict=True))
+            out = [  # no less than no rotor
+                replace(c, low=(-rotor[c.slot],)) if c.kind == "joint/rotor_inertia" else c
+                for c in out
+            ]
             out += [coupled_shaft(self.joints, ratio) for ratio in self.couplings]
             out.append(payload_candidate(*visible_parameters(self.bodies, len(self.joints))))
         return tuple(out)
