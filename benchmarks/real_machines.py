@@ -3,10 +3,11 @@
     python -m benchmarks.real_machines FOLDER [emps tiago staubli] [--json FILE]
 
 FOLDER holds `emps/`, `tiago_arm/`, `staubli_tx40/`; nothing of it is part of the project. Each
-is described as a newcomer would from its documents: the columns of the examples, usual
-tolerances, no noise, no friction, no radius of a pinion; where there is one file the last third
-is held back. Sizes are printed beside the published ones and beside least squares on the same
-residual, joint by joint, which are told the laws. UR10e and Panda: no logs of them are here.
+is described as a newcomer would from its documents: the columns of the examples, tolerances
+as `--describe` writes them, no noise, no friction, no radius of a pinion; where there is one
+file the last third is held back. Sizes are printed beside the published ones and beside least
+squares on the same residual, joint by joint, which are told the laws. UR10e and Panda: no logs
+of them are here.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import ves_gym as vg
 from benchmarks import store
 from ves_gym._util.params import Array
 from ves_gym._util.recordings import read_columns
+from ves_gym.diagnosis.data import describe
 from ves_gym.diagnosis.data.measured_run import Run, run_of_signals
 from ves_gym.diagnosis.machines.mjcf_mapping import machine_of
 
@@ -49,6 +51,7 @@ def described(name: str, model: Path | None = None) -> tuple[Any, Callable[[Path
     """Machine and loader of an example's mapping file without its settings."""
     (path,) = (EXAMPLES / name).glob("*.toml")
     table = {k: x for k, x in tomllib.loads(path.read_text()).items() if k not in SETTINGS}
+    table |= tomllib.loads("\n".join(describe.SETTINGS))
     if model is not None:
         table["model"] = str(model.resolve())
     for joint in table["joint"]:

@@ -46,7 +46,8 @@ def random_effects(name, noise):
             known = (
                 "would do nothing", "got a satellite", "physics_dt must be",
                 "the numbers of a rigid body", "needs its rotor_inertia > 0",
-                "needs a mode that the base has",
+                "needs a mode that the base has", "carries wheels or appendages",
+                "the rotor's own", "acts on a satellite in mode ideal",
             )  # fmt: skip
             assert any(text in str(error) for text in known), error
         else:

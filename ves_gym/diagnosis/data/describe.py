@@ -160,13 +160,13 @@ def describe(
     )
     measured = f"; the log has {rate:.4g} Hz" if clock else ""
     lines.append(f"band = {band:g} # Hz compared{measured}")
-    lines += [time.text, "", *_SETTINGS]
+    lines += [time.text, "", *SETTINGS]
     for key, name, kind in named:
         lines += ["", *_joint_lines(complete, key, joints[key], name, kind, time.step)]
     return "\n".join(lines) + "\n"
 
 
-_SETTINGS = (
+SETTINGS = (  # lines of a new mapping file
     "# Errors that a description may have without being called wrong (standard deviations).",
     "# Larger: fewer and surer names, small effects are not seen. Smaller: the reverse.",
     "[tolerance]",
@@ -174,7 +174,7 @@ _SETTINGS = (
     "# centre = 0.005 # m, of mass of every link",
     "# gain = 0.0006 # of torques: 0.05 for currents times a data sheet's constant",
     "# friction = 0.03 # N m: less is not worth a name",
-    "# unexplained = 0.05 # of a torque that no simple law explains: 0.1 for geared robots",
+    "unexplained = 0.05 # of a torque that no simple law explains: 0.1 for geared robots",
     "",
     "# Noise, where the data hide it (it is estimated from what is faster than motion).",
     "# [noise]",
