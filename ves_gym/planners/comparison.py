@@ -14,6 +14,7 @@ from ves_gym._util.views import Viewable
 from ves_gym.mechanics.limits import LimitCheck
 from ves_gym.mechanics.motion import Motion
 from ves_gym.mechanics.vehicle import vehicle_name
+from ves_gym.planners.bounds import NO_MORE
 from ves_gym.planners.execution_check import executed_violation
 from ves_gym.planners.linear_response import predict_disturbance
 from ves_gym.planners.query import Plan, Planner, Query, solve
@@ -211,6 +212,15 @@ class PlanReport:
     simulated: LimitCheck | None = None
     failure: str | None = None  # why there is no motion, or what it breaks when it is played
 
+    @property
+    def bounds_passed(self) -> dict[str, float]:
+        """Measures as simulated, over the straight line's, that pass a bound of the planner."""
+        moved, straight = (vars(self.disturbances[name]) for name in _SHOWN[1:])
+        shares = {
+            k: (moved[k] / straight[k], v) for k, v in self.plan.info.get("bounds", {}).items()
+        }
+        return {k: share for k, (share, most) in shares.items() if share > NO_MORE * most}
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain data: the plan's, and the measures."""
         plan = self.plan.to_dict()
@@ -220,6 +230,7 @@ class PlanReport:
             **plan,
             "feasible": self.failure is None,
             "failure": self.failure,
+            "bounds_passed": self.bounds_passed,
             **{name: part.to_dict() for name, part in self.energies.items()},
             "disturbance": {name: part.to_dict() for name, part in self.disturbances.items()},
             "frequency_weight": str(self.plan.query.weight),
@@ -254,6 +265,11 @@ class PlanReport:
                 f"E_weighted: gain {plan.query.weight}; means over the motion and {TAIL:g} s"
                 " after it",
                 f"planned in {plan.seconds:.2f} s; {verdict}",
+                *(
+                    f"bound NOT kept as simulated: {name} is {share:.3f} of the straight"
+                    f" line's, at most {plan.info['bounds'][name]:g} was asked for"
+                    for name, share in self.bounds_passed.items()
+                ),
                 *(f"not in the plan: {note}" for note in plan.notes),
                 self.reference.verdict("reference"),
                 self.simulated.verdict("simulated arm"),
