@@ -17,6 +17,7 @@ def store(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> 
         rows: cells of each: text, numbers (to four digits) or None.
     """
     words = [word for word in sys.orig_argv[1:] if word not in ("--json", str(path))]
+    words = [Path(word).name if Path(word).is_absolute() else word for word in words]
     write(path, shlex.join(["python", *words]), columns, rows)
 
 
