@@ -25,7 +25,7 @@ import ves_gym as vg
 from benchmarks import store
 from ves_gym._util.params import Array
 from ves_gym._util.recordings import read_columns
-from ves_gym.diagnosis.data import describe
+from ves_gym.diagnosis.data.describe import SETTINGS as DESCRIBED
 from ves_gym.diagnosis.data.measured_run import Run, run_of_signals
 from ves_gym.diagnosis.machines.mjcf_mapping import machine_of
 
@@ -51,7 +51,7 @@ def described(name: str, model: Path | None = None) -> tuple[Any, Callable[[Path
     """Machine and loader of an example's mapping file without its settings."""
     (path,) = (EXAMPLES / name).glob("*.toml")
     table = {k: x for k, x in tomllib.loads(path.read_text()).items() if k not in SETTINGS}
-    table |= tomllib.loads("\n".join(describe.SETTINGS))
+    table |= tomllib.loads("\n".join(DESCRIBED))
     if model is not None:
         table["model"] = str(model.resolve())
     for joint in table["joint"]:
