@@ -273,6 +273,7 @@ def _stencil(values: Array) -> Array:
 # s between instants of which the largest is a peak, and of the base's shortest period: instants
 # that far apart miss at most 2.2 % of its peak
 _LONGEST, _OF_PERIOD = 0.002, 1 / 15
+_BETWEEN_STEPS = 2 / 3  # of that period: longer steps of the inertia ring the base
 _AFTER = 3.0  # s after the motion in which peaks are looked for: a swing of 0.2 Hz
 
 
@@ -283,11 +284,13 @@ def predict_disturbance(query: Query, motion: Motion) -> Disturbance:
     """
     linear = LinearBase(query.system, query.servo, motion.start)
     M = linear.mass(linear.inertia(motion.start))[: linear.b, : linear.b]
-    fastest = np.sqrt(scipy.linalg.eigvalsh(linear.base_stiffness, M)[-1]) / (2 * np.pi)
+    fastest = scipy.linalg.eigvalsh(linear.base_stiffness, M)[-1]
+    period = 2 * np.pi / np.sqrt(fastest) if fastest > 0 else math.inf
     # what is simulated is seen once per physics step
-    dt = min(_LONGEST, max(query.system.physics_dt / 2, _OF_PERIOD / max(fastest, 1e-9)))
-    parts = max(FINE, math.ceil(motion.duration / (dt * NODES)))
-    t = np.linspace(0.0, motion.duration, NODES * parts + 1)
+    dt = min(_LONGEST, max(query.system.physics_dt / 2, _OF_PERIOD * period))
+    nodes = max(NODES, math.ceil(motion.duration / (_BETWEEN_STEPS * period)))
+    parts = max(FINE, math.ceil(motion.duration / (dt * nodes)))
+    t = np.linspace(0.0, motion.duration, nodes * parts + 1)
     after = t[1] * np.arange(1, int(_AFTER / t[1]) + 1)
     response = LinearResponse(linear, motion, t, query.weight, after, parts)
     course = response.course(linear.load(motion, t)[..., None], query.base)
