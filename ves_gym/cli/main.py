@@ -287,7 +287,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except KeyboardInterrupt:
-        hint = "; with --resume the same command goes on" if command == "train" else ""
+        _, flags = table_of(command).get(command, (None, ())) if command else (None, ())
+        resumes = any(flag.name == "--resume" for flag in flags)
+        hint = "; with --resume the same command goes on" if resumes else ""
         print(f"ves-gym: interrupted{hint}", file=sys.stderr)
         return 130
     except OSError as error:  # of a file, no room for one among them

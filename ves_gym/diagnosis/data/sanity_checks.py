@@ -127,9 +127,8 @@ class Question:
     channel: str
     before: float  # residual, in parts of the channel's movement
     after: float
-    columns: Mapping[str, str] = field(
-        default_factory=dict
-    )  # "tau_1" and "tau" -> as the file says
+    # "tau_1" and "tau" -> as the file says
+    columns: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def sentence(self) -> str:
