@@ -6,19 +6,21 @@ import numpy as np
 import pytest
 import scipy.optimize
 
+import ves_gym as vg
 from tests.reach import SPEED_LIMITS
 from ves_gym.damping.free_vibration import simulate_free_vibration
 from ves_gym.damping.plant import GainMatrices
 from ves_gym.mechanics.limits import limit_ratios
 from ves_gym.mechanics.servo import HIGH_GAINS
 from ves_gym.mechanics.vehicle import BENT_THESIS, FREE_FLOATING
+from ves_gym.planners import sequential
 from ves_gym.planners.direct import DampRelease, Direct
 from ves_gym.planners.motion_problem import MotionProblem
 from ves_gym.planners.obstacles import Sphere, Surroundings
 from ves_gym.planners.prediction import BaseState, predict
 from ves_gym.planners.query import NoPlan, Query, first_violation, solve
 from ves_gym.planners.registry import get_planner
-from ves_gym.planners.sequential import minimise, quadratic_program
+from ves_gym.planners.sequential import _solver, minimise, quadratic_program
 from ves_gym.planners.suites import reach100
 from ves_gym.simulation.playback import play_motions
 from ves_gym.system.energy import base_energy
@@ -170,6 +172,35 @@ def test_quadratic_programs_against_their_conditions():
         assert (residual[x <= low + 1e-7] >= -1e-6).all() and (
             residual[x >= high - 1e-7] <= 1e-6
         ).all()
+
+
+def test_a_program_without_a_solution_has_no_multipliers():
+    """What the solver leaves in them is of no use, and no two runs have the same."""
+    A, upper = np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([-0.4, -0.4])
+    x, price = quadratic_program(np.eye(2), np.ones(2), A, upper, -np.ones(2), np.ones(2))
+    assert np.isfinite(x).all() and (price == 0).all()
+
+
+@pytest.mark.slow
+def test_no_program_of_a_bounded_plan_is_given_up(monkeypatch):
+    """Ten iterations without progress are no cycle: seven of its programs have that many."""
+    solved = []
+
+    def watched(size, rows):
+        def call(**program):
+            result = solver(**program)
+            solved.append(solver.stats()["success"])
+            return result
+
+        solver = _solver(size, rows)
+        call.stats = solver.stats
+        return call
+
+    monkeypatch.setattr(sequential, "_solver", watched)
+    start, goal = np.radians([[0, -57, 57, 0, 0, 0], [90, -20, 40, 30, -40, 20]])
+    system = System.from_dict({"arm": "ur5e", "vehicle": "bent"})
+    vg.plan(start, goal, duration=2.0, planner="calm", system=system)
+    assert len(solved) > 100 and all(solved)
 
 
 # ---------------------------------------------------------------------------- a base that moves

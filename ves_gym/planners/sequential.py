@@ -180,13 +180,15 @@ def quadratic_program(
     """Minimise 1/2 x^T H x + g^T x with A x <= upper, low <= x <= high, H positive definite.
 
     An active-set method from CasADi's distribution (DAQP, or qpOASES in one without it).
-    Returns x (k,) and the multipliers of the rows of A (r,).
+    Returns x (k,) and the multipliers of the rows of A (r,), zero where it gives up: what it
+    leaves there then differs from run to run.
     """
     size = float(np.abs(H[:-1, :-1]).max())  # the last variable is a slack
     solver = _solver(len(g), len(A))
     result = solver(h=H / size, g=g / size, a=A, lba=-math.inf, uba=upper, lbx=low, ubx=high)
     x = np.clip(np.nan_to_num(np.array(result["x"]).ravel()), low, high)
-    return x, size * np.array(result["lam_a"]).ravel()
+    solved = solver.stats()["success"]
+    return x, size * np.array(result["lam_a"]).ravel() if solved else np.zeros(len(A))
 
 
 @lru_cache(maxsize=256)
@@ -195,9 +197,10 @@ def _solver(size: int, rows: int) -> Any:
 
     name = next(k for k in ("daqp", "qpoases") if ca.has_conic(k))
     shape = {"h": ca.Sparsity.dense(size, size), "a": ca.Sparsity.dense(rows, size)}
-    # rows reach 2000 per rad; DAQP's own tolerance of 1e-6 is after scaling them to 1
+    # rows reach 2000 per rad; DAQP's own tolerance of 1e-6 is after scaling them to 1. With so
+    # small a one its count of 10 iterations without progress is no sign yet that it cycles.
     options: dict[str, Any] = {
-        "daqp": {"daqp": {"primal_tol": 1e-10}},
+        "daqp": {"daqp": {"primal_tol": 1e-10, "cycle_tol": 1000}},
         "qpoases": {"printLevel": "none"},
     }
     return ca.conic("qp", name, shape, {"error_on_fail": False, **options[name]})
